@@ -34,11 +34,11 @@ from hygrokf.live.config import (
     WanderingForm,
     read_config,
 )
+from hygrokf.live.log import LogLines
 from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
-from hygrokf.live.tracking import LogLines
 from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0

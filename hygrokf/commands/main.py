@@ -23,7 +23,7 @@ from hygrokf.commands import (
     track,
     transfer,
 )
-from hygrokf.commands.console import printable, system_words
+from hygrokf.commands.console import INTERRUPTED, USER_FAULT, printable, system_words
 from hygrokf.errors import HygrokfError
 from hygrokf.version import __version__
 
@@ -32,8 +32,6 @@ VERBS = (
     compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
-USER_FAULT = 2
-"""Exit status of an input error."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return status
     except KeyboardInterrupt:
         print("interrupted; nothing half-written is left", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:  # the reader of the output has gone; the remaining output must not raise at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -10,13 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import Progress, UserFault, expect_directory
+from hygrokf.commands.console import (
+    INTERRUPTED,
+    USER_FAULT,
+    Progress,
+    UserFault,
+    expect_directory,
+    system_words,
+)
 from hygrokf.commands.inputs import load_causes
 from hygrokf.commands.verb import Verb, add_library
+from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
     from hygrokf.live.config import Config
     from hygrokf.live.service import Service
+
+LOG = logging.getLogger("hygrokf.track")
 
 
 def add_tracked(parser: argparse.ArgumentParser) -> None:
@@ -90,17 +100,37 @@ def _factor(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Track until a signal ends it; with a JSON log, whatever ends it is a log entry, too."""
+    from hygrokf.live.log import log_to_stderr
+
+    with log_to_stderr(options.log):
+        if options.log != "json":
+            return _track(options)
+        try:
+            return _track(options)
+        except KeyboardInterrupt:
+            LOG.error("interrupted")
+            return INTERRUPTED
+        except (OSError, HygrokfError) as fault:
+            words = system_words(fault) if isinstance(fault, OSError) else str(fault)
+            LOG.error("ended by a fault", extra={"fault": words})
+            return USER_FAULT
+        except Exception as fault:
+            LOG.error("ended by an exception", exc_info=True, extra={"fault": str(fault)})
+            return 1
+
+
+def _track(options: argparse.Namespace) -> int:
     """Track until a signal ends it."""
-    from hygrokf.live.tracking import log_to_stderr, track
+    from hygrokf.live.tracking import track
 
     load_causes(options.library)
     config = _demo_config(options) if options.demo else tracked_config(options)
-    log_to_stderr(options.log)
 
     def tell(text: str, **beside: object) -> None:
         """Print a message for the user; with a JSON log, write it as a log entry."""
         if options.log == "json":
-            logging.getLogger("hygrokf.track").info(text.partition(":")[0], extra=beside)
+            LOG.info(text.partition(":")[0], extra=beside)
         else:
             print(text, file=sys.stderr, flush=True)
 

@@ -14,6 +14,7 @@ import queue
 import secrets
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -47,12 +48,27 @@ RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 """[s] between attempts to reopen a failed store; the last value repeats."""
 
 
+WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+"""Upper bounds [s] of the classes in which waits are counted; the last class has none."""
+
+
+@dataclass(frozen=True)
+class SourceTimes:
+    """When a source's last delivery arrived [s], and how long after the time of its newest reading [s]; None
+    without readings so far."""
+
+    arrived: float
+    lag_s: float | None = None
+
+
 @dataclass
 class Health:
     """Counts of the loop.
 
-    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from delivery to
-    commit; `store`: why the store fails now, empty if it does not.
+    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from the last
+    deliveries to their commits; `wait_counts`: all of them since the start by the classes `WAITS_S`, and
+    `wait_sum_s` their sum [s]; `sources`: times of each source by its URL; `store`: why the store fails now,
+    empty if it does not.
     """
 
     rounds: int = 0
@@ -60,10 +76,23 @@ class Health:
     failures: int = 0
     committed_s: float = 0.0
     waits_s: list[float] = field(default_factory=list)
+    wait_counts: list[int] = field(default_factory=lambda: [0] * (len(WAITS_S) + 1))
+    wait_sum_s: float = 0.0
+    sources: dict[str, SourceTimes] = field(default_factory=dict)
     store: str = ""
 
     def note(self, waits: Sequence[float]) -> None:
         self.waits_s = [*self.waits_s, *waits][-10_000:]
+        for wait in waits:
+            self.wait_counts[bisect_left(WAITS_S, wait)] += 1
+        self.wait_sum_s += sum(waits)
+
+    def note_source(self, url: str, deliveries: Sequence[Delivery], batch: Batch) -> None:
+        """Note when a source delivered, and how far its newest reading was behind."""
+        before = self.sources.get(url, SourceTimes(0.0))
+        newest = max((*batch.observations, *batch.weather), key=lambda one: one.reading.time, default=None)
+        lag_s = before.lag_s if newest is None else newest.received - newest.reading.time
+        self.sources[url] = SourceTimes(max(one.received for one in deliveries), lag_s)
 
     def wait_s(self, share: float) -> float | None:
         """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
@@ -203,6 +232,7 @@ class Service:
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
+        self.health.note_source(url, deliveries, batch)
         self._publish(batch)
 
     def _forecast(self, name: str) -> Batch:

@@ -789,6 +789,18 @@ def test_nodes_that_are_not_there_bad_old_or_without_history(
     )
 
 
+def test_history_is_kept_only_where_the_access_level_says_so(
+    at_broker: Callable[..., list[Check]], server
+) -> None:
+    nodes = {"ns=2;s=h.kept": "Tcab", "ns=2;s=h.never": "Tamb"}
+    server.add(["ns=2;s=h.kept"])
+    server.add(["ns=2;s=h.never"], history="none")
+    server.write([(id, time.time(), 20.0, 0) for id in nodes])
+    found = at_broker(opcua_source(server.url, nodes), 10.0)
+    words = "no history of 1 of 2 nodes: ns=2;s=h.never (the node's AccessLevel has no HistoryRead"
+    said(found, "doubt", words, "enable history")
+
+
 def test_opcua_servers_that_are_not_reached_or_refuse(
     at_broker: Callable[..., list[Check]], server, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -435,6 +435,23 @@ def test_without_history_it_says_so_and_goes_on(
     assert run.place() == {tcab: T0 + 4, other: T0 + 2}
 
 
+def test_a_server_that_answers_for_history_and_keeps_none_is_told(
+    peer: Peer, named, started, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An empty answer is history only where the node's access level says so."""
+    tcab, other = named("Tcab"), named("other")
+    peer.add([tcab], history="none")
+    peer.add([other])
+    with caplog.at_level(logging.WARNING, "hygrokf.track"):
+        run = started(peer.url, {tcab: "Tcab", other: "T.env"}, place={tcab: T0, other: T0})
+        peer.write(at((4, 4.0), node=tcab))
+        run.wait(lambda: run.values() == [(4, 4.0)])
+    state = run.stream.state[1]
+    assert "missed samples are lost" in state and f"{tcab} (the node's AccessLevel has no" in state
+    assert other not in state.partition("no history")[2]
+    assert [r.node for r in caplog.records if r.message == "no history"] == [tcab]
+
+
 def test_history_that_fails_for_now_is_owed(
     peer: Peer, named, started, monkeypatch: pytest.MonkeyPatch
 ) -> None:

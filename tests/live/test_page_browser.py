@@ -98,7 +98,7 @@ class served:
 
     def __exit__(self, *fault: object) -> None:
         self.server.stop()
-        self.page.reader.close()
+        self.page.close()
 
 
 class Tab:
@@ -433,7 +433,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(browser: Browser, tab: T
         assert store.rows("SELECT acknowledged_by FROM alarm") == [("Control room",)]
         store.close()
         assert page.evaluate("localStorage.getItem('hygrokf.by')") == "Control room"
-    page_of.reader.close()
+    page_of.close()
 
 
 def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], service: Service) -> None:

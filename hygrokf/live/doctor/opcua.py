@@ -127,10 +127,12 @@ def _node_checks(
 
 async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
     """Whether the server keeps the history of nodes, without which samples during an outage are lost."""
-    asked, unread, now = list(nodes)[:ASKED], {}, time.time()
+    asked, now = list(nodes)[:ASKED], time.time()
+    unread = await connection.without_history(asked)
     for node in asked:
         try:
-            await anext(connection.history(node, now - BACK_S, now), None)
+            if await anext(connection.history(node, now - BACK_S, now), None) is not None:
+                unread.pop(node, None)  # whatever its access level says
         except HistoryFault as error:
             unread[node] = str(error)
     if unread:

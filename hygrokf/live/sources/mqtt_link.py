@@ -11,6 +11,7 @@ import importlib
 import logging
 import math
 import queue
+import ssl
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -48,6 +49,8 @@ CLOSING_S = 3.0
 """[s] a closing link may still send its pending packets."""
 AT_ONCE = 65_536
 """[bytes] requested per system call."""
+RECORD = 16_384
+"""[bytes] that one TLS record carries at most; a read from a TLS socket returns one record."""
 MOST = 500
 """Packets processed before sending and keep-alive get their turn."""
 
@@ -376,9 +379,26 @@ def piecewise_client() -> type[Any]:
 
         def _sock_recv(self, bufsize: int) -> bytes:
             if self._place == len(self._held):
-                self._held, self._place = super()._sock_recv(max(bufsize, AT_ONCE)), 0
+                read = self._records if isinstance(self._sock, ssl.SSLSocket) else super()._sock_recv
+                self._held, self._place = read(max(bufsize, AT_ONCE)), 0
             found = self._held[self._place : self._place + bufsize]
             self._place += len(found)
             return found
+
+        def _records(self, wanted: int) -> bytes:
+            """Read TLS records until they amount to `wanted` bytes or none is left.
+
+            A broker often sends each packet in a record of its own, so that a single read would yield a
+            single packet per turn of the network thread.
+            """
+            found = [super()._sock_recv(RECORD)]
+            size = len(found[0])
+            while found[-1] and size < wanted:
+                try:
+                    found.append(super()._sock_recv(RECORD))
+                except OSError:
+                    break  # no record is left; the next read meets a lost connection again
+                size += len(found[-1])
+            return b"".join(found)
 
     return PiecewiseClient
