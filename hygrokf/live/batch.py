@@ -22,9 +22,24 @@ class Observation:
     late: bool = False
 
 
+STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
+"""States of a turbine, in the order in which they need attention.
+
+"at risk": condensation is likely now or within the forecast; "alarm": an alarm is open; "stale": its data
+are too old; "no estimate": nothing can be said, for the reason that the assessment gives; "off": it is
+stopped, and its estimate holds.
+"""
+CAUSES = ("defect", "settings changed", "false alarm", "unexplained", "look again")
+"""Causes with which a person acknowledges an alarm."""
+
+
 @dataclass(frozen=True)
 class Alarm:
-    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm"."""
+    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm".
+
+    Whoever acknowledges it states a `cause` (one of `CAUSES`) and may add a `note`; `look_again` [s] is when
+    it is due once more.
+    """
 
     id: str
     turbine: str
@@ -36,6 +51,65 @@ class Alarm:
     ended: float | None = None
     acknowledged: float | None = None
     acknowledged_by: str | None = None
+    cause: str | None = None
+    note: str | None = None
+    look_again: float | None = None
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The `state` of a turbine (one of `STATES`) `since` a time [s], with its `reason`."""
+
+    turbine: str
+    state: str
+    reason: str
+    since: float
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """Shelved alarms of one kind and turbine: they are stored, but nobody is notified `until` a time [s]."""
+
+    turbine: str
+    kind: str
+    until: float
+    made: float
+    made_by: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Event:
+    """A change at a turbine at `time` [s] that a person stated at `made` [s].
+
+    kind: "settings changed" or "defect repaired".
+    """
+
+    id: str
+    turbine: str
+    time: float
+    kind: str
+    note: str
+    made: float
+    made_by: str
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A message about an alarm to a `channel`: `content` is JSON, sent after `due` [s].
+
+    `attempts` to send it so far, the `failure` of the last one, and when it was `sent` [s].  Its id consists
+    of channel, alarm and event, so that a message is written once.
+    """
+
+    id: str
+    channel: str
+    content: str
+    made: float
+    due: float
+    attempts: int = 0
+    failure: str = ""
+    sent: float | None = None
 
 
 @dataclass(frozen=True)
@@ -54,17 +128,22 @@ class Estimates:
 class Batch:
     """The results of one round.
 
-    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine, name) → JSON
-    data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source → position to
-    resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete it; `weather`:
-    values of a weather forecast.
+    `held`: readings whose stamps are ahead of this machine's clock, kept apart until they are `released`;
+    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine or source,
+    name) → JSON data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source →
+    position to resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete
+    it; `weather`: values of a weather forecast.
     """
 
     observations: list[Observation] = field(default_factory=list)
+    held: list[Observation] = field(default_factory=list)
+    released: list[Observation] = field(default_factory=list)
     points: dict[str, Point] = field(default_factory=dict)
     estimates: dict[str, Estimates] = field(default_factory=dict)
     properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
+    assessments: list[Assessment] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
     memories: dict[tuple[str, str], Json] = field(default_factory=dict)
     counters: dict[tuple[str, str], int] = field(default_factory=dict)
     place: dict[str, str] = field(default_factory=dict)

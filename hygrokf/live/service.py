@@ -126,6 +126,7 @@ class Service:
         try:
             begun()
             for url, stream in self.streams.items():
+                stream.recall(self._open_store.memories(url))
                 stream.start(self._open_store.place(url), partial(self._put, url))
                 stream.tell(self._open_fleet.open_alarms())  # alarms told before a crash may not have arrived
             while not self.ending.is_set():

@@ -151,6 +151,8 @@ class Fleet:
         places = [one.place for one in deliveries if one.place]
         if source and places:
             batch.place[source] = places[-1]
+        for one in deliveries:
+            batch.memories.update({(source, name): data for name, data in one.memories.items()})
         self.filter_waiting(batch, filter_s)
         return batch
 

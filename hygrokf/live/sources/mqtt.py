@@ -160,7 +160,7 @@ class Mqtt(Threaded):
                 with self._lock:
                     self._uncommitted += 1
                 receipt = MqttReceipt(link, found.identifier)
-                put(Delivery(found.payload, found.time, found.topic, place, receipt))
+                put(Delivery(found.payload, found.time, found.topic, place, token=receipt))
             if time.monotonic() > again:
                 link.ask_again()
                 again = time.monotonic() + AGAIN_S

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import Payload, PayloadMapping
@@ -35,13 +36,16 @@ class Delivery:
     """A payload that a source delivers.
 
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
-    after this delivery; `token`: the source's receipt, None if there is nothing to acknowledge.
+    after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
+    delivery and gives back by `Stream.recall`; `token`: the source's receipt, None if there is nothing to
+    acknowledge.
     """
 
     content: bytes | str | Payload
     received: float
     topic: str = ""
     place: str = ""
+    memories: JsonObject = field(default_factory=dict)
     token: Receipt | None = field(default=None, compare=False)
 
 
@@ -61,7 +65,8 @@ class Stream(Protocol):
     """A source of deliveries.
 
     `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
-    payloads; `played_back` whether it repeats a record, whose age says nothing.  `start` resumes after
+    payloads; `played_back` whether it repeats a record, whose age says nothing.  `recall` gives it, before
+    its start, the data that its deliveries let the store keep; `start` resumes after
     `place` (None: from the beginning, or from the position that the source itself keeps); `end_when_read`
     lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
     source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
@@ -71,6 +76,8 @@ class Stream(Protocol):
     url: str
     mapping: PayloadMapping
     played_back: bool
+
+    def recall(self, memories: JsonObject) -> None: ...
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
 
@@ -119,6 +126,9 @@ class Threaded:
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError
+
+    def recall(self, memories: JsonObject) -> None:
+        """Does nothing: these sources keep no data of their own."""
 
     def end_when_read(self) -> None:
         """Does nothing: only a growing file has a present end."""

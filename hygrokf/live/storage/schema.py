@@ -133,9 +133,54 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             PRIMARY KEY (kind, name))""",
     ),
     (),
+    (
+        "ALTER TABLE alarm ADD COLUMN cause TEXT",
+        "ALTER TABLE alarm ADD COLUMN note TEXT",
+        "ALTER TABLE alarm ADD COLUMN look_again DOUBLE PRECISION",
+        """CREATE TABLE held (
+            turbine TEXT NOT NULL,
+            signal TEXT NOT NULL,
+            time DOUBLE PRECISION NOT NULL,
+            value DOUBLE PRECISION NOT NULL,
+            received DOUBLE PRECISION NOT NULL,
+            PRIMARY KEY (turbine, signal, time))""",
+        """CREATE TABLE assessment (
+            turbine TEXT PRIMARY KEY,
+            state TEXT NOT NULL,
+            reason TEXT NOT NULL,
+            since DOUBLE PRECISION NOT NULL)""",
+        """CREATE TABLE shelf (
+            turbine TEXT NOT NULL,
+            kind TEXT NOT NULL,
+            until DOUBLE PRECISION NOT NULL,
+            made DOUBLE PRECISION NOT NULL,
+            made_by TEXT NOT NULL,
+            note TEXT NOT NULL,
+            PRIMARY KEY (turbine, kind))""",
+        """CREATE TABLE event (
+            id TEXT PRIMARY KEY,
+            turbine TEXT NOT NULL,
+            time DOUBLE PRECISION NOT NULL,
+            kind TEXT NOT NULL,
+            note TEXT NOT NULL,
+            made DOUBLE PRECISION NOT NULL,
+            made_by TEXT NOT NULL)""",
+        "CREATE INDEX event_by_turbine ON event (turbine, time)",
+        """CREATE TABLE outbox (
+            id TEXT PRIMARY KEY,
+            channel TEXT NOT NULL,
+            content TEXT NOT NULL,
+            made DOUBLE PRECISION NOT NULL,
+            due DOUBLE PRECISION NOT NULL,
+            attempts INTEGER NOT NULL,
+            failure TEXT NOT NULL,
+            sent DOUBLE PRECISION)""",
+        "CREATE INDEX outbox_by_due ON outbox (sent, due)",
+    ),
 )
 """One tuple of statements per version that create and change tables, from 1 on; a released version is never
-changed, only followed by another.  Version 2 added the views.
+changed, only followed by another.  Version 2 added the
+views; version 3 states, held readings, shelves, events and notices.
 
 A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and an ALTER TABLE here.
 """
@@ -147,7 +192,7 @@ VIEWS = {
         100.0 * above_limit AS above_limit_percent FROM forecast""",
     "alarm_open": f"""SELECT id, turbine, kind, severity, {_RANK} AS severity_rank,
         began, UTC(began) AS began_utc,
-        UTC(acknowledged) AS acknowledged_utc, acknowledged_by, statement, remedy
+        UTC(acknowledged) AS acknowledged_utc, acknowledged_by, cause, note, statement, remedy
         FROM alarm WHERE ended IS NULL""",
     # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
     # every row
@@ -162,13 +207,14 @@ VIEWS = {
         e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
         (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
         COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
-        AS severity_rank
+        AS severity_rank, s.state, s.reason
         FROM turbine t
         JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
         FROM turbine) h
         ON h.name = t.name
         LEFT JOIN estimate_readable e ON e.turbine = t.name
-        AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)""",
+        AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)
+        LEFT JOIN assessment s ON s.turbine = t.name""",
     "observation_hourly": """SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean,
         MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
         FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
@@ -178,7 +224,7 @@ VIEWS = {
 """View -> its query; a view stands after those that it uses.  A migration drops and creates all views."""
 TABLES = (
     "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory",
-    "counter", "source", "claim",
+    "counter", "source", "claim", "held", "assessment", "shelf", "event", "outbox",
 )  # fmt: skip
 """All tables except the one that records the schema's version."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.batch import Alarm, Batch, Observation
+from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
@@ -59,6 +59,12 @@ PROPERTY_COLUMNS = (
     "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
 )  # fmt: skip
 ALARM_COLUMNS = tuple(one.name for one in fields(Alarm))
+ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
+"""Columns of an alarm that the page writes and the tracker leaves as they are."""
+ASSESSMENT_COLUMNS = tuple(one.name for one in fields(Assessment))
+SHELF_COLUMNS = tuple(one.name for one in fields(Shelf))
+EVENT_COLUMNS = tuple(one.name for one in fields(Event))
+NOTICE_COLUMNS = tuple(one.name for one in fields(Notice))
 
 
 class Store:
@@ -115,6 +121,16 @@ class Store:
         )
         self._many(
             cursor,
+            replacing("held", READING_COLUMNS, key=READING_COLUMNS[:3]),
+            [_reading_row(one) for one in batch.held],
+        )
+        self._many(
+            cursor,
+            "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?",
+            [_reading_row(one)[:3] for one in batch.released],
+        )
+        self._many(
+            cursor,
             replacing("point", ("turbine", "time", "state"), key=("turbine",)),
             [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
         )
@@ -137,7 +153,7 @@ class Store:
         )
 
     def _write_findings(self, cursor: Cursor, batch: Batch) -> None:
-        """Write properties and alarms."""
+        """Write properties, alarms, states of turbines and notices."""
         self._many(
             cursor,
             replacing("property", PROPERTY_COLUMNS, key=("turbine", "name", "time")),
@@ -149,9 +165,18 @@ class Store:
         )
         self._many(
             cursor,
-            # an acknowledgement, which the page writes, stays
-            replacing("alarm", ALARM_COLUMNS, key=("id",), kept=("acknowledged", "acknowledged_by")),
+            replacing("alarm", ALARM_COLUMNS, key=("id",), kept=ACKNOWLEDGED),
             [astuple(alarm) for alarm in batch.alarms],
+        )
+        self._many(
+            cursor,
+            replacing("assessment", ASSESSMENT_COLUMNS, key=("turbine",)),
+            [astuple(one) for one in batch.assessments],
+        )
+        self._many(
+            cursor,
+            inserting("outbox", NOTICE_COLUMNS) + " ON CONFLICT (id) DO NOTHING",
+            [astuple(one) for one in batch.notices],
         )
 
     def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
@@ -217,17 +242,75 @@ class Store:
                     (name, digest, time.time()),
                 )
 
-    def acknowledge(self, alarm: str, by: str, at: float) -> bool:
-        """Acknowledge an alarm; False if there is no such alarm or it was acknowledged before."""
-        with self.transaction() as cursor:
-            cursor.execute(
-                self._text(
-                    "UPDATE alarm SET acknowledged = ?, acknowledged_by = ? WHERE id = ? AND acknowledged "
-                    "IS NULL"
-                ),
-                (at, by, alarm),
+    # -- what people state -----------------------------------------------------------------------------------
+    def acknowledge(
+        self,
+        alarm: str,
+        by: str,
+        at: float,
+        cause: str = "unexplained",
+        note: str = "",
+        look_again: float | None = None,
+    ) -> bool:
+        """Acknowledge an alarm at a time [s] with its cause (one of `batch.CAUSES`), to be looked at again at
+        `look_again` [s].
+
+        Returns False if there is no such alarm or it was acknowledged before.
+        """
+        changed = self._execute(
+            f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
+            "WHERE id = ? AND acknowledged IS NULL",
+            (at, by, cause, note, look_again, alarm),
+        )
+        return changed == 1
+
+    def shelve(self, shelf: Shelf) -> None:
+        """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
+        self._execute(replacing("shelf", SHELF_COLUMNS, key=("turbine", "kind")), astuple(shelf))
+
+    def unshelve(self, turbine: str, kind: str) -> bool:
+        """End a shelf early; False if there is none."""
+        return self._execute("DELETE FROM shelf WHERE turbine = ? AND kind = ?", (turbine, kind)) == 1
+
+    def note_event(self, event: Event) -> None:
+        """Write an event, in place of one with its id."""
+        self._execute(replacing("event", EVENT_COLUMNS, key=("id",)), astuple(event))
+
+    # -- notices ---------------------------------------------------------------------------------------------
+    def notices_due(self, now: float, most: int = 100) -> list[Notice]:
+        """Notices that are not sent and due at `now` [s], the earliest first."""
+        return [
+            Notice(*row)
+            for row in self.rows(
+                f"SELECT {', '.join(NOTICE_COLUMNS)} FROM outbox WHERE sent IS NULL AND due <= ? "
+                "ORDER BY due, id LIMIT ?",
+                (now, most),
             )
-            return cursor.rowcount == 1
+        ]
+
+    def mark_sent(self, notices: Iterable[str], at: float) -> None:
+        """State that notices (by id) were sent at a time [s]."""
+        with self.transaction() as cursor:
+            self._many(
+                cursor,
+                "UPDATE outbox SET sent = ?, attempts = attempts + 1, failure = '' WHERE id = ?",
+                [(at, one) for one in notices],
+            )
+
+    def mark_failed(self, notices: Iterable[str], failure: str, due: float) -> None:
+        """State why notices (by id) could not be sent, and when they are due again [s]."""
+        with self.transaction() as cursor:
+            self._many(
+                cursor,
+                "UPDATE outbox SET attempts = attempts + 1, failure = ?, due = ? WHERE id = ?",
+                [(failure, due, one) for one in notices],
+            )
+
+    def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
+        """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
+        with self.transaction() as cursor:
+            cursor.execute(self._text(statement), tuple(parameters))
+            return cursor.rowcount
 
     # -- reading ---------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
@@ -242,6 +325,35 @@ class Store:
         """
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
+
+    def held(self, turbine: str | None = None) -> list[Observation]:
+        """Readings of a turbine (None: of all) that came with stamps ahead of the clock, by time."""
+        where = "" if turbine is None else " WHERE turbine = ?"
+        found = self.rows(
+            f"SELECT {', '.join(READING_COLUMNS)} FROM held{where} ORDER BY time, turbine, signal",
+            () if turbine is None else (turbine,),
+        )
+        return [Observation(name, Reading(s, at, value), received) for name, s, at, value, received in found]
+
+    def assessments(self) -> dict[str, Assessment]:
+        """The state of each turbine."""
+        found = self.rows(f"SELECT {', '.join(ASSESSMENT_COLUMNS)} FROM assessment")
+        return {row[0]: Assessment(*row) for row in found}
+
+    def shelves(self, now: float) -> list[Shelf]:
+        """Shelves that hold at `now` [s]."""
+        found = self.rows(
+            f"SELECT {', '.join(SHELF_COLUMNS)} FROM shelf WHERE until > ? ORDER BY turbine, kind", (now,)
+        )
+        return [Shelf(*row) for row in found]
+
+    def events(self, turbine: str, since: float = -1e18) -> list[Event]:
+        """Events at a turbine from `since` [s] on, by time."""
+        found = self.rows(
+            f"SELECT {', '.join(EVENT_COLUMNS)} FROM event WHERE turbine = ? AND time >= ? ORDER BY time, id",
+            (turbine, since),
+        )
+        return [Event(*row) for row in found]
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
