@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.live.sources.payload import Payload, Refused
+from hygrokf.live.sources.payload import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Message, Metric
 from hygrokf.live.sources.stream import Receipt
 
@@ -47,7 +47,9 @@ def address_of(topic: str) -> Address | None:
     """The address of a message from an edge node; None for commands and for states of host applications.
     Raises Refused for a topic outside of Sparkplug B."""
     levels = topic.split("/")
-    if levels[0] == NAMESPACE and (levels[1:2] == ["STATE"] or levels[2:3] and levels[2] in PASSED_BY):
+    if not topic.isprintable():
+        raise Refused("no Sparkplug topic", f"expected printable characters, found {topic[:80]!r}")
+    if levels[0] == NAMESPACE and any(one in PASSED_BY for one in levels[1:3]):
         return None
     wanted = 5 if len(levels) > 2 and levels[2].startswith("D") else 4
     if len(levels) != wanted or levels[0] != NAMESPACE or levels[2] not in CERTIFICATES or "" in levels:
@@ -71,7 +73,7 @@ class Arrived(NamedTuple):
 class Released(NamedTuple):
     """What a message gives: payloads for the mapping, and reasons why parts of it are not used."""
 
-    contents: tuple[Payload | Refused, ...]
+    contents: tuple[Payload | Unreadable, ...]
     topic: str
     received: float
     receipt: Receipt | None = None
@@ -102,16 +104,19 @@ class Table:
         return name is not None and name == other.name_of(metric) and self.types[name] == other.types[name]
 
 
-def contents_of(one: Arrived, table: Table) -> list[Payload | Refused]:
+def contents_of(one: Arrived, table: Table) -> list[Payload | Unreadable]:
     """Payloads of the metrics that a table can name, one for each time and quality, in the order of time.
 
-    Each holds "time" [s], "quality" and the values by the metrics' names.
+    Each holds "time" [s], "quality" ("good" or "bad") and the values by the metrics' names.  Metrics whose
+    alias the table does not know are left to the caller.
     """
-    groups: list[tuple[float | None, str, JsonObject]] = []
+    groups: dict[tuple[float | None, str], list[JsonObject]] = {}
     reasons: dict[str, list[Metric]] = {}
     for metric in one.message.metrics:
         name = table.name_of(metric)
-        if name is None or name == "bdSeq" or name.startswith(_CONTROL):
+        if name is None or name.startswith(_CONTROL):
+            if name is None and metric.alias is None:
+                reasons.setdefault("no name", []).append(metric)
             continue
         value = metric.reading(metric.datatype or table.types.get(name, 0))
         if not metric.is_scalar:
@@ -121,24 +126,27 @@ def contents_of(one: Arrived, table: Table) -> list[Payload | Refused]:
         elif len(name) > LONGEST_METRIC_NAME:
             reasons.setdefault("name too long", []).append(metric)
         elif value is not None:
-            late = metric.time is None and metric.is_historical
-            time = one.message.time if metric.time is None and not late else metric.time
+            # a historical value without a time of its own is not of the time of its message
+            time = one.message.time if metric.time is None and not metric.is_historical else metric.time
             quality = "good" if metric.quality is None or metric.quality in GOOD_QUALITY else "bad"
-            values = next((v for t, q, v in groups if (t, q) == (time, quality) and name not in v), None)
-            if values is None:
-                groups.append((time, quality, values := {}))
-            values[name] = value
-    groups.sort(key=lambda group: -1.0 if group[0] is None else group[0])
-    payloads = [{**values, "time": time, "quality": quality} for time, quality, values in groups]
-    return [*payloads, *(Refused(kind, _words(one, those, kind)) for kind, those in reasons.items())]
+            those = groups.setdefault((time, quality), [{}])
+            if name in those[-1]:
+                those.append({})
+            those[-1][name] = value
+    ordered = sorted(groups.items(), key=lambda group: -1.0 if group[0][0] is None else group[0][0])
+    payloads = [
+        {**values, "time": time, "quality": quality} for (time, quality), those in ordered for values in those
+    ]
+    return [*payloads, *(Unreadable(kind, metrics_text(one, found, kind)) for kind, found in reasons.items())]
 
 
-def _refused(one: Arrived, kind: str, words: str) -> Released:
+def refused(one: Arrived, kind: str, words: str) -> Released:
     """A message of which nothing is used."""
     text = f"{one.address.kind} of {one.address.where}: {words}"
-    return Released((Refused(kind, text),), one.topic, one.received, one.receipt)
+    return Released((Unreadable(kind, text),), one.topic, one.received, one.receipt)
 
 
-def _words(one: Arrived, metrics: Sequence[Metric], words: str) -> str:
+def metrics_text(one: Arrived, metrics: Sequence[Metric], words: str) -> str:
+    """Text about some metrics of a message."""
     count = f"{len(metrics)} metric{'s' * (len(metrics) > 1)}"
     return f"{count} in {one.address.kind} of {one.address.where}: {words}"

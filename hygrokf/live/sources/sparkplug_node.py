@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
-from hygrokf.live.sources.payload import Refused
+from hygrokf.live.sources.payload import Unreadable
 from hygrokf.live.sources.sparkplug_metrics import (
     Arrived,
     Released,
@@ -55,8 +55,8 @@ class EdgeNode:
     """The present session of an edge node `name` (GROUP/NODE).
 
     `gap_s`: time [s] since which a message is missing, None without a gap; `unborn`: whether metrics came by
-    aliases that no birth certificate has defined; `left_s`: device -> time [s] of its death certificate, ""
-    for the edge node.
+    aliases that the birth certificates so far do not define; `left_s`: device -> time [s] of its death
+    certificate, "" for the edge node.
     """
 
     def __init__(self, name: str) -> None:
@@ -88,9 +88,10 @@ class EdgeNode:
             return [*self._node_birth(one), *self._in_order()]
         if sequence is None or self._expected in (None, sequence):
             return [*self._next(one), *self._in_order()]
-        last, distance = self._last, (sequence - (self._expected or 0)) % 256
-        if (one.repeated and distance >= 128) or (last and (last.address, last.message) == one[0:3:2]):
-            return [_refused(one, "repeated", "it came before")]
+        last = self._last
+        is_last = last is not None and (last.address, last.message) == (one.address, one.message)
+        if is_last or (one.repeated and (sequence - (self._expected or 0)) % 256 >= 128):
+            return [refused(one, "repeated", "it came before")]
         self._waiting.append(one)
         return self.look(one.received)
 
@@ -111,9 +112,10 @@ class EdgeNode:
     def _in_order(self) -> list[Released]:
         """Apply waiting messages as long as the next of the sequence is among them."""
         released: list[Released] = []
-        while (found := next((w for w in self._waiting if w.message.sequence == self._expected), None)) is not None:
-            self._waiting.remove(found)
-            released += self._next(found)
+        by_number = {one.message.sequence: one for one in self._waiting}
+        while (one := by_number.pop(self._expected, None)) is not None:
+            self._waiting.remove(one)
+            released += self._next(one)
         return released
 
     def _without_missing(self, now: float, those: Sequence[Arrived]) -> list[Released]:
@@ -127,7 +129,7 @@ class EdgeNode:
         return [released for one in ordered for released in self._next(one)]
 
     def _node_birth(self, one: Arrived) -> list[Released]:
-        """A new session: waiting messages that are older than its birth certificate belong to the former one."""
+        """A new session; waiting messages that are older than its birth certificate belong to the former."""
         born = one.message.time
         old = [w for w in self._waiting if born is None or w.message.time is None or w.message.time < born]
         released = self._without_missing(one.received, old) if old else []
@@ -135,19 +137,19 @@ class EdgeNode:
         self._tables = {}
         number = one.message.value_of("bdSeq")
         self._bdseq = number % 256 if isinstance(number, int) else None
-        self.gap_s, self.unborn = None, False
+        self.gap_s, self._expected = None, None
         return [*released, *self._next(one)]
 
     def _node_death(self, one: Arrived) -> list[Released]:
         number = one.message.value_of("bdSeq")
         if isinstance(number, int) and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
-            return [_refused(one, "former death certificate", "it belongs to a former session")]
+            return [refused(one, "former death certificate", "it belongs to a former session")]
         released = self._without_missing(one.received, self._waiting) if self._waiting else []
         self.left_s |= dict.fromkeys(("", *self._tables, *self._former), one.received)
         self._tables, self._former, self._expected, self._last = {}, {}, None, None
         self._held.clear()
         self.gap_s, self.unborn, self._changed = None, False, True
-        return [*released, _refused(one, "death certificate", "it has left")]
+        return [*released, refused(one, "death certificate", "it has left")]
 
     def _apply(self, one: Arrived) -> list[Released]:
         device, kind = one.address.device, one.address.kind
@@ -155,7 +157,7 @@ class EdgeNode:
             self._tables.pop(device, None)
             self._former.pop(device, None)
             self.left_s[device], self._changed = one.received, True
-            return [_refused(one, "death certificate", "it has left")]
+            return [refused(one, "death certificate", "it has left")]
         # whoever sends lives
         for alive in {"", device} & set(self.left_s):
             del self.left_s[alive]
@@ -163,8 +165,8 @@ class EdgeNode:
         if kind not in ("NBIRTH", "DBIRTH"):
             return [self._read(one)]
         if device not in self._tables and len(self._tables) > MOST_DEVICES:
-            return [_refused(one, "too large", f"more than {MOST_DEVICES} devices")]
-        self._tables[device], self._changed = Table.of(one.message), True
+            return [refused(one, "too large", f"more than {MOST_DEVICES} devices")]
+        self._tables[device], self._changed, self.unborn = Table.of(one.message), True, False
         return [self._read(one), *self._released_by_birth(device)]
 
     # -- metrics ---------------------------------------------------------------------------------------------
@@ -172,22 +174,31 @@ class EdgeNode:
         """Payloads of a message by the present table; metrics with aliases in doubt are held."""
         table = self._tables.get(one.address.device, Table())
         contents = contents_of(one, table)
-        unknown = [m for m in one.message.metrics if table.name_of(m) is None]
         former = self._former.get(one.address.device, Table())
+        unknown = [m for m in one.message.metrics if m.alias is not None and table.name_of(m) is None]
         held = tuple(m for m in unknown if former.name_of(m) is not None)
         if held:
-            message = replace(one.message, metrics=held)
-            self._held.append(one._replace(message=message, receipt=None))
-            while sum(len(h.message.metrics) for h in self._held) > MOST_HELD:
-                self._held.popleft()
-            contents.append(Refused("held after a gap", _words(one, held, "wait for its birth certificate")))
+            self._hold(one._replace(message=replace(one.message, metrics=held), receipt=None))
+            contents.append(
+                Unreadable("held after a gap", metrics_text(one, held, "wait for a birth certificate"))
+            )
         if len(unknown) > len(held):
-            self.unborn = True
-            words = _words(one, unknown[len(held) :], "came by aliases without a birth certificate")
-            contents.append(Refused("no birth yet", words))
+            strange = [m for m in unknown if former.name_of(m) is None]
+            contents.append(
+                Unreadable("no birth yet", metrics_text(one, strange, "no birth certificate has come"))
+            )
+        self.unborn = self.unborn or bool(unknown)
         if not contents:
-            contents.append(Refused("no value", f"{one.address.kind} of {one.address.where} without a value"))
+            contents.append(
+                Unreadable("no value", f"{one.address.kind} of {one.address.where} without a value")
+            )
         return Released(tuple(contents), one.topic, one.received, one.receipt)
+
+    def _hold(self, one: Arrived) -> None:
+        self._held.append(one)
+        count = sum(len(held.message.metrics) for held in self._held)
+        while count > MOST_HELD:
+            count -= len(self._held.popleft().message.metrics)
 
     def _released_by_birth(self, device: str) -> list[Released]:
         """Held metrics of a device: read if the new birth certificate gives their aliases the old meaning."""
@@ -199,13 +210,15 @@ class EdgeNode:
             same = tuple(m for m in one.message.metrics if table.agrees(former, m))
             contents = contents_of(one._replace(message=replace(one.message, metrics=same)), table)
             if len(same) < len(one.message.metrics):
-                contents.append(Refused("alias changed", f"aliases of {one.address.where} changed in a gap"))
+                contents.append(
+                    Unreadable("alias changed", f"aliases of {one.address.where} changed in a gap")
+                )
             released.append(Released(tuple(contents), one.topic, one.received))
         return [one for one in released if one.contents]
 
     # -- memories --------------------------------------------------------------------------------------------
     def memories(self) -> JsonObject:
-        """Data to resume from, under their names: the place in the sequence, and the rest if it has changed."""
+        """Data to resume from, by name: the place in the sequence, and the rest if it has changed."""
         found: JsonObject = {f"sequence of {self.name}": self._expected}
         if self._changed:
             self._changed = False

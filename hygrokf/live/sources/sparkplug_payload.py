@@ -18,8 +18,6 @@ LARGEST_MESSAGE = 2**20
 """Largest message [bytes], also after decompression: a birth certificate lists every metric of an edge
 node."""
 MOST_METRICS = 20_000
-LONGEST_METRIC_NAME = 500
-"""Longest name of a metric [characters]."""
 COMPRESSED = "SPBV1.0_COMPRESSED"
 """`uuid` of a payload whose body is another payload, compressed by zlib or gzip."""
 SIGNED = {1: 8, 2: 16, 3: 32, 4: 64}
@@ -153,14 +151,14 @@ def _metric(content: memoryview) -> Metric:
                 found["time"] = value / 1e3
             case 4, 0, int():
                 found["datatype"] = value % 2**32
-            case (5 | 6 | 7), 0, int():
+            case ((5 | 6 | 7), 0, int()):
                 found[("is_historical", "is_transient", "is_null")[number - 5]] = value != 0
             case 9, 2, memoryview():
                 found["quality"] = _quality(value)
-            case (10 | 11 | 12 | 13 | 14 | 15), _, _:
+            case ((10 | 11 | 12 | 13 | 14 | 15), _, _):
                 if (scalar := _scalar(number - 10, wire, value)) is not None:
                     found |= {"value": scalar, "is_scalar": True}
-            case (16 | 17 | 18 | 19), 2, _:
+            case ((16 | 17 | 18 | 19), 2, _):
                 found |= {"value": None, "is_scalar": False}
     if found.get("datatype") in NO_SCALAR:
         found |= {"value": None, "is_scalar": False}

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.payload import Payload, PayloadMapping
+from hygrokf.live.sources.payload import Content, PayloadMapping
 
 WEATHER_HELP = "whether it brings weather forecasts, not readings"
 """Help of the key `weather`, which every source has."""
@@ -41,7 +41,7 @@ class Delivery:
     acknowledge.
     """
 
-    content: bytes | str | Payload
+    content: Content
     received: float
     topic: str = ""
     place: str = ""
