@@ -25,7 +25,9 @@ _SCHEMA = {
         "string_value:string=15 bytes_value:bytes=16 dataset_value:DataSet=17 template_value:Template=18"
     ),
     "PropertySet": "keys:*string=1 values:*PropertyValue=2",
-    "PropertyValue": "type:uint32=1 is_null:bool=2 int_value:uint32=3 long_value:uint64=4 string_value:string=8",
+    "PropertyValue": (
+        "type:uint32=1 is_null:bool=2 int_value:uint32=3 long_value:uint64=4 string_value:string=8"
+    ),
     "DataSet": "num_of_columns:uint64=1 columns:*string=2 types:*uint32=3",
     "Template": "version:string=1 metrics:*Metric=2",
 }
@@ -111,9 +113,9 @@ def payload(metrics: Iterable = (), sequence: int | None = None, at: float | Non
 class EdgeNode:
     """An edge node with devices; the aliases of its metrics are numbered from `first_alias` on.
 
-    `devices`: device -> name of a metric -> data type.  `rebirths` counts the commands to be born again, which
-    it obeys; `sent`: (topic, payload) of all its messages, which without a broker are only kept there.  With
-    `lose` a message takes its number and is not sent.
+    `devices`: device -> name of a metric -> data type.  `rebirths` counts the commands to be born again,
+    which it obeys; `sent`: (topic, payload) of all its messages, which without a broker are only kept there.
+    With `lose` a message takes its number and is not sent.
     """
 
     def __init__(

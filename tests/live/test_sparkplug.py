@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -143,7 +143,7 @@ def test_a_gap_is_told_and_asks_for_a_rebirth_only_where_that_is_allowed(
             eventually(lambda: "Node Control/Rebirth" in stream.state.words, lambda: stream.state)
             assert "Farm/N1" in stream.state.words and "rebirth_requests" in stream.state.words
             assert stream.state.word == "connected"
-            eventually(lambda: counted(store).get("held after a gap") == 1)
+            eventually(lambda: counted(store).get("held until birth") == 1)
         assert not commands and node.rebirths == 0
         stream = stream_of(broker, record, rebirth_requests=True)
         with serving(turbine, stream, store):

@@ -2,8 +2,8 @@
 data use them, death certificates end them.
 
 The node numbers its messages (0 … 255).  A missing number may be that of a birth certificate that gave the
-aliases another meaning.  What comes by alias after such a gap is therefore held until the next birth
-certificate, and is read only if its alias means the same before and after.
+aliases another meaning.  What comes by alias after such a gap, or after a death certificate, is therefore held
+until the next birth certificate, and is read only if its alias means the same before and after.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REORDER_S = 2.0
 MOST_WAITING = 100
 """Messages of an edge node that may wait for those before them."""
 MOST_HELD = 5_000
-"""Metrics of an edge node that are held after a gap; the oldest are dropped."""
+"""Metrics of an edge node that are held until its birth; the oldest are dropped."""
 MOST_DEVICES = 1_000
 """Devices of an edge node."""
 
@@ -38,8 +38,8 @@ class NodeMemory:
     """What an edge node resumes from, as plain data.
 
     `bdseq`: number of the session that its birth certificate names; `types`, `aliases`: device -> name ->
-    data type or alias; `former_types`, `former_aliases`: those in doubt since a gap; `gap_s`: time [s] of the
-    gap; `left_s`: device -> time [s] of its death certificate, "" for the edge node.
+    data type or alias; `former_types`, `former_aliases`: those in doubt since a gap or a death; `gap_s`: time
+    [s] of the gap; `left_s`: device -> time [s] of its death certificate, "" for the edge node.
     """
 
     bdseq: int | None = None
@@ -145,17 +145,17 @@ class EdgeNode:
         if isinstance(number, int) and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
             return [refused(one, "former death certificate", "it belongs to a former session")]
         released = self._without_missing(one.received, self._waiting) if self._waiting else []
-        self.left_s |= dict.fromkeys(("", *self._tables, *self._former), one.received)
-        self._tables, self._former, self._expected, self._last = {}, {}, None, None
-        self._held.clear()
+        self._former |= self._tables
+        self.left_s |= dict.fromkeys(("", *self._former), one.received)
+        self._tables, self._expected, self._last = {}, None, None
         self.gap_s, self.unborn, self._changed = None, False, True
         return [*released, refused(one, "death certificate", "it has left")]
 
     def _apply(self, one: Arrived) -> list[Released]:
         device, kind = one.address.device, one.address.kind
         if kind == "DDEATH":
-            self._tables.pop(device, None)
-            self._former.pop(device, None)
+            if device in self._tables:
+                self._former[device] = self._tables.pop(device)
             self.left_s[device], self._changed = one.received, True
             return [refused(one, "death certificate", "it has left")]
         # whoever sends lives
@@ -180,7 +180,7 @@ class EdgeNode:
         if held:
             self._hold(one._replace(message=replace(one.message, metrics=held), receipt=None))
             contents.append(
-                Unreadable("held after a gap", metrics_text(one, held, "wait for a birth certificate"))
+                Unreadable("held until birth", metrics_text(one, held, "wait for a birth certificate"))
             )
         if len(unknown) > len(held):
             strange = [m for m in unknown if former.name_of(m) is None]
