@@ -148,6 +148,25 @@ class Sparkplug(Mqtt):
                 found.append(Absence(f"{NAMESPACE}/{group}/{rest}", since))
         return found
 
+    def left(self) -> dict[str, str]:
+        """Turbine -> text about its edge node or device that has left, where the topic names the turbine."""
+        found = {}
+        for one in self.absences():
+            turbine = self._turbine(one.topic)
+            if turbine is not None:
+                words = f"{_sender(one.topic)} has left by its death certificate of {stamp_text(one.since)}"
+                found[turbine] = f"{words}: its signals are stale until it is born again"
+        return found
+
+    def _turbine(self, topic: str) -> str | None:
+        """The turbine that a level of the topic names, or the only one; None for any other."""
+        place, turbines = self.mapping.turbine, self.mapping.turbines
+        levels = {f"{{{number}}}": level for number, level in enumerate(topic.split("/"))}
+        only = set(turbines.values())
+        if not place and len(only) == 1:
+            return only.pop()
+        return turbines.get(levels.get(place, ""))
+
     @property
     def state(self) -> SourceState:
         found = super().state

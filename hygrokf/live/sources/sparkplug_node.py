@@ -2,8 +2,8 @@
 data use them, death certificates end them.
 
 The node numbers its messages (0 … 255).  A missing number may be that of a birth certificate that gave the
-aliases another meaning.  What comes by alias after such a gap, or after a death certificate, is therefore held
-until the next birth certificate, and is read only if its alias means the same before and after.
+aliases another meaning.  What comes by alias after such a gap, or after a death certificate, is therefore
+held until the next birth certificate, and is read only if its alias means the same before and after.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ MOST_WAITING = 100
 """Messages of an edge node that may wait for those before them."""
 MOST_HELD = 5_000
 """Metrics of an edge node that are held until its birth; the oldest are dropped."""
+UNEXPLAINED = ("held until birth", "no birth yet")
+"""Reasons for which metrics by alias are not read: a birth certificate is awaited."""
 MOST_DEVICES = 1_000
 """Devices of an edge node."""
 
@@ -180,12 +182,12 @@ class EdgeNode:
         if held:
             self._hold(one._replace(message=replace(one.message, metrics=held), receipt=None))
             contents.append(
-                Unreadable("held until birth", metrics_text(one, held, "wait for a birth certificate"))
+                Unreadable(UNEXPLAINED[0], metrics_text(one, held, "wait for a birth certificate"))
             )
         if len(unknown) > len(held):
             strange = [m for m in unknown if former.name_of(m) is None]
             contents.append(
-                Unreadable("no birth yet", metrics_text(one, strange, "no birth certificate has come"))
+                Unreadable(UNEXPLAINED[1], metrics_text(one, strange, "no birth certificate has come"))
             )
         self.unborn = self.unborn or bool(unknown)
         if not contents:
