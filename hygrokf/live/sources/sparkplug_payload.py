@@ -10,7 +10,6 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from hygrokf.live.sources.payload import Refused
 
@@ -37,12 +36,8 @@ _MOST_VARINT = 10
 """Longest varint [bytes]."""
 
 
-class WireField(NamedTuple):
-    """A field of a message: its number, its wire type, and its value (an integer, or its bytes)."""
-
-    number: int
-    wire: int
-    value: int | memoryview
+WireField = tuple[int, int, int | memoryview]
+"""A field of a message: its number, its wire type, and its value (an integer, or its bytes)."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +221,7 @@ def _fields(content: memoryview) -> Iterator[WireField]:
             raise Refused("malformed", f"no protobuf: a field with the number {number}")
         if wire == _VARINT:
             value, place = _read_varint(content, place)
-            yield WireField(number, wire, value)
+            yield number, wire, value
             continue
         if wire == _BYTES:
             size, place = _read_varint(content, place)
@@ -236,12 +231,14 @@ def _fields(content: memoryview) -> Iterator[WireField]:
             raise Refused("malformed", f"no protobuf: a field of the wire type {wire}")
         if size > end - place:
             raise Refused("malformed", "no protobuf: a field is longer than its message")
-        yield WireField(number, wire, content[place : place + size])
+        yield number, wire, content[place : place + size]
         place += size
 
 
 def _read_varint(content: memoryview, place: int) -> tuple[int, int]:
     """The integer of up to 64 bits at a place, and the place after it."""
+    if place < len(content) and (value := content[place]) < 0x80:
+        return value, place + 1
     value = 0
     for count, byte in enumerate(content[place : place + _MOST_VARINT]):
         value |= (byte & 0x7F) << 7 * count
