@@ -28,7 +28,7 @@ from hygrokf.report.blocks import (
 )
 from hygrokf.report.figures.drawing import NothingToShow, new_figure, styled
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import block_text, cells, page_text
+from hygrokf.report.terminal import block_text, cells, page_text, table_text
 
 EVIL = "<img src=x onerror=alert(1)>\"'&amp;\x00\u202e"
 BELIEVED = Card(
@@ -129,3 +129,10 @@ def test_sections_without_blocks_are_left_out() -> None:
 def test_a_table_with_a_cell_too_many_is_refused() -> None:
     with pytest.raises(ValueError, match="Parameters: expected a cell for each of 2 columns, found"):
         Table("Parameters", ("name", "value"), (("a", "1"), ("b", "group", "2")))
+
+
+def test_the_name_of_a_row_is_wrapped_and_never_cut() -> None:
+    table = Table("", ("", "value"), (("  a name that needs more than its room", "1.234567890123"),))
+    rows = table_text(table, 34).splitlines()[1:]
+    assert " ".join(row[:18].strip() for row in rows) == "a name that needs more than its room"
+    assert all(row.startswith("  ") for row in rows) and rows[0].endswith(" 1.234567890123")
