@@ -12,7 +12,7 @@ import pytest
 from builders import service_case
 from builders.brokers import Mosquitto, mosquitto, needs_mosquitto, overheard, peer
 from builders.live_case import count_of, expect_offline, live_record, without_preheating
-from builders.sparkplug_peer import DOUBLE, EdgeNode
+from builders.sparkplug_peer import DOUBLE, EdgeNode, metric
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -121,7 +121,7 @@ def test_values_by_alias_end_in_the_offline_filter_across_a_restart(
             with serving(turbine, stream_of(broker, record), store):
                 eventually(lambda: stored(store) == count_of(record), lambda: counted(store))
             assert node.rebirths == 0
-    assert set(counted(store)) <= {"no value", "unknown turbine"}
+    assert set(counted(store)) <= {"no value"}
     expect_offline(store, record, turbine)
 
 
@@ -180,7 +180,27 @@ def test_a_broken_edge_node_is_told_until_it_is_born_again(
             assert not stream.left()
             node.leave("T1")
             eventually(lambda: "Farm/N1/T1 since" in stream.state.words)
+            assert set(stream.left()) == {"T1"}
+        # another edge node takes its place
+        with edge_node(broker, record, name="Farm/N2").connected() as node:
+            node.bear(now - 10.0)
+            eventually(lambda: not stream.left())
     assert counted(store)["death certificate"] >= 2
+
+
+def test_metrics_of_an_edge_node_itself_are_of_no_turbine(broker: Mosquitto, record: Record) -> None:
+    stream, taken = stream_of(broker, record), []
+    stream.start(None, taken.append)
+    try:
+        eventually(lambda: stream.state.word == "connected")
+        with EdgeNode(broker, devices={}).connected() as node:
+            node.bear()
+            node._publish("NDATA", "", [metric("Load", 1.0, DOUBLE, at=time.time())], time.time())
+            eventually(lambda: len(taken) == 2)
+    finally:
+        stream.stop()
+        stream.stop()
+    assert [one.content.kind for one in taken][:2] == ["no value", "of no device"]
 
 
 def test_a_historical_value_is_stored_at_its_time_and_is_not_the_latest(

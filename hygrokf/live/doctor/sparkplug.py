@@ -28,7 +28,7 @@ def sparkplug_checks(
 
     def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
         _, released = nodes.take(topic, payload, received)
-        found = (content for one in released for content in one.contents)
+        found = (content for one in released for content in source.contents(one))
         return [one for one in found if not (isinstance(one, Unreadable) and one.kind in UNEXPLAINED)]
 
     yield from mqtt_checks(source, statistics, wait_s, lateness_s, contents, KEPT)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import stamp_text
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
 from hygrokf.live.sources.mqtt_link import Arrival, Link
-from hygrokf.live.sources.payload import PayloadMapping, Refused, Unreadable
+from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
 from hygrokf.live.sources.sparkplug_node import EdgeNode
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
@@ -31,6 +31,11 @@ LOOK_S = 0.5
 """[s] between two looks for messages that wait in vain, and for edge nodes to be asked."""
 ASK_AGAIN_S = 60.0
 """[s] after which an edge node is asked again."""
+DEVICE_PLACE = 4
+"""Place of the device in a topic."""
+DEVICE_LEVEL = f"{{{DEVICE_PLACE}}}"
+"""The mapping's turbine where each device is one."""
+_OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, while turbines are devices")
 ASK = f'publish the command "Node Control/Rebirth" to {NAMESPACE}/GROUP/NCMD/NODE'
 """What to do where the tracker may not ask."""
 
@@ -82,10 +87,17 @@ class EdgeNodes:
 
 
 class Absence(NamedTuple):
-    """An edge node or device that has left: its topic of data, and the time [s] of its death certificate."""
+    """An edge node or device that has left: the topic of its data, and the time [s] of its death
+    certificate."""
 
     topic: str
     since: float
+
+
+def data_topic(name: str, device: str) -> str:
+    """The topic at which an edge node (GROUP/NODE) publishes data of a device, "" for its own."""
+    group, _, node = name.partition("/")
+    return f"{NAMESPACE}/{group}/DDATA/{node}/{device}" if device else f"{NAMESPACE}/{group}/NDATA/{node}"
 
 
 class Sparkplug(Mqtt):
@@ -135,25 +147,38 @@ class Sparkplug(Mqtt):
             receipt = one.receipt if isinstance(one.receipt, MqttReceipt) else MqttReceipt(link, None)
             # the data to keep describe the edge node after all that is released
             memories = node.memories() if node is not None and place == len(released) else None
-            self._put(one.contents, one.received, one.topic, receipt, put, memories)
+            self._put(self.contents(one), one.received, one.topic, receipt, put, memories)
+
+    def contents(self, one: Released) -> Sequence[Payload | Unreadable]:
+        """What the mapping is given: where turbines are devices, nothing that an edge node says of itself."""
+        if self.mapping.turbine != DEVICE_LEVEL or one.topic.count("/") >= DEVICE_PLACE:
+            return one.contents
+        return [_OF_NO_DEVICE if not isinstance(c, Unreadable) else c for c in one.contents]
 
     # -- what the state says ---------------------------------------------------------------------------------
     def absences(self) -> list[Absence]:
         """Edge nodes and devices that have left and have not come back."""
         found = []
         for name, node in tuple(self.edge_nodes.nodes.items()):
-            group, _, node_id = name.partition("/")
             for device, since in tuple(node.left_s.items()):
-                rest = f"DDATA/{node_id}/{device}" if device else f"NDATA/{node_id}"
-                found.append(Absence(f"{NAMESPACE}/{group}/{rest}", since))
+                found.append(Absence(data_topic(name, device), since))
         return found
 
+    def _present(self) -> set[str | None]:
+        """Turbines of which a device sends."""
+        nodes = tuple(self.edge_nodes.nodes.items())
+        return {
+            self._turbine(data_topic(name, device)) for name, node in nodes for device in tuple(node.present)
+        }
+
     def left(self) -> dict[str, str]:
-        """Turbine -> text about its edge node or device that has left, where the topic names the turbine."""
-        found = {}
+        """Turbine -> text about its edge node or device that has left, where the topic names the turbine and
+        nothing else sends for it."""
+        found: dict[str, str] = {}
+        present = self._present()
         for one in self.absences():
             turbine = self._turbine(one.topic)
-            if turbine is not None:
+            if turbine is not None and turbine not in present:
                 words = f"{_sender(one.topic)} has left by its death certificate of {stamp_text(one.since)}"
                 found[turbine] = f"{words}: its signals are stale until it is born again"
         return found

@@ -58,7 +58,7 @@ class EdgeNode:
 
     `gap_s`: time [s] since which a message is missing, None without a gap; `unborn`: whether metrics came by
     aliases that the birth certificates so far do not define; `left_s`: device -> time [s] of its death
-    certificate, "" for the edge node.
+    certificate, "" for the edge node; `present`: devices that have sent since.
     """
 
     def __init__(self, name: str) -> None:
@@ -66,6 +66,7 @@ class EdgeNode:
         self.gap_s: float | None = None
         self.unborn = False
         self.left_s: dict[str, float] = {}
+        self.present: set[str] = set()
         self._bdseq: int | None = None
         self._expected: int | None = None
         self._tables: dict[str, Table] = {}
@@ -149,6 +150,7 @@ class EdgeNode:
         released = self._without_missing(one.received, self._waiting) if self._waiting else []
         self._former |= self._tables
         self.left_s |= dict.fromkeys(("", *self._former), one.received)
+        self.present.clear()
         self._tables, self._expected, self._last = {}, None, None
         self.gap_s, self.unborn, self._changed = None, False, True
         return [*released, refused(one, "death certificate", "it has left")]
@@ -158,9 +160,11 @@ class EdgeNode:
         if kind == "DDEATH":
             if device in self._tables:
                 self._former[device] = self._tables.pop(device)
+            self.present.discard(device)
             self.left_s[device], self._changed = one.received, True
             return [refused(one, "death certificate", "it has left")]
         # whoever sends lives
+        self.present.add(device)
         for alive in {"", device} & set(self.left_s):
             del self.left_s[alive]
             self._changed = True
@@ -248,7 +252,7 @@ class EdgeNode:
         found._bdseq = known.bdseq
         found._tables = _tables(known.types, known.aliases)
         found._former = _tables(known.former_types, known.former_aliases)
-        found.gap_s, found.left_s = known.gap_s, dict(known.left_s)
+        found.gap_s, found.left_s, found.present = known.gap_s, dict(known.left_s), set(known.types)
         found._expected = sequence % 256 if isinstance(sequence, int) else None
         return found
 
