@@ -36,8 +36,8 @@ from hygrokf.live.config import (
 )
 from hygrokf.live.log import LogLines
 from hygrokf.live.plan import WANDERING
-from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.local import FileForm
+from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
 from hygrokf.live.web.page_settings import PageForm
 
@@ -130,7 +130,7 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
         (OPERATION, (TrackForm, TurbineForm, MappingForm, SignalForm, SurfaceForm, WanderingForm, Site)),
         (OPERATION, (FileForm, PageForm)),
         (DOCS / "live_page.md", (PageForm,)),
-        (DOCS / "live_mqtt.md", (BrokerForm,)),
+        (DOCS / "live_mqtt.md", (MqttForm,)),
         (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",

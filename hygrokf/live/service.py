@@ -293,7 +293,8 @@ class Service:
             self._tick = begin + TICK_S
             states = {url: stream.state for url, stream in self.streams.items()}
             self._log_states(states)
-            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states)))
+            left = {name: words for one in self.streams.values() for name, words in one.left().items()}
+            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states, left)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
             name = self._open_fleet.forecast_due(EVERY_S)

@@ -221,13 +221,19 @@ class Fleet:
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
-    def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
-        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources."""
-        batch = Batch()
+    def tick(
+        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+    ) -> Batch:
+        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources.
+
+        left: turbine -> text about a sender that has left.
+        """
+        batch, left = Batch(), left or {}
         self._began = min(self._began, now)
         for name, tracker in self.trackers.items():
             ages = {signal: now - time for signal, time in tracker.heard().items()} or {"": now - self._began}
-            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE,), batch)
+            levels = stale_levels(ages, self.turbines[name].stale_s, left.get(name, ""))
+            self._judge(name, now, levels, (STALE,), batch)
         self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
         return batch
 

@@ -13,10 +13,12 @@ from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.live.doctor.check import OLD_S, Check, doubt, fault, lasting, ok, payload_checks, stamp_check
 from hygrokf.live.doctor.mqtt import mqtt_checks
 from hygrokf.live.doctor.opcua import opcua_checks
+from hygrokf.live.doctor.sparkplug import sparkplug_checks
 from hygrokf.live.sources.local import LONGEST_LINE, Lines, Playback, TailedFile
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.payload import PayloadStatistics
+from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import PAUSE_S, Stream
 
 TAIL = 4_000_000
@@ -168,7 +170,9 @@ def read_rows(path: Path, statistics: PayloadStatistics) -> None:
 KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
     TailedFile: file_checks,
     Playback: playback_checks,
+    Sparkplug: sparkplug_checks,
     Mqtt: mqtt_checks,
     OpcUa: opcua_checks,
 }
-"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s)."""
+"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s); a kind stands before
+the one that it extends."""

@@ -57,12 +57,13 @@ MOST = 500
 
 class Arrival(NamedTuple):
     """A received message, its arrival `time` [s] and its packet `identifier`, None if it needs no
-    acknowledgement (QoS 0)."""
+    acknowledgement (QoS 0); `repeated`: the broker may have sent it before."""
 
     payload: bytes
     topic: str
     time: float
     identifier: int | None
+    repeated: bool = False
 
 
 class Link:
@@ -71,10 +72,16 @@ class Link:
     Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
     tracker reads them from `arrived`, which ends with None once the link is lost.  `dropped`: filters of
     former runs from which the session is unsubscribed; `ready` is called when the broker has accepted the
-    connection.
+    connection; `largest`: payload [bytes] from which the rest is cut off.
     """
 
-    def __init__(self, broker: Broker, dropped: Sequence[str], ready: Callable[[Link], None]) -> None:
+    def __init__(
+        self,
+        broker: Broker,
+        dropped: Sequence[str],
+        ready: Callable[[Link], None],
+        largest: int = LARGEST,
+    ) -> None:
         self.broker = broker
         self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
         self.lost = threading.Event()
@@ -84,6 +91,7 @@ class Link:
         self.overrun = 0
         self._dropped = tuple(dropped)
         self._ready = ready
+        self._largest = largest
         self._asked: tuple[str, ...] = broker.topics
         self._granted = False
         self._denied: dict[str, str] = {}
@@ -150,6 +158,10 @@ class Link:
     def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
         """Publish a retained message; see `is_confirmed`.  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
+
+    def request(self, topic: str, payload: bytes) -> None:
+        """Publish a message at QoS 0 that is not retained.  Callable from any thread."""
+        self.client.publish(topic, payload)
 
     @property
     def answered(self) -> bool:
@@ -284,7 +296,8 @@ class Link:
         else:
             self._heard = True
             # an oversized payload keeps one byte too many, so that it is refused and counted with the others
-            self.arrived.put(Arrival(bytes(message.payload[: LARGEST + 1]), topic, time.time(), identifier))
+            payload = bytes(message.payload[: self._largest + 1])
+            self.arrived.put(Arrival(payload, topic, time.time(), identifier, message.dup))
 
     def _on_publish(
         self,

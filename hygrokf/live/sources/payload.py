@@ -57,6 +57,18 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True)
+class Unreadable:
+    """Content that a source could not make into a payload; it is refused when read."""
+
+    kind: str
+    words: str
+
+
+Content = bytes | str | Payload | Unreadable
+"""What a source delivers."""
+
+
+@dataclass(frozen=True)
 class Field:
     """A value in a payload: its signal, its unit, the form of its readings, and what its stamp marks.
 
@@ -135,7 +147,7 @@ class PayloadMapping:
             )
         object.__setattr__(self, "conversions", rows)
 
-    def read(self, content: bytes | str | Payload, received: float, topic: str = "") -> TurbineReadings:
+    def read(self, content: Content, received: float, topic: str = "") -> TurbineReadings:
         """The readings of a payload received at a time [s].  Raises Refused if none of it can be used.
 
         Stamps that are ahead of the arrival by more than `AHEAD_S`, for a weather forecast by more than
@@ -175,7 +187,7 @@ class PayloadMapping:
             readings.append(Reading(signal, time + shift, value))
         return TurbineReadings(turbine, tuple(readings), counts)
 
-    def stamp(self, content: bytes | str | Payload) -> float | None:
+    def stamp(self, content: Content) -> float | None:
         """The time [s] stated by a payload; None if it has no readable time."""
         try:
             return seconds(_value_at(parse_payload(content), self.time, ""))
@@ -204,10 +216,12 @@ class PayloadMapping:
         return []
 
 
-def parse_payload(text: bytes | str | Payload) -> Payload:
+def parse_payload(text: Content) -> Payload:
     """A payload that may still be text: a JSON object of limited size and depth.  Raises Refused."""
     if isinstance(text, Mapping):
         return text
+    if isinstance(text, Unreadable):
+        raise Refused(text.kind, text.words)
     if len(text) > LARGEST:
         raise Refused("too large", f"a payload of {len(text)} bytes; at most {LARGEST} are read")
     if isinstance(text, str):
@@ -317,7 +331,7 @@ class PayloadStatistics:
         self.reasons: dict[str, str] = {}
         self.lag_s = math.nan
 
-    def take(self, content: bytes | str | Payload, received: float, topic: str = "") -> None:
+    def take(self, content: Content, received: float, topic: str = "") -> None:
         """Count a payload received at a time [s]."""
         self.payloads += 1
         try:

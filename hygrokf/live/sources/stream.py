@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.payload import Payload, PayloadMapping
+from hygrokf.live.sources.payload import Content, PayloadMapping
 
 WEATHER_HELP = "whether it brings weather forecasts, not readings"
 """Help of the key `weather`, which every source has."""
@@ -41,7 +41,7 @@ class Delivery:
     acknowledge.
     """
 
-    content: bytes | str | Payload
+    content: Content
     received: float
     topic: str = ""
     place: str = ""
@@ -70,7 +70,8 @@ class Stream(Protocol):
     `place` (None: from the beginning, or from the position that the source itself keeps); `end_when_read`
     lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
     source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
-    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver.
+    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver; `left`
+    says of turbines that their sender has left (turbine -> text).
     """
 
     url: str
@@ -95,6 +96,8 @@ class Stream(Protocol):
     def state(self) -> SourceState: ...
 
     def signals(self, turbine: str) -> set[str]: ...
+
+    def left(self) -> dict[str, str]: ...
 
 
 class Threaded:
@@ -151,6 +154,10 @@ class Threaded:
     @property
     def state(self) -> SourceState:
         return self._state
+
+    def left(self) -> dict[str, str]:
+        """Turbine -> text about its sender that has left: none, because these senders do not say so."""
+        return {}
 
     def signals(self, turbine: str) -> set[str]:
         """Signals of a turbine that this source can deliver as readings."""
