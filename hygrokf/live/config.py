@@ -22,7 +22,8 @@ from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import GOOD, Field, PayloadMapping
+from hygrokf.live.sources.payload import GOOD, PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine

@@ -27,7 +27,8 @@ from hygrokf.live.sources.local import (
     record_mapping,
     record_messages,
 )
-from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.stream import Delivery
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
@@ -112,9 +113,10 @@ def test_a_file_that_is_read_once_ends(tmp_path: Path) -> None:
 
 def test_lines() -> None:
     lines = Lines()
-    rows = ["# made by hand", 'a\t"b c"', "1\t2\t3", 'a\t"b c"', "", "4", '{"x": 1}']
+    rows = ["# made by hand", 'a\t"b c"', "1\t2\t", 'a\t"b c"', "", "4\t", '{"x": 1}', '[{"x": 1}]']
     contents = [lines.content(row) for row in rows]
-    assert contents == [None, None, {"a": "1", "b c": "2"}, None, None, {"a": "4"}, '{"x": 1}']
+    row, last = {"a": "1", "b c": "2"}, {"a": "4", "b c": ""}
+    assert contents == [None, None, row, None, None, last, '{"x": 1}', '[{"x": 1}]']
 
 
 def test_standard_input() -> None:

@@ -21,7 +21,8 @@ from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities,
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import LARGEST, PayloadStatistics
+from hygrokf.live.sources.payload_formats import LARGEST
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
