@@ -23,6 +23,7 @@ from hygrokf.live.plan import Form
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
+from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
     WEATHER_HELP,
@@ -318,6 +319,11 @@ class FileForm:
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
         """The stream; None with a fault where a file to be played back has no rows."""
+        if RECEIVED in mapping.time:
+            place.fault(
+                f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
+                "state another time in its [source.mapping]"
+            )
         path = folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:
             return TailedFile(path, mapping, self.follow)

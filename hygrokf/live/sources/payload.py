@@ -227,7 +227,9 @@ class PayloadMapping:
     def _read_tag(self, record: Record, found: Found) -> None:
         """Read the only value of a record, whose field a tag names."""
         layout = self.layout
-        stated, spoken = layout.tag(record), layout.turbine(record)
+        # tag and value belong together: those of the objects around it are not this record's
+        inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
+        stated, spoken = layout.tag(inner), layout.turbine(record)
         name = str(stated)[: LONGEST + 1]
         if layout.split is not None:
             tag = layout.split(name)
@@ -243,10 +245,10 @@ class PayloadMapping:
         if conversion is None:
             of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
             return
-        raw = layout.value(record)
+        raw = layout.value(inner)
         if raw is not None and raw != "":
             self._convert(name, raw, conversion, time, of)
-        elif raw is None and not has(record.scopes, self.value):
+        elif raw is None and not has(inner.scopes, self.value):
             said = f"no {self.value} is among {_names(record.scopes)}"
             of.rejections.append(Rejection("no known field", said))
 
@@ -351,7 +353,8 @@ def _layout(mapping: PayloadMapping) -> Layout:
     of_turbines = {}
     for turbine, own in mapping.names.items():
         kept = {name: one for name, one in conversions.items() if name not in own.values()}
-        of_turbines[turbine] = kept | {name: conversions[common] for name, common in own.items()}
+        renamed = {name: conversions[common] for name, common in own.items() if common in conversions}
+        of_turbines[turbine] = kept | renamed
     turbines = set(mapping.turbines.values())
     known = {name for table in (conversions, *of_turbines.values()) for name in table}
     pattern = mapping.tag_pattern

@@ -123,8 +123,6 @@ def pattern_fault(text: str) -> str | None:
         return f'expected a pattern with {FIELD}, such as "{TURBINE}.{FIELD}" or "*.{TURBINE}_{FIELD}"'
     if braces.count(TURBINE) > 1 or text.count(ANY) > 1:
         return f"expected {TURBINE} and {ANY} at most once, found {text!r}"
-    if any(f"{a}{b}" in text for a in (TURBINE, FIELD, ANY) for b in (TURBINE, FIELD, ANY)):
-        return f"expected text between {TURBINE}, {FIELD} and {ANY}, which tells where one ends"
     return None
 
 
@@ -136,20 +134,19 @@ def tag_reader(
     A tag is read so that turbine and field are known ones, even if their names contain the text between
     them.
     """
-    exact = _pattern(pattern, _any_of(turbines), _any_of(fields))
-    loose = _pattern(pattern, ".+?", ".+?")
+    turbine, field, some = _any_of(turbines), _any_of(fields), ".+?"
+    # guesses with one known part tell best why a tag is not known
+    kinds = ((turbine, field), (turbine, some), (some, field), (some, some))
+    readings = [_pattern(pattern, *one) for one in kinds]
 
     @lru_cache(maxsize=KNOWN_TAGS)
     def read(tag: str) -> Tag | None:
-        if len(tag) > LONGEST:
+        found = (one.fullmatch(tag) for one in readings if len(tag) <= LONGEST)
+        number, match = next(((k, one) for k, one in enumerate(found) if one is not None), (-1, None))
+        if match is None:
             return None
-        found = exact.fullmatch(tag)
-        known = found is not None
-        found = found or loose.fullmatch(tag)
-        if found is None:
-            return None
-        parts = found.groupdict()
-        return Tag(parts.get("turbine"), parts["field"], known)
+        parts = match.groupdict()
+        return Tag(parts.get("turbine"), parts["field"], number == 0)
 
     return read
 
