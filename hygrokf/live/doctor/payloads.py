@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import IO, cast
 
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
@@ -141,7 +142,8 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
     now = time.time()
     with path.open("rb") as plain:
         packed = plain.read(2) == b"\x1f\x8b"
-    with gzip.open(path) if packed else path.open("rb") as file:
+    file: IO[bytes]
+    with cast(IO[bytes], gzip.open(path)) if packed else path.open("rb") as file:
         start = file.read(UNPACKED + 1)
         if len(start) <= UNPACKED and mapping.form == JSON and start.lstrip()[:1] in (b"{", b"["):
             with suppress(ValueError, RecursionError):

@@ -190,7 +190,7 @@ class StandardInput(Threaded):
         self._lines = Lines(mapping.form)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        file: IO[Any] = self._file or getattr(sys.stdin, "buffer", sys.stdin)
+        file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
         while line := next_line(file):
             if self._ended.is_set():
                 return
