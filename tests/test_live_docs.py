@@ -120,7 +120,8 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("page", "forms"),
     [
-        (OPERATION, (TrackForm, TurbineForm, MappingForm, SignalForm, SurfaceForm, WanderingForm, Site)),
+        (OPERATION, (TrackForm, TurbineForm, SignalForm, SurfaceForm, WanderingForm, Site)),
+        (DOCS / "live_mapping.md", (MappingForm,)),
         (OPERATION, (FileForm, PageForm)),
         (DOCS / "live_page.md", (PageForm,)),
         (DOCS / "live_mqtt.md", (BrokerForm,)),
