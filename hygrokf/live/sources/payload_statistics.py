@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from hygrokf.live.sources.payload import PayloadMapping, Rejection, TurbineReadings
+from hygrokf.live.sources.payload import NOBODY, PayloadMapping, Rejection, TurbineReadings
 from hygrokf.live.sources.payload_formats import Content, Refused
 
 
@@ -32,9 +32,12 @@ class PayloadStatistics:
         try:
             found = self.mapping.read(content, received, topic)
         except Refused as fault:
-            found = [TurbineReadings("", [], [Rejection(fault.kind, str(fault))])]
+            found = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
             if fault.kind == "impossible time":
                 self._note(self.mapping.stamp(content), received)
+        if not any(one.readings or one.rejections for one in found):
+            # ordinary for a sensor that pauses, but nothing to be content with when a mapping is checked
+            found = [TurbineReadings(NOBODY, [], [Rejection("no value", "its fields are empty")])]
         self.used += any(one.readings for one in found)
         for turbine, readings, rejections in found:
             for kind, words in rejections:
