@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     import pandas
 
 MINUTE_S, HOUR_S, DAY_S, WEEK_S = 60.0, 3600.0, 86400.0, 604800.0
-_SECONDS = {"s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
 _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
 _ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
 _DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}\s*$")
-_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h|d)\s*$")
+_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
 _CLOCK_CHANGES = (
     "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
     'such as timezone = "Europe/Berlin"'
@@ -35,9 +35,9 @@ _CLOCK_DOES_NOT_CHANGE = (
 
 
 def duration(text: str) -> float:
-    """Seconds of a duration such as "30s", "10min", "1h", "2d" [s].
+    """Seconds of a duration such as "500ms", "30s", "10min", "1h", "2d" [s].
 
-    text: a number and one of s, min, h, d. Raises ValueError for anything else.
+    text: a number and one of ms, s, min, h, d. Raises ValueError for anything else.
     """
     found = _DURATION.match(text) if isinstance(text, str) else None
     if found is None:

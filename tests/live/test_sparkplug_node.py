@@ -21,7 +21,8 @@ from builders.sparkplug_peer import (
 )
 
 from hygrokf.live.sources import sparkplug, sparkplug_node
-from hygrokf.live.sources.payload import Field, PayloadMapping, Refused, Unreadable
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused, Unreadable
 from hygrokf.live.sources.sparkplug import EdgeNodes
 from hygrokf.live.sources.sparkplug_metrics import Released
 
