@@ -24,7 +24,7 @@ class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
     column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures.
-    verdict: the column that says whether it can be believed, or empty.
+    verdict: the column that says whether it is reliable, or empty.
     """
 
     column: str
@@ -35,7 +35,7 @@ class Compared:
     verdict: str = ""
 
     def rejected(self, row: Row) -> bool:
-        """Whether a turbine's value is not to be believed."""
+        """Whether a turbine's value is not reliable."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
 
@@ -129,7 +129,7 @@ _CONSTANTS = {
     )
 }
 _VERDICTS = {
-    f"{name}_verdict": f"whether the {name} time constant of the model can be believed: believe, caution or "
+    f"{name}_verdict": f"whether the {name} time constant of the model is reliable: believe, caution or "
     "reject"
     for name in PARTS
 }

@@ -1,4 +1,4 @@
-"""The verdict on a time constant: whether it can be believed, and the evidence against it.
+"""The verdict on a time constant: whether it is reliable, and the evidence against it.
 
 A verdict is decided once, at the end of a fit, from its results.  Everything that uses the number inherits
 the verdict: pages, commands, forecasts, alarms.  Each rule examines one kind of evidence and returns reasons;

@@ -146,7 +146,7 @@ def _about(study: Study) -> tuple[str, ...]:
 
 
 def _doubt(study: Study) -> str:
-    """A sentence where the climate rests on numbers of the fit that are not to be believed; else empty."""
+    """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
     doubt = rests_on(study.verdicts)
     return sentence(doubt) if doubt else ""
 

@@ -1,6 +1,6 @@
 """Numbers and judgements of a fit in words.
 
-Any part of the results may be missing.  Whether a time constant can be believed is decided by its verdict
+Any part of the results may be missing.  Whether a time constant is reliable is decided by its verdict
 (`identification.verdict`), not here.
 """
 
@@ -65,7 +65,7 @@ METHODS = {
 class TimeConstant:
     """A time constant as printed: `value` ("1.49 h", "≤ 0.4 h", "not identifiable") and `bounds`.
 
-    `closed`: whether the interval has both ends.  `verdict`: whether the number can be believed.
+    `closed`: whether the interval has both ends.  `verdict`: whether the number is reliable.
     """
 
     name: str
@@ -82,7 +82,7 @@ class TimeConstant:
 
     @property
     def sentence(self) -> str:
-        """The number with its verdict; the verdict first where the number is not to be believed."""
+        """The number with its verdict; the verdict first where the number is not reliable."""
         return (
             f"{self.name} {self.span}"
             if self.found is None
@@ -186,9 +186,9 @@ def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
         known += f", known to {spread_words(found.value_h, found.lower_h, found.upper_h)}"
     verdict = constant.verdict
     head = {
-        BELIEVE: f"The {name} time constant, {known}, is to be believed.",
+        BELIEVE: f"The {name} time constant, {known}, is reliable.",
         CAUTION: f"The {name} time constant, {known}, is to be taken with caution:",
-        REJECT: f"The {name} time constant ({known}) is not to be believed:",
+        REJECT: f"The {name} time constant ({known}) is not reliable:",
     }[verdict.verdict]
     made = [Judgement(verdict.verdict, head, name)]
     made += [

@@ -296,7 +296,7 @@ def _believed(done: Sequence[Row]) -> tuple[Block, ...]:
     return section(
         "Which numbers to believe",
         Prose(sentence(text)),
-        table_or(table if rows else None, "All of them are to be believed."),
+        table_or(table if rows else None, "All of them are reliable."),
     )
 
 

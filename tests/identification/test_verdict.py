@@ -207,7 +207,7 @@ def decided(fit: dict) -> dict[str, Verdict]:
 def test_a_sound_fit_is_believed() -> None:
     found = decided(_sound())
     assert found == {"thermal": Verdict(), "hygric": Verdict()}
-    assert found["thermal"].sentence == "to be believed"
+    assert found["thermal"].sentence == "reliable"
 
 
 @pytest.mark.parametrize("code", CASES)
@@ -240,7 +240,7 @@ def test_the_worst_reason_decides_and_stands_first() -> None:
     found = decided(fit)["thermal"]
     assert found.verdict == REJECT
     assert [one.verdict for one in found.reasons] == [REJECT, CAUTION]
-    assert found.sentence == "not to be believed: the estimation did not converge (1 more reason)"
+    assert found.sentence == "not reliable: the estimation did not converge (1 more reason)"
 
 
 @pytest.mark.parametrize(
@@ -401,8 +401,8 @@ def test_an_inherited_verdict_is_one_line() -> None:
     handed = inherited(typed(fit))
     assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
     assert verdict_lines(handed) == [
-        "x thermal time constant not to be believed, 1.50 h (1.42 … 1.58): the estimation did not converge",
-        "+ hygric time constant 0.300 h (0.285 … 0.315): to be believed",
+        "x thermal time constant not reliable, 1.50 h (1.42 … 1.58): the estimation did not converge",
+        "+ hygric time constant 0.300 h (0.285 … 0.315): reliable",
     ]
     assert verdict_lines({}) == []
     open_ = Inherited(9.0, 0.0, math.nan, REJECT)
@@ -445,4 +445,4 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
     assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
     text = report_text(typed(_rejected()))
     first = text.split("\n\n")[1].splitlines()[0]
-    assert first.startswith("thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")
+    assert first.startswith("thermal not reliable, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

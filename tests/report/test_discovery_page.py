@@ -129,7 +129,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
         ("solar_heat", "6.1", "5.5 … 6.9", "K/(kW/m²)", "heat of the sun"),
         ("solar_time", "0.690", "open … 1.01", "h", "lag"),
     )
-    believed = "to be believed"
+    believed = "reliable"
     assert constants_table(found).rows[0] == (
         "thermal", "1.36 h", "1.31 … 1.41", believed, "1.20 h", "1.15 … 1.25", believed, "−12 %",
     )  # fmt: skip
@@ -329,8 +329,8 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
         gain_sentence(found.causes[0].gain)[2:],
         "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)",
         "To check: Shade or paint the wall",
-        "+ thermal time constant 1.36 h (1.31 … 1.41): to be believed",
-        "+ thermal time constant 1.20 h (1.15 … 1.25): to be believed",
+        "+ thermal time constant 1.36 h (1.31 … 1.41): reliable",
+        "+ thermal time constant 1.20 h (1.15 … 1.25): reliable",
         "left out: 2 causes",
         "SYNTHETIC",
     ):
