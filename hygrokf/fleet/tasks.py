@@ -108,15 +108,15 @@ CLIMATE_COLUMNS = {
     "mean_relative_humidity_percent": "mean relative humidity in the cabinet [%]",
     "wetness_h": "time of wetness, above 80 % and 0 °C [h a year]",
     "condensation_h": "condensation on the coldest surface [h a year]",
-    "ageing_h": "hours at the reference condition that age as much, by Peck's law [h a year]",
+    "ageing_h": "hours at the reference condition that cause the same ageing, by Peck's law [h a year]",
 }
 
 _RECORD = {
     "record": "name of the record, from the case file",
     "start": "first reading of the record [UTC]",
     "end": "last reading of the record [UTC]",
-    "synthetic": "whether the record says of itself that a computer made it",
-    "warnings": "how many things were masked or repaired at reading",
+    "synthetic": "whether the record states that it is synthetic",
+    "warnings": "number of warnings about masked or repaired readings",
 }
 _CONSTANTS = {
     f"{name}_{part}": f"{text} of the {name} time constant{unit}"
@@ -137,7 +137,7 @@ _QUANTITIES = (("temperature", "K", "temperature", "K"), ("humidity", "g_m3", "a
 """Name and unit in a column's name, then both in its meaning."""
 _BOUNDS = ("lower", "upper")
 _SCORES = {
-    "scored_period": "period of the errors: validation, or identification where nothing is held out",
+    "scored_period": "period of the errors: validation, or identification if nothing is held out",
     **{
         f"{name}_rmse_{end}": f"free-run error of the {text} in total, root mean square [{unit}]"
         for name, end, text, unit in _QUANTITIES
@@ -161,13 +161,13 @@ TASKS: Mapping[str, Task] = {
         FitOptions,
         {
             **_RECORD,
-            "converged": "whether every climb ended at a maximum",
+            "converged": "whether every search converged to a maximum",
             "n_readings": "readings of the identification period",
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,
             "loglik": "log-likelihood of all stages",
-            "at_bounds": "parameters that ended at a bound",
+            "at_bounds": "parameters that ended at a limit",
         },
         _CONSTANTS_AND_ERRORS,
     ),
@@ -178,7 +178,7 @@ TASKS: Mapping[str, Task] = {
             **_RECORD,
             "verdict": "none, named or unexplained",
             "causes": "accepted causes, in the order in which they were accepted",
-            "confidence": "least confidence of the accepted causes [1]",
+            "confidence": "smallest confidence of the accepted causes [1]",
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,
@@ -203,7 +203,7 @@ TASKS: Mapping[str, Task] = {
             },
             "temperature_coverage": "share of temperature readings inside the free run's 95 % band [1]",
             "humidity_coverage": "share of absolute humidities inside the free run's 95 % band [1]",
-            "statements": "what the record brings that the model does not know, and the reverse",
+            "statements": "inputs of the record that the model does not use, and the reverse",
         },
         _ERRORS,
         uses_fit=True,
@@ -216,16 +216,16 @@ TASKS: Mapping[str, Task] = {
             **_RECORD,
             "model": "name of the fitted model",
             "transfer": "whether the model transfers, transfers after re-estimating, or does not",
-            "re_estimate": "groups of parameters that are to be re-estimated",
+            "re_estimate": "parameter groups to re-estimate",
             "sentence": "the verdict in words",
             **_VERDICTS,
             **_SCORES,
             **{
-                f"as_is_{name}_rmse_{end}": f"the same of the {text}, with the model as it is [{unit}]"
+                f"as_is_{name}_rmse_{end}": f"the same of the {text}, with the unchanged model [{unit}]"
                 for name, end, text, unit in _QUANTITIES
             },
             **{
-                f"{name}_gain_{end}{bound}": f"{of}what re-estimating takes off the error of the {text} "
+                f"{name}_gain_{end}{bound}": f"{of}reduction by re-estimating of the error of the {text} "
                 f"[{unit}]"
                 for name, end, text, unit in _QUANTITIES
                 for bound, of in (("", ""), *((f"_{side}", f"{side} 95 % bound of ") for side in _BOUNDS))
@@ -250,7 +250,7 @@ TASKS: Mapping[str, Task] = {
             },
             "limits": "worst verdict on the limits: fail, undecided or pass; empty without any",
             "wetness_class": "class of the time of wetness, ISO 9223:1992",
-            "statements": "how weather and power were put together",
+            "statements": "how weather and power were combined",
         },
         (
             Compared("ageing_h", "ageing", "h a year", "ageing_h_lower", "ageing_h_upper"),
@@ -266,8 +266,8 @@ TASKS: Mapping[str, Task] = {
 SHARED = {
     "turbine": "name of the turbine in the fleet",
     "status": "done; failed: see reason; lost: its process died, twice",
-    "reason": "why there is no result, empty otherwise",
-    "task": "what was done",
-    "key": "SHA-256 of what the row follows from: version, task, options, case, data files, fit",
+    "reason": "reason for the missing result, empty otherwise",
+    "task": "the task",
+    "key": "SHA-256 of everything the row depends on: version, task, options, case, data files, fit",
 }
 """Columns of every row, in front of the task's."""
