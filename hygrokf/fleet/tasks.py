@@ -62,7 +62,7 @@ class FitOptions:
         "cascade", "hygric on the measured temperature, or one filter", choices=("cascade", "joint")
     )
     starts: int = setting(5, "starts of the search for the maximum", least=1)
-    profiles: bool = setting(False, "bounds by profile likelihood; without, Wald bounds")
+    profiles: bool = setting(False, "bounds by profile likelihood; otherwise Wald bounds")
     report: bool = setting(False, "write each turbine's own page too")
 
 
@@ -78,8 +78,8 @@ class DiscoverOptions(LibraryOptions):
 class ClimateOptions(LibraryOptions):
     """The options of the task "climate"."""
 
-    standstill: bool = setting(False, "no power all year; without, the case has `active_power`")
-    limits: tuple[str, ...] = setting((), "files with limits to hold the climate against", expected=_FILES)
+    standstill: bool = setting(False, "no power all year; otherwise the case must have `active_power`")
+    limits: tuple[str, ...] = setting((), "files with limits for the climate", expected=_FILES)
     members: int = setting(50, "of the ensemble", least=2)
     seed: int = setting(1, "of the ensemble", least=0)
 
@@ -119,13 +119,13 @@ _RECORD = {
     "warnings": "number of warnings about masked or repaired readings",
 }
 _CONSTANTS = {
-    f"{name}_{part}": f"{text} of the {name} time constant{unit}"
+    f"{name}_{part}": f"{text} the {name} time constant{unit}"
     for name in PARTS
     for part, text, unit in (
-        ("value_h", "estimate", " [h]"),
-        ("lower_h", "lower 95 % bound", " [h]"),
-        ("upper_h", "upper 95 % bound", " [h], empty where the data do not bound it"),
-        ("statement", "what is to be said", ", empty where value and bounds say it"),
+        ("value_h", "estimate of", " [h]"),
+        ("lower_h", "lower 95 % bound of", " [h]"),
+        ("upper_h", "upper 95 % bound of", " [h], empty if the data do not bound it"),
+        ("statement", "remark on", ", if value and bounds do not suffice"),
     )
 }
 _VERDICTS = {
@@ -225,8 +225,7 @@ TASKS: Mapping[str, Task] = {
                 for name, end, text, unit in _QUANTITIES
             },
             **{
-                f"{name}_gain_{end}{bound}": f"{of}reduction by re-estimating of the error of the {text} "
-                f"[{unit}]"
+                f"{name}_gain_{end}{bound}": f"{of}error reduction by re-estimating, {text} [{unit}]"
                 for name, end, text, unit in _QUANTITIES
                 for bound, of in (("", ""), *((f"_{side}", f"{side} 95 % bound of ") for side in _BOUNDS))
             },
