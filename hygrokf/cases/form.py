@@ -46,7 +46,7 @@ class StatedSensor:
     accuracy: float | None = setting(None, "95 % accuracy of the sensor [its unit]", read=_size)
     resolution: float | None = setting(None, "spacing of the readings [its unit]", read=_size)
     response_time_s: float | None = setting(
-        None, "in which the sensor follows a step by all but 1/e", read=duration
+        None, "time in which the sensor covers 63 % of a step", read=duration
     )
 
     @across("unit", "signal")
@@ -143,7 +143,7 @@ class StatedSource:
     def marks(self) -> str | None:
         if self.separator != self.decimal:
             return None
-        return f'separator and decimal are both "{self.decimal}"; state another one of the two'
+        return f'separator and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
@@ -184,7 +184,7 @@ class StatedWeather:
 
     OF: ClassVar = " in a [[source]] with format"
     REFUSED: ClassVar = {
-        "signals": "a source with format brings the signals that its file has; remove signals",
+        "signals": "a source with format supplies all signals of its file; remove signals",
         "time": "a source with format needs no time; remove it",
     }
     file: str = setting(help="path, relative to the case file")

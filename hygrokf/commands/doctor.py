@@ -13,7 +13,11 @@ from hygrokf.commands.verb import Verb, add_json, add_library
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
     parser.add_argument(
-        "--wait", type=_duration, default=10.0, metavar="TIME", help="listen to sources so long (default 10s)"
+        "--wait",
+        type=_duration,
+        default=10.0,
+        metavar="TIME",
+        help="time to listen to the sources (default 10s)",
     )
     add_library(parser)
     add_json(parser)
@@ -41,4 +45,6 @@ def _run(options: argparse.Namespace) -> int:
     return int(any(one.level == "fault" for one in found))
 
 
-VERB = Verb("doctor", "look at all that a tracker needs, change nothing, say what to mend", _arguments, _run)
+VERB = Verb(
+    "doctor", "check everything that a tracker needs, change nothing, report what to fix", _arguments, _run
+)

@@ -93,7 +93,7 @@ LIBRARY: tuple[Cause, ...] = (
     ),
     Cause(
         "rain_ingress", "rain enters and evaporates",
-        "look for the way of the water: door, cable entry, roof",
+        "find where the water enters: door, cable entry, roof",
         "a wetness sensor on the floor", rain, needs="rain",
     ),
     Cause(
@@ -110,7 +110,7 @@ LIBRARY: tuple[Cause, ...] = (
         "absolute humidity inside and outside with the cabinet at ambient temperature", source,
     ),
     Cause(
-        "ambient_bias", "the ambient series is not the air that the cabinet breathes",
+        "ambient_bias", "the ambient series does not describe the air that enters the cabinet",
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
         breathed,
     ),
@@ -123,7 +123,7 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
         "look for lamps, timers and people at work in these hours; log the load",
-        "current of what runs in these hours",
+        "current of the equipment that runs in these hours",
         by_the_clock,
     ),
     Cause(

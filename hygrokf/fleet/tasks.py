@@ -172,7 +172,7 @@ TASKS: Mapping[str, Task] = {
         _CONSTANTS_AND_ERRORS,
     ),
     "discover": Task(
-        "name what every simulation lacks",
+        "name the cause that every simulation lacks",
         DiscoverOptions,
         {
             **_RECORD,
@@ -210,7 +210,7 @@ TASKS: Mapping[str, Task] = {
         files=("library",),
     ),
     "transfer": Task(
-        "try a fitted model on every case, and say what travels",
+        "try a fitted model on every case, and tell which parameters carry over",
         LibraryOptions,
         {
             **_RECORD,

@@ -187,7 +187,7 @@ def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
     verdict = constant.verdict
     head = {
         BELIEVE: f"The {name} time constant, {known}, is reliable.",
-        CAUTION: f"The {name} time constant, {known}, is to be taken with caution:",
+        CAUTION: f"The {name} time constant, {known}, should be used with caution:",
         REJECT: f"The {name} time constant ({known}) is not reliable:",
     }[verdict.verdict]
     made = [Judgement(verdict.verdict, head, name)]
@@ -226,7 +226,7 @@ def _errors(fit: FitResults, part: str) -> list[Judgement]:
         kind = CAUTION
         begins = (
             f"The free run's {name} error is {fixed(early)} {unit} on the data that the model was fitted to: "
-            "nothing validates it"
+            "no later data validate it"
         )
     else:
         begins = f"The free run's {name} error is {fixed(late)} {unit} in validation"
@@ -305,18 +305,18 @@ def _innovations(fit: FitResults) -> list[Judgement]:
     against = [row for row in rows if row.rejected]
     kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
     named = f" ({', '.join(kinds)})" if kinds else ""
-    count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
+    count = f"{len(against)} of {len(rows)} tests {'rejects' if len(against) == 1 else 'reject'}"
     if not against:
-        said = f"None of {len(rows)} tests speaks against white innovations."
+        said = f"None of {len(rows)} tests rejects white innovations."
         return [Judgement(BELIEVE, said, "innovations")]
     if kinds and set(kinds) <= set(NO_CORRELATION):
-        said = f"{count} against white innovations{named}, none of them by a correlation (see the tests)."
+        said = f"{count} white innovations{named}, but none finds a correlation (see the tests)."
         return [Judgement(CAUTION, said, "innovations")]
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
     small = largest < SMALL
     size = f", by correlations of at most {fixed(largest)}" if largest > 0 else ""
     what = "measurable, but small" if small else "the one-step predictions are still correlated"
-    words = f"{count} against white innovations{named}{size}: {what} (see the tests)."
+    words = f"{count} white innovations{named}{size}: {what} (see the tests)."
     return [Judgement(BELIEVE if small else CAUTION, words, "innovations")]
 
 

@@ -132,7 +132,7 @@ def test_a_typical_year_in_a_case_is_a_stated_choice(folder: Path) -> None:
     (folder / "site.epw").write_text(made.epw_text((2006, *(2011,) * 11)))
     epw = '[[source]]\nfile = "site.epw"\nformat = "epw"\n'
     said = faults(folder, SITE, CABINET, epw)
-    assert said.startswith("site.epw: is a typical year put together from months of 2006 … 2011")
+    assert said.startswith("site.epw: is a typical year composed of months from 2006 … 2011")
     record = case(folder, SITE, CABINET, epw, "year = 2021\n")
     assert any("a typical year, not the weather of 2021" in one for one in record.warnings)
     assert any("its height is 250 m, the site's 411 m" in one for one in record.warnings)

@@ -545,7 +545,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv")
     assert status == 2 and not (tmp_path / "course.csv").exists()
     assert "the model needs transformer_heat of transformer.py (SHA-256 " in said
-    assert "found none of that name; name the file as it was then: --library transformer.py" in said
+    assert "found none of that name; pass the file as it was then: --library transformer.py" in said
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv", "--library", file)
     assert status == 0 and "instants written" in said
     status, said = told("evaluate", out, case, "--library", file, "--json")

@@ -147,7 +147,7 @@ CASES = {
     "imprecise": (_put(f"{THERMAL}/upper_h", 3.0), CAUTION, "±52 % only"),
     "undetermined": (
         _all(_put(f"{THERMAL}/lower_h", 0.3), _put(f"{THERMAL}/upper_h", 4.8)), REJECT,
-        "reaches over a factor of 4.0",
+        "a factor of 4.0",
     ),
     "criteria_disagree": (
         _all(
@@ -159,17 +159,17 @@ CASES = {
     ),
     "free_run_silent": (SILENT, CAUTION, "(0.0200 h, without bounds)"),
     "worse_than_mean": (_errors(7.0, *BOTH), REJECT,
-        "errs by 7.00 K in validation, more than the readings vary"),
+        "7.00 K in validation, more than the standard deviation of the readings (6.00 K)"),
     "worse_than_rule": (
         _all(_errors(2.5, *BOTH), SILENT), REJECT,
         "errs by 2.50 K in validation, the rule “heat release without heat",
     ),
     "band_failed": (_put("bands/free_run/temperature_K/coverage", 0.31), CAUTION, "holds only 31 %"),
     "innovations_correlated": (_correlated(-0.4), CAUTION, "correlated with the power, by up to 0.40"),
-    "noise_not_as_modelled": (_put(f"{THERMAL}/factor", 3.2), CAUTION, "3.2 times as much"),
+    "noise_not_as_modelled": (_put(f"{THERMAL}/factor", 3.2), CAUTION, "3.2 times"),
     "ambient_coarse": (_put(f"{THERMAL}/sampling/shift_ln_when_halved", -0.3), CAUTION, "changes by −26 %"),
     "readings_coarse": (_put("innovations/outputs/temperature/step_h", 4.0), CAUTION,
-        "read every 240 min, when 93 %"),
+        "every 240 min; by then 93 %"),
     "few_readings": (_put("innovations/outputs/temperature/n", 39), CAUTION,
         "39 readings determine 2 parameters"),
     "record_short": (_put("period/until", "2020-01-02T00:00:00+00:00"), CAUTION, "is 16 time constants long"),

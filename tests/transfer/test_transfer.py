@@ -275,7 +275,7 @@ def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
         assert math.isnan(rows["re_estimated"].over_rule.upper)
     found = replace(found, re_estimate=())
     worse = with_verdict(with_gain(found, over_rule=Gain("no_dynamics", -0.5)))
-    assert worse.verdict == "cannot be judged" and "take a longer record" in worse.reasons[0]
+    assert worse.verdict == "cannot be judged" and "use a longer record" in worse.reasons[0]
     better = with_gain(found, over_rule=Gain("no_dynamics", 0.5))
     all_better = all(rows["re_estimated"].over_rule.gain > 0 for rows in better.gains.values())
     assert (with_verdict(better).verdict == "transfers") == all_better
