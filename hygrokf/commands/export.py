@@ -14,7 +14,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_out(parser, "directory for the files, one per table")
     parser.add_argument(
-        "--format", choices=("csv", "parquet"), default="csv", help="of the files (default csv)"
+        "--format", choices=("csv", "parquet"), default="csv", help="format of the files (default csv)"
     )
     parser.add_argument("--turbine", metavar="NAME", help="only this turbine (default: all)")
     parser.add_argument(

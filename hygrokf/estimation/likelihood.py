@@ -55,7 +55,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): score by instant."""
+    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant."""
 
     loglik: float
     score: np.ndarray
