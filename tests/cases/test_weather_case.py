@@ -77,7 +77,7 @@ def test_corrections_and_heights_of_a_weather_file(folder: Path) -> None:
     assert one.value == pytest.approx(other.value - 0.65)
     steep = case(folder, SITE, CABINET, ERA5, more, "lapse_rate_K_per_km = 10\n")
     assert steep["ambient_temperature"].value == pytest.approx(other.value - 1.0)
-    assert any("moved from 311 m to 411 m" in said for said in moved.warnings)
+    assert any("converted from 311 m to 411 m" in said for said in moved.warnings)
 
 
 def test_a_signal_of_both_is_taken_from_the_table_and_compared(folder: Path) -> None:

@@ -458,7 +458,7 @@ def test_a_cause_of_a_session_has_its_module_for_an_origin() -> None:
     assert origins == {"transformer_heat": {"python": "notebook"}}
     assert additions.absent(origins) == []
     additions.withdraw(["transformer_heat"])
-    assert "adopt the cause there" in additions.absent(origins)[0]
+    assert "register the cause there" in additions.absent(origins)[0]
 
 
 def test_discover_refuses_before_the_work() -> None:
