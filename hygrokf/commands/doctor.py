@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
     parser.add_argument(
-        "--wait", type=_duration, default=10.0, metavar="TIME", help="listen to sources so long (default 10s)"
+        "--wait",
+        type=_duration,
+        default=10.0,
+        metavar="TIME",
+        help="time to listen to the sources (default 10s)",
     )
     parser.add_argument(
         "--try",
@@ -63,4 +67,6 @@ def _try(options: argparse.Namespace, streams: Sequence[Stream]) -> int:
     return int(not any(one.used for one in found))
 
 
-VERB = Verb("doctor", "look at all that a tracker needs, change nothing, say what to mend", _arguments, _run)
+VERB = Verb(
+    "doctor", "check everything that a tracker needs, change nothing, report what to fix", _arguments, _run
+)

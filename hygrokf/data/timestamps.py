@@ -303,15 +303,15 @@ def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str,
     if told_apart:
         days = sorted({stamp_text(local[group[0]])[:10] for group in told_apart})
         warnings.append(
-            f"summer-time hole: {sum(map(len, told_apart))} stamps of the doubled hour told apart "
-            f"by their order ({', '.join(days)})"
+            f"summer-time hole: {sum(map(len, told_apart))} stamps of the repeated hour resolved by their "
+            f"order ({', '.join(days)})"
         )
     if left_out:
         days = sorted({stamp_text(local[group[0]])[:10] for group in left_out})
         warnings.append(
-            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour "
-            f"comes twice in {zone} and the order of the file does not tell which is which "
-            f"({', '.join(days)}); stamps with an offset would"
+            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour occurs "
+            f"twice in {zone} and the order of the file does not resolve it "
+            f"({', '.join(days)}); stamps with an offset would resolve it"
         )
     return utc, tuple(warnings)
 
@@ -391,7 +391,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
     if moved:
         warnings.append(
-            f"summer-time hole: one hour is missing and the next comes twice on {_days(moved)}: the "
+            f"summer-time hole: one hour is missing and the next occurs twice on {_days(moved)}: the "
             "export moved the readings of the hour that summer time skips"
         )
     for days in (gap_days["spring"], double_days["spring"]):
@@ -404,7 +404,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         if gap_days[gap]:
             facts.append(f"one hour is missing on {_days(gap_days[gap])}")
         if double_days[double]:
-            facts.append(f"one hour comes twice on {_days(double_days[double])}")
+            facts.append(f"one hour occurs twice on {_days(double_days[double])}")
         if facts:
             warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {reason}")
     return tuple(warnings)
