@@ -72,7 +72,7 @@ class EdgeNodes:
         except Refused as fault:
             return None, [Released((Unreadable(fault.kind, str(fault)),), topic, received, receipt)]
         self.nodes[node.name] = node
-        return node, node.take(Arrived(address, topic, message, received, receipt, repeated))
+        return node, node.take(Arrived(address, topic, message, payload, received, receipt, repeated))
 
     def recall(self, memories: JsonObject) -> None:
         """Resume from what `EdgeNode.memories` gave."""

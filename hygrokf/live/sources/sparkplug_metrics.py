@@ -60,11 +60,13 @@ def address_of(topic: str) -> Address | None:
 
 
 class Arrived(NamedTuple):
-    """A message from an address, with its time of arrival [s]; `repeated`: the broker sends it once more."""
+    """A message from an address, decoded and as its `payload`, with its time of arrival [s]; `repeated`: the
+    broker sends it once more."""
 
     address: Address
     topic: str
     message: Message
+    payload: bytes
     received: float
     receipt: Receipt | None = None
     repeated: bool = False
