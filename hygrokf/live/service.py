@@ -54,10 +54,10 @@ WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 
 @dataclass(frozen=True)
 class SourceTimes:
-    """When a source's last delivery arrived [s], and how long after the time of its newest reading [s]; None
-    without readings so far."""
+    """Of a source's last delivery: when it was committed [s, this machine's clock], and how long after the
+    time of its newest reading it arrived [s]; None without readings so far."""
 
-    arrived: float
+    committed: float
     lag_s: float | None = None
 
 
@@ -87,12 +87,12 @@ class Health:
             self.wait_counts[bisect_left(WAITS_S, wait)] += 1
         self.wait_sum_s += sum(waits)
 
-    def note_source(self, url: str, deliveries: Sequence[Delivery], batch: Batch) -> None:
-        """Note when a source delivered, and how far its newest reading was behind."""
+    def note_source(self, url: str, batch: Batch) -> None:
+        """Note that deliveries of a source were committed, and how far their newest reading was behind."""
         before = self.sources.get(url, SourceTimes(0.0))
         newest = max((*batch.observations, *batch.weather), key=lambda one: one.reading.time, default=None)
         lag_s = before.lag_s if newest is None else newest.received - newest.reading.time
-        self.sources[url] = SourceTimes(max(one.received for one in deliveries), lag_s)
+        self.sources[url] = SourceTimes(time.time(), lag_s)
 
     def wait_s(self, share: float) -> float | None:
         """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
@@ -232,7 +232,7 @@ class Service:
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
-        self.health.note_source(url, deliveries, batch)
+        self.health.note_source(url, batch)
         self._publish(batch)
 
     def _forecast(self, name: str) -> Batch:
