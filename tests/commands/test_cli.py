@@ -113,7 +113,7 @@ def test_fit_prints_the_tables_and_writes_three_files(fitted):
         "Readings inside the 95 % bands",
         "Parameters",
         "thermal_time_constant",
-        "Reliable ( (+)",
+        "Reliable (+)",
     ):
         assert words in said.out
     page = (folder / "result" / "report.html").read_text()
