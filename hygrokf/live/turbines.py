@@ -99,7 +99,7 @@ class Fleet:
         fleet = cls(turbines)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - one.plan.context_s
+            since = -math.inf if point is None else point.time - one.plan.context_s
             fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             known = store.memories(name)
@@ -134,6 +134,7 @@ class Fleet:
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
+            readings = tuple(one.at_whole_microsecond() for one in readings)
             counts.update({(turbine, kind): n for kind, n in refused.items()})
             if mapping.weather:
                 batch.weather += [Observation(turbine, r, one.received) for r in readings]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import struct
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,9 @@ SESSION = (
     "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = "
     "'off'",
 )
+EPOCH_US = 946_684_800_000_000
+"""2000, from which the server counts [µs since 1970]."""
+_MICROSECONDS = struct.Struct("!q")
 SECRETS = ("password", "sslpassword")
 NO_SECRET = (
     "the password does not belong in the store's URL, where it can be read by others: leave it out (and "
@@ -60,7 +64,7 @@ class PostgresDatabase(Database):
     """A session on a PostgreSQL server."""
 
     mark = "%s"
-    words = POSTGRESQL
+    dialect = POSTGRESQL
     connection: psycopg.Connection[Row]
 
     def __init__(self, connection: psycopg.Connection[Row], url: str) -> None:
@@ -69,6 +73,9 @@ class PostgresDatabase(Database):
         super().__init__(connection, url)
         self.errors = psycopg.Error
         self._key: int | None = None
+
+    def cursor(self) -> Cursor:
+        return self.connection.cursor(binary=True)  # as `_times_as_seconds` needs it
 
     def is_trouble(self, error: Exception) -> bool:
         import psycopg
@@ -124,6 +131,23 @@ class PostgresDatabase(Database):
         return int(self.rows("SELECT pg_database_size(current_database())")[0][0])
 
 
+def _times_as_seconds(connection: psycopg.Connection[Row]) -> None:
+    """Let the cursors of a connection give timestamps as seconds since 1970.
+
+    A timestamp is a whole number of microseconds; the seconds are the double precision number nearest to it.
+    """
+    from psycopg.adapt import Buffer, Loader
+    from psycopg.pq import Format
+
+    class Seconds(Loader):
+        format = Format.BINARY
+
+        def load(self, data: Buffer) -> float:
+            return (_MICROSECONDS.unpack(data)[0] + EPOCH_US) / 1e6
+
+    connection.adapters.register_loader("timestamptz", Seconds)
+
+
 def url_fault(url: str) -> str | None:
     """An error message if a store's URL contains a secret, else None.  The message does not repeat the
     secret."""
@@ -162,6 +186,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
             "port, the database, the user, and the password in ~/.pgpass or PGPASSWORD"
         ) from None
     database = PostgresDatabase(connection, url)
+    _times_as_seconds(connection)
     try:
         for statement in SESSION:
             connection.execute(statement)

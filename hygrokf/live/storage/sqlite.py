@@ -31,7 +31,7 @@ class SqliteDatabase(Database):
 
     begin = "BEGIN IMMEDIATE"
     errors = sqlite3.Error
-    words = SQLITE
+    dialect = SQLITE
     connection: sqlite3.Connection
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
