@@ -38,6 +38,7 @@ from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
+from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.tracking import LogLines
 from hygrokf.live.web.page_settings import PageForm
 
@@ -132,6 +133,7 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
         (DOCS / "live_page.md", (PageForm,)),
         (DOCS / "live_mqtt.md", (BrokerForm,)),
         (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
+        (DOCS / "live_postgres.md", (PostgresForm,)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )  # fmt: skip

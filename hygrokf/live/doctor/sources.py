@@ -13,10 +13,12 @@ from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.live.doctor.check import OLD_S, Check, doubt, fault, lasting, ok, payload_checks, stamp_check
 from hygrokf.live.doctor.mqtt import mqtt_checks
 from hygrokf.live.doctor.opcua import opcua_checks
+from hygrokf.live.doctor.postgres import postgres_checks
 from hygrokf.live.sources.local import LONGEST_LINE, Lines, Playback, TailedFile
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.payload import PayloadStatistics
+from hygrokf.live.sources.postgres import PostgresQuery
 from hygrokf.live.sources.stream import PAUSE_S, Stream
 
 TAIL = 4_000_000
@@ -170,5 +172,6 @@ KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
     Playback: playback_checks,
     Mqtt: mqtt_checks,
     OpcUa: opcua_checks,
+    PostgresQuery: postgres_checks,
 }
 """Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s)."""
