@@ -21,6 +21,10 @@ from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, created_views,
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
+REPLACED = (
+    "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
+    "the tracker, so that its sources go on from the places of that store"
+)
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
 
@@ -75,6 +79,10 @@ class StoreUnready(StoreFault):
         self.version = version
 
 
+class StoreReplaced(StoreFault):
+    """The store is another one than the one that was opened: a copy was put in its place."""
+
+
 class Database:
     """One connection in autocommit mode: a statement takes effect at once unless it is part of a
     `transaction`.
@@ -125,6 +133,10 @@ class Database:
         """Whether this user may write into the store."""
         raise NotImplementedError
 
+    def is_replaced(self) -> bool:
+        """Whether the store's place holds another store than the one that was opened."""
+        return False
+
     def size(self) -> int:
         """Size of the store [bytes]."""
         raise NotImplementedError
@@ -172,7 +184,10 @@ class Database:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Raise StoreFault in place of a driver's exception with an external cause."""
+        """Raise StoreFault in place of a driver's exception with an external cause, StoreReplaced in place of
+        using a store that is gone."""
+        if self.is_replaced():
+            raise StoreReplaced(f"{self.url}: {REPLACED}")
         try:
             yield
         except self.errors as error:
