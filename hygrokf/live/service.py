@@ -24,6 +24,7 @@ from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
+from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import SOURCE, Fleet, Turbine
@@ -124,6 +125,7 @@ class Service:
         self._settle = settle
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
+        self._marks: dict[str, str] = {}
         self._isolation: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
@@ -181,6 +183,7 @@ class Service:
             store.claim("turbine", self.turbines)
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             self.fleet = Fleet.from_store(self.turbines, store)
+            self._marks.clear()
         except BaseException:
             store.close()
             raise
@@ -246,12 +249,15 @@ class Service:
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
-        attempt, mark = 0, secrets.token_hex(8)
+        attempt, mark, replaced = 0, secrets.token_hex(8), False
         while True:
             try:
+                self._expect_own_batch(source)
                 # if the mark is stored, the commit succeeded and only its answer was lost
                 if not attempt or not source or self._open_store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
+                    if replaced:
+                        batch.counters[SOURCE, "store replaced"] = 1
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
                         self._open_store.claim("source", batch.place)
@@ -259,6 +265,7 @@ class Service:
                         self._open_store.commit(batch)
                 break
             except StoreFault as fault:
+                replaced = replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
                 self.health.failures += (
                     1  # set after the message, so that whoever sees the failure finds the message
@@ -267,9 +274,18 @@ class Service:
                 if attempt and self.ending.is_set():
                     raise
                 attempt = self._reopen(attempt)
+        if source:
+            self._marks[source] = mark
         self.health.store = ""
         self.health.committed_s = time.time()
         return batch
+
+    def _expect_own_batch(self, source: str) -> None:
+        """Raise StoreReplaced if the store does not hold the batch of a source that was last committed."""
+        store, mark = self._open_store, self._marks.get(source)
+        missing = mark is not None and store.memory(SOURCE, f"batch of {source}") != mark
+        if missing or store.database.is_replaced():
+            raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
         """Publish a committed batch: to the page, and its alarms to the sources that can take them."""

@@ -100,7 +100,7 @@ class Fleet:
         fleet = cls(turbines)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - one.plan.context_s
+            since = -math.inf if point is None else point.time - one.plan.context_s
             fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             known = store.memories(name)
@@ -135,7 +135,8 @@ class Fleet:
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            for turbine, readings, rejections in found:
+            for turbine, stated, rejections in found:
+                readings = [reading.at_whole_microsecond() for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
                 if mapping.weather:
                     batch.weather += [Observation(turbine, r, one.received) for r in readings]
