@@ -272,6 +272,7 @@ class Service:
             states = {url: stream.state for url, stream in self.streams.items()}
             self._log_states(states)
             self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states)))
+            self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
@@ -298,7 +299,9 @@ class Service:
             if name is None:
                 return
             lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
-            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._open_store))
+            reference = self._open_fleet.reference_points.get(name)
+            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
+            self._isolation = (name, steps)
         name, steps = self._isolation
         try:
             found = next(steps)

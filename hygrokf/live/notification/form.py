@@ -60,7 +60,11 @@ class ChannelForm:
         expected=f"text of 1 to {LONGEST_NAME} printable characters without a colon",
     )
     hold_off_s: float = setting(
-        0.0, "time that an alarm must stand", read=duration, least=0.0, most=MOST_HOLD_OFF_S,
+        0.0,
+        "time that an alarm must stand",
+        read=duration,
+        least=0.0,
+        most=MOST_HOLD_OFF_S,
         expected="at most 7 d",
     )
     digest_s: float = setting(
@@ -231,5 +235,3 @@ def _address(url: str) -> Address:
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     user = unquote(parts.username or "")
     return Address(scheme, host, default if port is None else port, user, path, fault)
-
-

@@ -64,9 +64,7 @@ class Sender:
     `record_now` gives the time [s] of the readings, against which shelves are judged.
     """
 
-    def __init__(
-        self, channel: Channel, store_url: str, record_now: Callable[[], float] = time.time
-    ) -> None:
+    def __init__(self, channel: Channel, store_url: str, record_now: Callable[[], float] = time.time) -> None:
         self.channel = channel
         self.delivery = Delivery()
         self._store_url = store_url
@@ -248,5 +246,3 @@ class Sender:
 def send_test(channel: Channel) -> None:
     """Send a test message.  Raises ChannelFault."""
     channel.transport.send(Message(secrets.token_hex(16)))
-
-

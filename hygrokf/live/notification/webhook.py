@@ -137,9 +137,7 @@ def secret_bytes(text: str, place: str) -> bytes:
         found = base64.b64decode(text.removeprefix(MARK), validate=True)
         if text.startswith(MARK) and len(found) >= LEAST_BYTES:
             return found
-    raise ChannelFault(
-        f"expected {MARK} and at least {LEAST_BYTES} bytes in base64 in {place}; {MAKE_ONE}"
-    )
+    raise ChannelFault(f"expected {MARK} and at least {LEAST_BYTES} bytes in base64 in {place}; {MAKE_ONE}")
 
 
 def _cut(connection: http.client.HTTPConnection) -> None:

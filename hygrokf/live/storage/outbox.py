@@ -98,5 +98,3 @@ def _change(store: Store, statement: str, rows: Sequence[Row]) -> None:
     if rows:
         with store.transaction() as cursor:
             cursor.executemany(store.database.text(statement), rows)
-
-

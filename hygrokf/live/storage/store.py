@@ -332,6 +332,11 @@ class Store:
         )
         return [Shelf(*row) for row in found]
 
+    def all_events(self) -> list[Event]:
+        """Events at all turbines, by the time at which they were stated."""
+        found = self.rows(f"SELECT {', '.join(EVENT_COLUMNS)} FROM event ORDER BY made, id")
+        return [Event(*row) for row in found]
+
     def events(self, turbine: str, since: float = -1e18) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
         found = self.rows(
