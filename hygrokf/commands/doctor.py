@@ -15,6 +15,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait", type=_duration, default=10.0, metavar="TIME", help="listen to sources so long (default 10s)"
     )
+    parser.add_argument("--notify", action="store_true", help="send a test message to every [[notify]]")
     add_library(parser)
     add_json(parser)
 
@@ -36,7 +37,7 @@ def _run(options: argparse.Namespace) -> int:
     load_causes(options.library)
     config = tracked_config(options)
     file = next((path for path in options.what if path.suffix == ".toml"), None)
-    found = examine(config, file, options.wait, with_page=not options.no_page)
+    found = examine(config, file, options.wait, not options.no_page, options.notify)
     show(as_data(found), as_text(found), options.json)
     return int(any(one.level == "fault" for one in found))
 

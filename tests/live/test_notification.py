@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,18 +13,28 @@ import pytest
 from builders.page_case import write_certificate
 from builders.ports import free_port
 from builders.receivers import FAILURES, PASSWORD, USER, MailServer, WebhookServer
+from builders.track_case import write_model
+from builders.waiting import eventually
 
+from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.acknowledgement import acknowledge, look_again
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
+from hygrokf.live.condition import Surface
+from hygrokf.live.config import Config, ConfigFault, read_config
+from hygrokf.live.doctor.machine import file_checks
+from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.mail import Mail
 from hygrokf.live.notification.notices import Drop, Send, Situation, Wait, decide, notices_of
 from hygrokf.live.notification.sender import Sender, send_test
 from hygrokf.live.notification.webhook import Webhook, secret_bytes
+from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.tracking import track
+from hygrokf.live.turbines import Turbine
 
 T0 = 1.7e9
 SECRET = bytes(range(32))
@@ -356,3 +367,144 @@ def test_what_a_webhook_refuses_says_nothing_secret(tmp_path: Path) -> None:
         with pytest.raises(ChannelFault) as fault:
             secret_bytes(text, "hook.secret")
         assert text not in str(fault.value).replace("whsec_ and", "")
+
+
+# -- from the tracker's file to the receiver -----------------------------------------------------------------
+MAIL = """\
+[[notify]]
+name = "control room"
+url = "smtp://127.0.0.1:{mail}"
+sender = "Tracker <tracker@farm.example>"
+to = ["ops@farm.example"]
+unencrypted = true
+hold_off = "10min"
+digest = "1h"
+severities = ["warning", "alarm"]
+kinds = ["condensation"]
+turbines = ["T07"]
+"""
+HOOK = """\
+[[notify]]
+name = "duty"
+url = "http://127.0.0.1:{hook}/alarms?key=geheim"
+secret_file = "hook.secret"
+timeout = "2s"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_model(tmp_path / "T07")
+    (tmp_path / "hook.secret").write_text(SECRET_TEXT)
+    (tmp_path / "hook.secret").chmod(0o600)
+    return tmp_path
+
+
+def read(folder: Path, text: str) -> Config:
+    (folder / "track.toml").write_text(TRACK + text)
+    return read_config(folder / "track.toml")
+
+
+TRACK = """\
+[[turbine]]
+name = "T07"
+fit = "T07"
+[mapping.signals]
+Tcab = { signal = "cabinet_temperature", unit = "degC" }
+Tamb = { signal = "ambient_temperature", unit = "degC" }
+[[source]]
+url = "file:live.csv"
+"""
+
+
+def test_channels_of_a_tracker_s_file(folder: Path) -> None:
+    first, second = read(folder, MAIL.format(mail=25) + HOOK.format(hook=80)).channels
+    assert (first.hold_off_s, first.digest_s, first.kinds) == (600.0, 3600.0, ("condensation",))
+    assert first.transport == Mail("127.0.0.1", 25, "Tracker <tracker@farm.example>", ("ops@farm.example",),
+                                   unencrypted=True)  # fmt: skip
+    assert isinstance(second.transport, Webhook) and second.transport.secret() == SECRET
+    assert second.transport.path == "/alarms?key=geheim" and second.transport.timeout_s == 2.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("smtp://127.0.0.1:{mail}", "smtp://me:geheim@mail", "a password must not be in this file"),
+        ("smtp://127.0.0.1:{mail}", "ftp://mail", "url must begin with one of smtp:"),
+        ("smtp://127.0.0.1:{mail}", "smtp://me@mail", "user and password belong together"),
+        ("smtp://127.0.0.1:{mail}", "smtps://mail", "unencrypted does not go with smtps"),
+        ('to = ["ops@farm.example"]', 'to = ["ops"]', "to must be a list of addresses"),
+        ('to = ["ops@farm.example"]', "", "needs to, receivers"),
+        ('kinds = ["condensation"]', 'kinds = ["condensations"]', 'found "condensations"'),
+        ('severities = ["warning", "alarm"]', 'severities = ["worst"]', 'found "worst"'),
+        ('turbines = ["T07"]', 'turbines = ["T08"]', "no turbine is named 'T08'"),
+        ('"10min"', '"10d"', "hold_off must be at most 7 d"),
+        ('"control room"', '"duty"', "a second channel named 'duty'"),
+        ("/alarms?key=geheim", '"\nsecret = "geheim', "a secret must not be in this file"),
+        ('secret_file = "hook.secret"', 'secret_file = "no.secret"', "No such file"),
+        ('secret_file = "hook.secret"', 'secret_file = "T07/fit.json"', "secret_file"),
+        ("http://127.0.0.1:{hook}", "http://me:geheim@host", "a password must not be in this file"),
+        ("http://127.0.0.1:{hook}", "http://127.0.0.1:70000", "a port of 1 to 65535"),
+    ],
+)
+def test_a_fault_of_a_channel_is_told_and_shows_no_secret(
+    folder: Path, before: str, after: str, said: str
+) -> None:
+    text = MAIL + HOOK
+    assert before in text
+    with pytest.raises(ConfigFault) as fault:
+        read(folder, text.replace(before, after).format(mail=25, hook=80))
+    assert said in str(fault.value) and "geheim" not in str(fault.value)
+    assert str(fault.value).startswith("track.toml: [[notify]]")
+
+
+def test_the_doctor_tries_channels_and_sends_on_request(folder: Path) -> None:
+    with MailServer() as mail, WebhookServer(SECRET) as hook:
+        text = MAIL.format(mail=mail.port) + HOOK.format(hook=hook.port)
+        channels = read(folder, text).channels
+        found = channel_checks(channels, send=False)
+        assert [one.level for one in found] == ["ok", "ok"] and not mail.accepted.messages
+        found = channel_checks(channels, send=True)
+        assert [one.level for one in found] == ["ok"] * 4
+        assert len(mail.accepted.messages) == len(hook.accepted.messages) == 1 and not hook.wrong
+    found = channel_checks(channels, send=True)
+    assert [one.level for one in found] == ["fault", "fault"]
+    assert all("refused" in str(one) and "geheim" not in str(one) for one in found)
+    checks = {one.about: one.level for one in file_checks(folder / "track.toml")}
+    assert checks["[[notify]] 2 secret_file"] == "ok"
+
+
+def test_an_alarm_of_a_tracker_arrives(
+    tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole way: readings, an alarm in the store, a mail; also for a channel whose server is away."""
+    monkeypatch.setattr(module, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr("hygrokf.live.notification.notices.PAST_S", math.inf)
+    cold = replace(turbine, surface=Surface(0.0, -8.0))
+    url = f"sqlite:{tmp_path / 'live.db'}"
+    with MailServer() as mail, WebhookServer(SECRET) as hook:
+        channels = (
+            Channel("mail", mail_to(mail, timeout_s=5.0), kinds=("condensation",)),
+            Channel("hook", hook_to(hook, tmp_path), kinds=("condensation",)),
+        )
+        hook.fail("refuse")
+        stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"))
+        config = Config({"T1": cold}, (stream,), url, channels=channels)
+        track(config, with_page=False, until_ended=True)
+        store = open_store(url)
+        raised = store.rows("SELECT id FROM alarm WHERE kind = 'condensation'")
+        assert raised
+        subjects = [str(one["Subject"]) for one, _ in mail.accepted.messages]
+        assert len(set(mail.accepted.keys)) == len(subjects) >= 1
+        assert all(one.startswith("[hygrokf] T1: condensation") for one in subjects)
+        assert outbox.waiting(store)["hook"] >= len(subjects) and not hook.accepted.messages
+        hook.fail("")
+        senders = [Sender(one, url, lambda: record.end_s) for one in channels]
+        for one in senders:
+            one.start()
+        eventually(lambda: not outbox.waiting(store))
+        for one in senders:
+            one.stop()
+        told = [one["notices"][0]["event"] for one in hook.accepted.messages]
+        assert len(told) == len(mail.accepted.messages) and told[0] == "began" and not hook.wrong
+        store.close()

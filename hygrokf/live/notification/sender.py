@@ -8,6 +8,7 @@ intervals that grow.
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import threading
 import time
@@ -44,8 +45,10 @@ GIVE_UP_S = 7.0 * DAY_S
 """[s] after which a message that nobody accepts is dropped, with an error in the log."""
 KEPT_S = 30.0 * DAY_S
 """[s] a notice is kept after it was sent or dropped."""
+REFUSALS = 3
+"""Messages refused one after the other from which the server counts as failing."""
 STOP_S = 5.0
-"""[s] a stopped sender has for the exchange in progress."""
+"""[s] a stopped sender has for what is due; an exchange in progress may take longer."""
 
 
 @dataclass
@@ -74,6 +77,8 @@ class Sender:
         self._thread: threading.Thread | None = None
         self._accepted: list[tuple[tuple[str, ...], float]] = []
         self._paused_until = 0.0
+        self._end_by = math.inf
+        self._refusals = 0
         self._next_tidy = 0.0
         self._store_fault = ""
 
@@ -86,9 +91,10 @@ class Sender:
 
     def stop(self) -> None:
         """Send what is due once more, and end; what fails is sent after the next start."""
+        self._end_by = time.monotonic() + STOP_S
         self._ending.set()
         if self._thread is not None:
-            self._thread.join(timeout=STOP_S)
+            self._thread.join(timeout=2.0 * STOP_S)
 
     # -- the sender's own thread -----------------------------------------------------------------------------
     def _run(self) -> None:
@@ -135,7 +141,7 @@ class Sender:
         for message, made in self._messages(store, found, now):
             if now - made > GIVE_UP_S and message.attempts:
                 self._give_up(store, message)
-            elif not self._attempt(store, message):
+            elif time.monotonic() > self._end_by or not self._attempt(store, message):
                 return
 
     def _messages(self, store: Store, found: Sequence[Notice], now: float) -> list[tuple[Message, float]]:
@@ -200,7 +206,10 @@ class Sender:
         ]
 
     def _attempt(self, store: Store, message: Message) -> bool:
-        """Attempt a message; returns whether others should be attempted now."""
+        """Attempt a message; returns whether others should be attempted now.
+
+        One that is refused does not hold up the others, but several in a row mean that the server fails.
+        """
         names, now = tuple(message.contents), time.time()
         try:
             self.channel.transport.send(message)
@@ -208,10 +217,13 @@ class Sender:
             self._note_failure(str(fault))
             shortest, longest = BACK_OFF_S
             pause_s = min(shortest * 2.0 ** min(message.attempts, 30), longest)
-            if not fault.reached:
+            self._refusals += 1
+            going_on = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
+            if not going_on:
                 self._paused_until = time.time() + pause_s
             outbox.mark_failed(store, names, str(fault), time.time() + pause_s)
-            return fault.reached
+            return going_on
+        self._refusals = 0
         self._accepted.append((names, now))
         if self.delivery.failure:
             LOG.info("notices pass again", extra={"channel": self.channel.name})

@@ -36,6 +36,7 @@ MOST_SHELVED_DAYS, MOST_LATER_DAYS = 30.0, 90.0
 """Longest shelf, and longest time until an alarm is looked at again [d]."""
 EARLIEST_S, AHEAD_S = 400.0 * DAY_S, 300.0
 """How far an event may lie in the past, and ahead of the clock [s]."""
+TRACKED = "expected a turbine that is tracked"
 LISTED = 1_000
 """Largest number of events listed."""
 
@@ -64,14 +65,13 @@ def acknowledgement_of(given: Mapping[str, Json]) -> Acknowledgement:
     alarm, cause = given.get("id"), given.get("cause", "unexplained")
     if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
         raise StatementFault("expected the id of an alarm")
-    if cause not in CAUSES:
-        raise StatementFault(f"expected a cause of {', '.join(CAUSES)}")
+    cause = _chosen(cause, CAUSES, f"expected a cause of {', '.join(CAUSES)}")
     days = None
     if cause == LOOK_AGAIN:
         days = _days(given, MOST_LATER_DAYS)
     elif given.get("days") is not None:
         raise StatementFault(f'days belong to the cause "{LOOK_AGAIN}" alone')
-    return Acknowledgement(alarm, _name(given), str(cause), _note(given), days)
+    return Acknowledgement(alarm, _name(given), cause, _note(given), days)
 
 
 def shelf_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -> Shelf:
@@ -83,24 +83,25 @@ def shelf_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -
 
 def shelved(given: Mapping[str, Json], turbines: Collection[str]) -> tuple[str, str]:
     """Turbine ("" for the sources) and kind of alarms in a posted object.  Raises StatementFault."""
-    turbine, kind = given.get("turbine"), given.get("kind")
-    if turbine != SOURCE and turbine not in turbines:
-        raise StatementFault("expected a turbine that is tracked")
-    if kind not in RULES:
-        raise StatementFault(f"expected a kind of {', '.join(RULES)}")
-    return str(turbine), str(kind)
+    turbine = _chosen(given.get("turbine"), (SOURCE, *turbines), TRACKED)
+    return turbine, _chosen(given.get("kind"), RULES, f"expected a kind of {', '.join(RULES)}")
 
 
 def event_of(given: Mapping[str, Json], turbines: Collection[str], now: float) -> Event:
     """The event in a posted object.  Raises StatementFault."""
-    turbine, kind, at = given.get("turbine"), given.get("kind"), _number(given.get("time", now))
-    if turbine not in turbines:
-        raise StatementFault("expected a turbine that is tracked")
-    if kind not in EVENT_KINDS:
-        raise StatementFault(f"expected a kind of {', '.join(EVENT_KINDS)}")
+    turbine = _chosen(given.get("turbine"), turbines, TRACKED)
+    kind = _chosen(given.get("kind"), EVENT_KINDS, f"expected a kind of {', '.join(EVENT_KINDS)}")
+    at = _number(given.get("time", now))
     if not -EARLIEST_S <= at - now <= AHEAD_S:
         raise StatementFault("expected a time in seconds since 1970, within the last 400 days")
-    return Event(uuid.uuid4().hex, str(turbine), at, str(kind), _note(given), now, _name(given))
+    return Event(uuid.uuid4().hex, turbine, at, kind, _note(given), now, _name(given))
+
+
+def _chosen(value: Json, choices: Collection[str], words: str) -> str:
+    """A text that is one of the choices; `words` say what was expected."""
+    if not isinstance(value, str) or value not in choices:
+        raise StatementFault(words)
+    return value
 
 
 def _name(given: Mapping[str, Json]) -> str:
