@@ -34,6 +34,7 @@ from hygrokf.live.config import (
     WanderingForm,
     read_config,
 )
+from hygrokf.live.notification.form import MailForm, WebhookForm
 from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.local import FileForm
@@ -131,6 +132,7 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
         (OPERATION, (FileForm, PageForm)),
         (DOCS / "live_page.md", (PageForm,)),
         (DOCS / "live_mqtt.md", (BrokerForm,)),
+        (DOCS / "live_notify.md", (MailForm, WebhookForm)),
         (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",

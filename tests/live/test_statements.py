@@ -60,6 +60,8 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     (notice,) = beginning_with(store, "duty", f"duty:{alarm.id}:")
     assert "filter ordered" in notice.content and notice.sent is None
     store.close()
+    (channel,) = client.get("/api/health").json()["channels"]
+    assert (channel["name"], channel["waiting"], channel["failure"]) == ("duty", 1, "")
     shown = {one["id"]: one for one in client.get("/api/alarms").json()["alarms"]}
     assert shown[alarm.id]["cause"] == "look again"
 

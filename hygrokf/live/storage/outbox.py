@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hygrokf.live.batch import Alarm, Notice
 from hygrokf.live.storage.database import Row
@@ -19,6 +19,28 @@ def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
         (now, channel, most),
     )
     return [Notice(*row) for row in rows]
+
+
+@dataclass(frozen=True)
+class ChannelState:
+    """A channel's outbox: notices `waiting`, of which the oldest was `made` [s]; the `failure` of
+    their attempts, empty if none has failed; when a notice was last `sent` [s]."""
+
+    waiting: int = 0
+    made: float | None = None
+    failure: str = ""
+    sent: float | None = None
+
+
+def channel_states(store: Store) -> dict[str, ChannelState]:
+    """The outbox by channel."""
+    rows = store.rows(
+        "SELECT channel, SUM(CASE WHEN sent IS NULL THEN 1 ELSE 0 END), "
+        "MIN(CASE WHEN sent IS NULL THEN made END), "
+        "MAX(CASE WHEN sent IS NULL THEN failure ELSE '' END), "
+        "MAX(CASE WHEN failure = '' THEN sent END) FROM outbox GROUP BY channel"
+    )
+    return {channel: ChannelState(int(count), *rest) for channel, count, *rest in rows}
 
 
 def waiting(store: Store) -> dict[str, int]:

@@ -10,12 +10,14 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.storage.outbox import ChannelState, channel_states
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
@@ -186,13 +188,19 @@ class Page:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        counters, open_ = self.reader.read(lambda store: (store.counters(), open_alarms(store)))
+        counters, open_, told = self.reader.read(
+            lambda store: (store.counters(), open_alarms(store), channel_states(store))
+        )
         own = {
             "now": self.service.now,
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
             "open_alarms": open_,
+            "channels": [
+                {"name": one.name, **asdict(told.get(one.name, ChannelState()))}
+                for one in self.service.channels
+            ],
         }
         return reply({**own, **health_view(self._sources(), self.service.health, counters)})
 
