@@ -7,13 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.live_case import live_record, live_turbine
+from builders.service_case import Acknowledging, in_small_rounds, running
 from builders.tracker_case import arriving, planned, readings_of
+from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.live.batch import Event
+from hygrokf.live import service as service_module
+from hygrokf.live.acknowledgement import acknowledge
+from hygrokf.live.batch import Alarm, Batch, Event
 from hygrokf.live.changes import SETTLED_S, jump_variance, settled
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState, parameter_shifts
+from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
@@ -126,3 +131,31 @@ def test_an_event_ends_what_it_explains_and_survives_a_restart(tmp_path: Path) -
     store.close()
 
 
+
+
+def test_a_running_tracker_takes_what_people_state(
+    store_url: str, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An event and an alarm that is due again, written over another connection while the tracker runs."""
+    monkeypatch.setattr(service_module, "TICK_S", 0.05)
+    in_small_rounds(monkeypatch, 100)
+    stream = Acknowledging(record, halts=[0.5])
+    told: list[Batch] = []
+    service = Service({"T1": turbine}, [stream], store_url, told.append)
+    with running(service, until_ended=True):
+        page = eventually(lambda: service.store is not None) and open_store(store_url)
+        eventually(lambda: page.point("T1"))
+        stated = record.start_s + 0.4 * (record.end_s - record.start_s)
+        page.note_event(Event("e1", "T1", stated, "settings changed", "", stated, "me"))
+        alarm = Alarm("a1", "T1", "condensation", "warning", stated, "wet", "dry it")
+        page.commit(Batch(alarms=[alarm]))
+        assert acknowledge(page, "a1", "me", stated, "look again", look_again_s=1.0) == "T1"
+        eventually(lambda: page.memory("T1", "changes"))
+        eventually(lambda: page.rows("SELECT acknowledged FROM alarm WHERE id = 'a1'") == [(None,)])
+        assert [one.id for batch in told for one in batch.reopened] == ["a1"]
+        stream.go_on()
+    (change,) = page.memory("T1", "changes")
+    assert change["event"] == "e1" and change["time"] >= stated
+    tracker = Tracker(turbine.plan, page.point("T1"))
+    page.close()
+    expect_same(tracker, record, [change["time"]])

@@ -178,7 +178,7 @@ def test_a_stated_change_is_followed_at_once_and_is_the_reference(
     *_, found = isolate(
         tracked, replace(cabinet, series=(wrong, *kept)).window(since, cabinet.end_s), reference
     )
-    assert found.cause == "humidity_sensor" and found.value == pytest.approx(0.08, abs=0.03)
+    assert found.cause == "humidity_sensor" and 0.02 < found.value < 0.11  # it drifts there within days
     with pytest.raises(ValueError, match="since the stated change"):
         list(isolate(tracked, window, replace(reference, time=cabinet.end_s)))
 

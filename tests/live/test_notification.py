@@ -94,6 +94,17 @@ def test_a_digest_collects_all_but_the_most_severe() -> None:
         assert (notice.due, notice.made) == (due, now)
 
 
+def test_the_end_is_for_those_who_were_told_of_the_beginning() -> None:
+    channel = replace(SILENT, severities=("warning",))
+    worse = Alarm("a", "T1", "condensation", "alarm", T0, "", "")
+    assert notices_of([worse], [channel], T0, T0) == []
+    (end,) = notices_of([replace(worse, ended=T0 + 9.0)], [channel], T0, T0)
+    begin = written(replace(worse, severity="warning"), T0, channel)
+    ended = replace(worse, ended=T0 + 9.0)
+    assert isinstance(decide(end, channel, known(ended, replace(begin, sent=T0))), Send)
+    assert isinstance(decide(end, channel, known(ended)), Drop)
+
+
 def known(alarm: Alarm | None, *others: Notice, shelved: bool = False, now: float = T0 + 100.0) -> Situation:
     return Situation(alarm, others, shelved, now, now)
 
@@ -240,6 +251,11 @@ def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
     sender._pass()
     sender._pass()
     assert outbox.waiting(store) == {"ops": 1}
+    again = Sender(channel, url)  # as after a crash before the commit
+    again._pass()
+    assert transport.messages[0] == transport.messages[1]
+    again._close()
+    del transport.messages[1:]
     fails[0] = False
     sender._pass()
     assert outbox.waiting(store) == {} and len(transport.messages) == 1

@@ -6,7 +6,7 @@ import hashlib
 import math
 import ssl
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -104,13 +104,16 @@ class Channel:
     severities: tuple[str, ...] = ()
     turbines: tuple[str, ...] = ()
 
-    def covers(self, alarm: Alarm) -> bool:
-        """Whether an alarm is sent here; an alarm of no turbine (a lost source) concerns all of them."""
-        return (
-            (not self.kinds or alarm.kind in self.kinds)
-            and (not self.severities or alarm.severity in self.severities)
-            and (not self.turbines or not alarm.turbine or alarm.turbine in self.turbines)
+    def concerns(self, alarm: Alarm) -> bool:
+        """Whether an alarm of some severity is sent here; one of no turbine (a lost source) concerns all of
+        them."""
+        return (not self.kinds or alarm.kind in self.kinds) and (
+            not self.turbines or not alarm.turbine or alarm.turbine in self.turbines
         )
+
+    def covers(self, alarm: Alarm) -> bool:
+        """Whether the beginning of an alarm is sent here."""
+        return self.concerns(alarm) and (not self.severities or alarm.severity in self.severities)
 
     def collects(self, alarm: Alarm) -> bool:
         """Whether notices of an alarm wait for the next digest."""
@@ -143,8 +146,3 @@ def tls_context(ca: Path | None) -> ssl.SSLContext:
     except (OSError, ssl.SSLError) as fault:
         said = "expected certificates in PEM" if isinstance(fault, ssl.SSLError) else fault.strerror
         raise ChannelFault(f"ca: {ca}: {said}") from None
-
-
-def named(channels: Iterable[Channel]) -> dict[str, Channel]:
-    """Channels by name."""
-    return {one.name: one for one in channels}

@@ -40,19 +40,22 @@ def notices_of(
     alarms: Iterable[Alarm], channels: Iterable[Channel], now: float, record_now: float
 ) -> list[Notice]:
     """Notices of alarms that began, became worse or ended, made at `now` [s]; `record_now` [s] is the time of
-    the readings."""
+    the readings.
+
+    An end is written whatever the severity is by then: it is sent if the beginning was.
+    """
     channels = tuple(channels)
     return [
         _notice(channel, alarm, BEGAN if alarm.ended is None else ENDED, now, record_now)
         for alarm in alarms
         for channel in channels
-        if channel.covers(alarm)
+        if (channel.covers(alarm) if alarm.ended is None else channel.concerns(alarm))
     ]
 
 
 def acknowledgement(alarm: Alarm, channels: Iterable[Channel], now: float) -> list[Notice]:
     """Notices of an acknowledged alarm."""
-    return [_notice(one, alarm, ACKNOWLEDGED, now, now) for one in channels if one.covers(alarm)]
+    return [_notice(one, alarm, ACKNOWLEDGED, now, now) for one in channels if one.concerns(alarm)]
 
 
 def due_again(alarm: Alarm, look_again: float, channels: Iterable[Channel], now: float) -> list[Notice]:

@@ -12,7 +12,7 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -167,8 +167,10 @@ class Sender:
         outbox.keep_contents(store, [(name, as_text(one)) for m in new for name, one in m.contents.items()])
         return again + [(one, now) for one in new]
 
-    def _decided(self, store: Store, fresh: Iterable[Notice], now: float) -> dict[str, Content]:
+    def _decided(self, store: Store, fresh: Sequence[Notice], now: float) -> dict[str, Content]:
         """Contents to send, by id of their notices; the others are dropped or postponed."""
+        if not fresh:
+            return {}
         record_now = self._record_now()
         shelves = {(one.turbine, one.kind) for one in store.shelves(record_now)}
         sent: dict[str, Content] = {}
