@@ -20,9 +20,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
+from hygrokf.live.acknowledgement import look_again
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.notices import notices_of
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
@@ -105,7 +108,8 @@ class Service:
     """Streams, a fleet and a store, run by one thread.
 
     `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
-    store keeps `retention_s` [s] of history before each turbine's newest final estimate.
+    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  Alarms are written
+    together with notices for the `channels` that cover them.
     """
 
     def __init__(
@@ -115,6 +119,7 @@ class Service:
         store_url: str,
         settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
+        channels: Sequence[Channel] = (),
     ) -> None:
         self.turbines = turbines
         self.streams = {one.url: one for one in streams}
@@ -122,6 +127,7 @@ class Service:
         self.health = Health()
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
+        self.channels = tuple(channels)
         self._settle = settle
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
@@ -181,6 +187,7 @@ class Service:
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
+            store.claim("channel", [one.name for one in self.channels])
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             self.fleet = Fleet.from_store(self.turbines, store)
             self._marks.clear()
@@ -258,6 +265,7 @@ class Service:
                     batch = make()
                     if replaced:
                         batch.counters[SOURCE, "store replaced"] = 1
+                    batch.notices += notices_of(batch.alarms, self.channels, time.time(), self.now)
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
                         self._open_store.claim("source", batch.place)
@@ -311,6 +319,8 @@ class Service:
             self._log_states(states)
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
             self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states, left)))
+            self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
+            self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
             name = self._open_fleet.forecast_due(EVERY_S)
@@ -336,7 +346,9 @@ class Service:
             if name is None:
                 return
             lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
-            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._open_store))
+            reference = self._open_fleet.reference_points.get(name)
+            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
+            self._isolation = (name, steps)
         name, steps = self._isolation
         try:
             found = next(steps)

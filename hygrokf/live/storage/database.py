@@ -248,11 +248,11 @@ class Database:
             cursor.execute(statement)
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
-        """Claim turbines or sources for this process alone, until the connection is closed or the process
-        dies.
+        """Claim turbines, sources or channels for this process alone, until the connection is closed or the
+        process dies.
 
-        kind: "turbine" or "source".  Raises StoreFault, naming the holder, if another process has claimed one
-            of them.
+        kind: "turbine", "source" or "channel".  Raises StoreFault, naming the holder, if another process has
+            claimed one of them.
         """
         wanted = sorted({(kind, name) for name in names} - self._held)
         if not wanted:

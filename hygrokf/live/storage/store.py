@@ -177,8 +177,16 @@ class Store:
         )
         self._many(
             cursor,
+            "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?",
+            [(alarm.id,) for alarm in batch.reopened],
+        )
+        self._write_notices(cursor, batch.notices)
+
+    def _write_notices(self, cursor: Cursor, notices: Iterable[Notice]) -> None:
+        self._many(
+            cursor,
             inserting("outbox", NOTICE_COLUMNS) + " ON CONFLICT (id) DO NOTHING",
-            [astuple(one) for one in batch.notices],
+            [astuple(one) for one in notices],
         )
 
     def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
@@ -253,18 +261,25 @@ class Store:
         cause: str = "unexplained",
         note: str = "",
         look_again: float | None = None,
+        notices: Iterable[Notice] = (),
     ) -> bool:
         """Acknowledge an alarm at a time [s] with its cause (one of `batch.CAUSES`), to be looked at again at
-        `look_again` [s].
+        `look_again` [s]; write its notices.
 
         Returns False if there is no such alarm or it was acknowledged before.
         """
-        changed = self._execute(
-            f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
-            "WHERE id = ? AND acknowledged IS NULL",
-            (at, by, cause, note, look_again, alarm),
-        )
-        return changed == 1
+        with self.transaction() as cursor:
+            cursor.execute(
+                self._text(
+                    f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
+                    "WHERE id = ? AND acknowledged IS NULL"
+                ),
+                (at, by, cause, note, look_again, alarm),
+            )
+            changed = cursor.rowcount == 1
+            if changed:
+                self._write_notices(cursor, notices)
+        return changed
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
@@ -277,36 +292,6 @@ class Store:
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
         self._execute(replacing("event", EVENT_COLUMNS, key=("id",)), astuple(event))
-
-    # -- notices ---------------------------------------------------------------------------------------------
-    def notices_due(self, now: float, most: int = 100) -> list[Notice]:
-        """Notices that are not sent and due at `now` [s], the earliest first."""
-        return [
-            Notice(*row)
-            for row in self.rows(
-                f"SELECT {', '.join(NOTICE_COLUMNS)} FROM outbox WHERE sent IS NULL AND due <= ? "
-                "ORDER BY due, id LIMIT ?",
-                (now, most),
-            )
-        ]
-
-    def mark_sent(self, notices: Iterable[str], at: float) -> None:
-        """State that notices (by id) were sent at a time [s]."""
-        with self.transaction() as cursor:
-            self._many(
-                cursor,
-                "UPDATE outbox SET sent = ?, attempts = attempts + 1, failure = '' WHERE id = ?",
-                [(at, one) for one in notices],
-            )
-
-    def mark_failed(self, notices: Iterable[str], failure: str, due: float) -> None:
-        """State why notices (by id) could not be sent, and when they are due again [s]."""
-        with self.transaction() as cursor:
-            self._many(
-                cursor,
-                "UPDATE outbox SET attempts = attempts + 1, failure = ?, due = ? WHERE id = ?",
-                [(failure, due, one) for one in notices],
-            )
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
         """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
@@ -348,6 +333,11 @@ class Store:
             f"SELECT {', '.join(SHELF_COLUMNS)} FROM shelf WHERE until > ? ORDER BY turbine, kind", (now,)
         )
         return [Shelf(*row) for row in found]
+
+    def all_events(self) -> list[Event]:
+        """Events at all turbines, by the time at which they were stated."""
+        found = self.rows(f"SELECT {', '.join(EVENT_COLUMNS)} FROM event ORDER BY made, id")
+        return [Event(*row) for row in found]
 
     def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
