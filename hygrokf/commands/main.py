@@ -19,6 +19,7 @@ from hygrokf.commands import (
     fit,
     fleet,
     report,
+    restore,
     simulate,
     track,
     transfer,
@@ -29,7 +30,7 @@ from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB, climate.VERB,
-    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, report.VERB,
+    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
 
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:
-        print("interrupted; nothing half-written is left", file=sys.stderr)
+        print("interrupted; no incomplete file is left", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of the output has gone; the remaining output must not raise at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

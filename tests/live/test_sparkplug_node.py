@@ -20,8 +20,9 @@ from builders.sparkplug_peer import (
     payload,
 )
 
-from hygrokf.live.sources import sparkplug, sparkplug_node
-from hygrokf.live.sources.payload import Field, PayloadMapping, Refused, Unreadable
+from hygrokf.live.sources import sparkplug, sparkplug_held, sparkplug_node
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused, Unreadable
 from hygrokf.live.sources.sparkplug import EdgeNodes
 from hygrokf.live.sources.sparkplug_metrics import Released
 
@@ -321,7 +322,7 @@ def test_topics_of_others(topic: str, ours: bool) -> None:
 def test_numbers_of_nodes_devices_and_held_metrics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sparkplug, "MOST_NODES", 2)
     monkeypatch.setattr(sparkplug_node, "MOST_DEVICES", 2)
-    monkeypatch.setattr(sparkplug_node, "MOST_HELD", 3)
+    monkeypatch.setattr(sparkplug_held, "MOST_HELD", 3 * 600)
     followed = Followed()
     for number in range(3):
         peer = EdgeNode(name=f"Farm/N{number}", devices={f"W{k}": {NAME: FLOAT} for k in range(3)})
@@ -364,7 +365,7 @@ def test_10_000_damaged_messages_never_raise(peer: EdgeNode) -> None:
     for one in followed.released:
         for content in one.contents:
             try:
-                read += bool(mapping.read(content, one.received, one.topic).readings)
+                read += any(found.readings for found in mapping.read(content, one.received, one.topic))
             except Refused:
                 pass
     assert read > 500 and len(followed.counts) > 5

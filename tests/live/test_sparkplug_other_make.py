@@ -15,7 +15,8 @@ from builders.waiting import eventually
 
 from hygrokf.live.sources import sparkplug, sparkplug_node
 from hygrokf.live.sources.broker import Broker
-from hygrokf.live.sources.payload import Field, PayloadMapping, Refused
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import Delivery
 

@@ -18,7 +18,8 @@ from hygrokf.data.timestamps import stamp_text
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
 from hygrokf.live.sources.mqtt_link import Arrival, Link
-from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, Unreadable
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
 from hygrokf.live.sources.sparkplug_node import EdgeNode
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
@@ -71,7 +72,7 @@ class EdgeNodes:
         except Refused as fault:
             return None, [Released((Unreadable(fault.kind, str(fault)),), topic, received, receipt)]
         self.nodes[node.name] = node
-        return node, node.take(Arrived(address, topic, message, received, receipt, repeated))
+        return node, node.take(Arrived(address, topic, message, payload, received, receipt, repeated))
 
     def recall(self, memories: JsonObject) -> None:
         """Resume from what `EdgeNode.memories` gave."""

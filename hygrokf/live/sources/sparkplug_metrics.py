@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.live.sources.payload import Payload, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Message, Metric
 from hygrokf.live.sources.stream import Receipt
 
@@ -60,11 +60,13 @@ def address_of(topic: str) -> Address | None:
 
 
 class Arrived(NamedTuple):
-    """A message from an address, with its time of arrival [s]; `repeated`: the broker sends it once more."""
+    """A message from an address, decoded and as its `payload`, with its time of arrival [s]; `repeated`: the
+    broker sends it once more."""
 
     address: Address
     topic: str
     message: Message
+    payload: bytes
     received: float
     receipt: Receipt | None = None
     repeated: bool = False

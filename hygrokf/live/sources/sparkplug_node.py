@@ -8,12 +8,12 @@ held until the next birth certificate, and is read only if its alias means the s
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
-from hygrokf.live.sources.payload import Unreadable
+from hygrokf.live.sources.payload_formats import Unreadable
+from hygrokf.live.sources.sparkplug_held import HeldMessages
 from hygrokf.live.sources.sparkplug_metrics import (
     Arrived,
     Released,
@@ -27,8 +27,6 @@ REORDER_S = 2.0
 """[s] a message waits for those before it: brokers keep the order within a topic only."""
 MOST_WAITING = 100
 """Messages of an edge node that may wait for those before them."""
-MOST_HELD = 5_000
-"""Metrics of an edge node that are held until its birth; the oldest are dropped."""
 UNEXPLAINED = ("held until birth", "no birth yet")
 """Reasons for which metrics by alias are not read: a birth certificate is awaited."""
 MOST_DEVICES = 1_000
@@ -73,7 +71,7 @@ class EdgeNode:
         self._former: dict[str, Table] = {}
         self._last: Arrived | None = None
         self._waiting: list[Arrived] = []
-        self._held: deque[Arrived] = deque()
+        self._held = HeldMessages()
         self._changed = False
 
     @property
@@ -184,7 +182,7 @@ class EdgeNode:
         unknown = [m for m in one.message.metrics if m.alias is not None and table.name_of(m) is None]
         held = tuple(m for m in unknown if former.name_of(m) is not None)
         if held:
-            self._hold(one._replace(message=replace(one.message, metrics=held), receipt=None))
+            self._held.add(one)
             contents.append(
                 Unreadable(UNEXPLAINED[0], metrics_text(one, held, "wait for a birth certificate"))
             )
@@ -200,22 +198,15 @@ class EdgeNode:
             )
         return Released(tuple(contents), one.topic, one.received, one.receipt)
 
-    def _hold(self, one: Arrived) -> None:
-        self._held.append(one)
-        count = sum(len(held.message.metrics) for held in self._held)
-        while count > MOST_HELD:
-            count -= len(self._held.popleft().message.metrics)
-
     def _released_by_birth(self, device: str) -> list[Released]:
         """Held metrics of a device: read if the new birth certificate gives their aliases the old meaning."""
         former, table = self._former.pop(device, Table()), self._tables[device]
-        those = [one for one in self._held if one.address.device == device]
-        self._held = deque(one for one in self._held if one.address.device != device)
         released = []
-        for one in those:
-            same = tuple(m for m in one.message.metrics if table.agrees(former, m))
+        for one in self._held.release(device):
+            held = [m for m in one.message.metrics if not m.name and former.name_of(m) is not None]
+            same = tuple(m for m in held if table.agrees(former, m))
             contents = contents_of(one._replace(message=replace(one.message, metrics=same)), table)
-            if len(same) < len(one.message.metrics):
+            if len(same) < len(held):
                 contents.append(
                     Unreadable("alias changed", f"aliases of {one.address.where} changed in a gap")
                 )
