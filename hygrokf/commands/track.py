@@ -43,13 +43,13 @@ def add_tracked(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="URL",
-        help="file:PATH or stdin, where no file says so",
+        help="source without a TRACK.toml: file:PATH or stdin",
     )
     parser.add_argument(
         "--store", metavar="URL", help="sqlite:PATH (default sqlite:live.db) or postgresql://…"
     )
     parser.add_argument("--page", metavar="HOST:PORT", help="address of the page (default 127.0.0.1:8080)")
-    parser.add_argument("--no-page", action="store_true", help="no page: the store and alarms alone")
+    parser.add_argument("--no-page", action="store_true", help="no page, only store and alarms")
 
 
 def tracked_config(options: argparse.Namespace) -> Config:
@@ -72,18 +72,19 @@ def tracked_config(options: argparse.Namespace) -> Config:
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
-    parser.add_argument(
-        "--demo", action="store_true", help="a synthetic turbine, played back; needs nothing else"
-    )
+    parser.add_argument("--demo", action="store_true", help="play back synthetic data; needs no files")
     parser.add_argument("--until-ended", action="store_true", help="end when all sources have ended")
     parser.add_argument(
-        "--log", choices=("text", "json"), default="text", help="form of the log on standard error"
+        "--log", choices=("text", "json"), default="text", help="format of the log on standard error"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("live-demo"), help="directory of the demo (default live-demo)"
     )
     parser.add_argument(
-        "--speed", type=_factor, default=1800.0, help="of the demo: times faster than real (default 1800)"
+        "--speed",
+        type=_factor,
+        default=1800.0,
+        help="speed of the demo, relative to real time (default 1800)",
     )
     add_library(parser)
 

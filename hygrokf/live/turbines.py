@@ -43,7 +43,8 @@ from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
-from hygrokf.live.sources.payload import PayloadMapping, Refused
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.stream import Delivery, SourceState
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import SAME_S, Course, Tracker
@@ -130,16 +131,17 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                turbine, readings, refused = mapping.read(one.content, one.received, one.topic)
+                found = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            counts.update({(turbine, kind): n for kind, n in refused.items()})
-            if mapping.weather:
-                batch.weather += [Observation(turbine, r, one.received) for r in readings]
-                continue
-            is_late = self.trackers[turbine].is_late
-            touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
+            for turbine, readings, rejections in found:
+                counts.update((turbine, rejection.kind) for rejection in rejections)
+                if mapping.weather:
+                    batch.weather += [Observation(turbine, r, one.received) for r in readings]
+                elif readings:
+                    is_late = self.trackers[turbine].is_late
+                    touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
         for name, observations in touched.items():
             tracker = self.trackers[name]
             tracker.take(one.reading for one in observations)

@@ -296,7 +296,7 @@ MASKED = [
     ),
     pytest.param(
         column("RH_cab_pct", lambda row, cell: "100.0" if 300 <= row < 340 else cell),
-        ("saturated humidity, 40 readings of at least 99.5 % masked", "stay out of the likelihood"),
+        ("saturated humidity, 40 readings of at least 99.5 % masked", "excluded from the likelihood"),
         40,
         id="saturated",
     ),

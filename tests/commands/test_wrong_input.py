@@ -276,7 +276,7 @@ def test_what_the_system_refuses_is_told_without_a_traceback(folder, monkeypatch
 def test_an_interrupted_fit_leaves_nothing(folder, monkeypatch):
     before = content(folder)
     monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
-    assert run(FIT) == Said(130, "", "interrupted; nothing half-written is left\n")
+    assert run(FIT) == Said(130, "", "interrupted; no incomplete file is left\n")
     assert content(folder) == before
 
 

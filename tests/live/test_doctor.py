@@ -238,7 +238,7 @@ def test_rows_that_give_no_reading_are_counted_with_the_reason(folder: Path) -> 
     with source.open("a") as file:
         file.write(row(now, "T99") + row(now, cabinet=500.0) + f"T07,yesterday,1,2\nT07,{iso(now)},,\n")
     found = said(looked(folder), "doubt", "37 of 40 last rows gave readings", "compare [mapping]").found
-    for words in ("1 unknown turbine (turbine 'T99'", "1 impossible value", "1 no time", "1 no known field"):
+    for words in ("1 unknown turbine (turbine 'T99'", "1 impossible value", "1 no time", "1 no value"):
         assert words in found
     write_rows(source, now, turbine="T99")
     said(looked(folder), "fault", "0 of 36 last rows gave readings")

@@ -6,6 +6,7 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,19 @@ def test_a_sparkplug_table(topics: str) -> None:
     # the layout of its payloads is its own; turbines and signals are those of the mapping
     assert (stream.mapping.tag, stream.mapping.quality, stream.mapping.turbine) == ("", "quality", "{4}")
     assert stream.signals("T1") == {"cabinet_temperature"}
+
+
+def test_a_metric_s_name_may_contain_the_turbine() -> None:
+    mapping = replace(
+        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", comma=True, records="values"
+    )
+    place = Place("[[source]] 1")
+    stream = stream_of(tomllib.loads(f'{TABLE}topics = ["spBv1.0/#"]'), place, Path(), mapping)
+    names = {f"W01/{NAME}": 21.5, f"W09/{NAME}": 22.5, "Load": 1.0}
+    (found,) = [
+        one for one in stream.mapping.read({**names, "time": 1.7e9, "quality": "good"}, 1.7e9) if one.readings
+    ]
+    assert found.turbine == "T1" and [one.value for one in found.readings] == [21.5 + 273.15]
 
 
 def test_messages_are_mapped_unless_a_format_is_stated() -> None:

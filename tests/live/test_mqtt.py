@@ -43,7 +43,9 @@ from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import LARGEST, Field, PayloadMapping, Refused
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload_formats import LARGEST, Refused
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine

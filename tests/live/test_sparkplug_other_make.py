@@ -15,7 +15,8 @@ from builders.waiting import eventually
 
 from hygrokf.live.sources import sparkplug, sparkplug_node
 from hygrokf.live.sources.broker import Broker
-from hygrokf.live.sources.payload import Field, PayloadMapping, Refused
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import Delivery
 
@@ -85,7 +86,8 @@ class Read:
             found = self.stream.mapping.read(one.content, one.received, one.topic)
         except Refused:
             return
-        self.values[found.turbine] += [round(r.value - 273.15, 3) for r in found.readings]
+        for turbine, readings, _ in found:
+            self.values[turbine] += [round(r.value - 273.15, 3) for r in readings]
 
 
 @contextmanager

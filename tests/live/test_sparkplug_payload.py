@@ -29,7 +29,7 @@ from builders.sparkplug_peer import (
     payload_class,
 )
 
-from hygrokf.live.sources.payload import Refused
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.sparkplug_payload import (
     COMPRESSED,
     LARGEST_MESSAGE,

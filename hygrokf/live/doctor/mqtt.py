@@ -21,7 +21,8 @@ from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities,
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import Content, PayloadStatistics
+from hygrokf.live.sources.payload_formats import Content
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def mqtt_checks(
             link.lose(str(error))
         except Exception as error:  # of any kind: it is reported
             link.lose(unreachable(error, broker.where))
-        _await_answer(link)
+        await_answer(link)
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
@@ -144,7 +145,7 @@ def plain_filter(topics: str) -> str:
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
-def _await_answer(link: Link) -> None:
+def await_answer(link: Link) -> None:
     """Wait until the broker has answered the subscription or the link is lost."""
     end = time.monotonic() + ANSWER_S
     while not (link.answered or link.lost.is_set()) and time.monotonic() < end:

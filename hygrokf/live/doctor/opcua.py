@@ -21,7 +21,7 @@ from hygrokf.live.doctor.check import (
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Sample
-from hygrokf.live.sources.payload import PayloadStatistics
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import PAUSE_S, several
 
 BACK_S = DAY_S

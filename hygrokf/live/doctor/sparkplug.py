@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from hygrokf.live.doctor.check import Check, doubt, lasting, ok
 from hygrokf.live.doctor.mqtt import mqtt_checks
-from hygrokf.live.sources.payload import Content, PayloadStatistics, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Unreadable
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
 from hygrokf.live.sources.stream import several

@@ -21,15 +21,14 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.broker import Broker, alarm_topic, unreachable
 from hygrokf.live.sources.mqtt_link import Arrival, Link, is_confirmed
-from hygrokf.live.sources.payload import LARGEST, Content, PayloadMapping
-from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Threaded
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import LARGEST, Content
+from hygrokf.live.sources.stream import BACK_OFF_S, Delivery, SourceFault, SourceState, Threaded
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
 
 LOG = logging.getLogger("hygrokf.track")
-BACK_OFF_S = (1.0, 60.0)
-"""Shortest and longest pause [s] between attempts to connect; each pause is twice the one before."""
 AGAIN_S = 60.0
 """[s] after which a denied filter is requested again."""
 LINGER_S = 10.0
@@ -111,14 +110,15 @@ class Mqtt(Threaded):
     @property
     def state(self) -> SourceState:
         link = self._link
-        if link is None or self._state.word == "stopped":
+        if link is None or self._state.word in ("stopped", "lost"):
             return self._state
         found = link.state
         # while reconnecting, keep reporting the loss and its reason
         return SourceState("lost", self._reason) if found.word == "waiting" and self._reason else found
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
         pause, longest = BACK_OFF_S
         while not self._ended.is_set():
@@ -142,7 +142,6 @@ class Mqtt(Threaded):
             # a random pause, so that trackers of one broker do not all reconnect at once
             self._ended.wait(pause * random.uniform(0.5, 1.0))
             pause = min(2.0 * pause, longest)
-        self._state = SourceState("stopped", "")
 
     def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.

@@ -20,7 +20,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hygrokf.live.sources.broker import Broker, reason_words, tls_words
-from hygrokf.live.sources.payload import LARGEST
+from hygrokf.live.sources.payload_formats import LARGEST
 from hygrokf.live.sources.stream import SourceState
 
 if TYPE_CHECKING:

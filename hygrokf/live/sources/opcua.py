@@ -19,7 +19,8 @@ from dataclasses import replace
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.live.sources.opcua_client import Connection, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
-from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, PayloadMapping
+from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Threaded, several
 
 LOG = logging.getLogger("hygrokf.track")

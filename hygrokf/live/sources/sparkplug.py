@@ -18,7 +18,8 @@ from hygrokf.data.timestamps import stamp_text
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
 from hygrokf.live.sources.mqtt_link import Arrival, Link
-from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, Unreadable
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
 from hygrokf.live.sources.sparkplug_node import EdgeNode
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
@@ -106,8 +107,9 @@ class Sparkplug(Mqtt):
     largest = LARGEST_MESSAGE
 
     def __init__(self, broker: Broker, mapping: PayloadMapping, rebirth_requests: bool = False) -> None:
-        own = replace(mapping, time="time", quality="quality", good=("good",), tag="", value="")
-        super().__init__(broker, own)
+        own = mapping.of_own_payloads(("good",), mapping.turbines)
+        named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
+        super().__init__(broker, named)
         self.rebirth_requests = rebirth_requests
         self.edge_nodes = EdgeNodes()
         self._asked: dict[str, float] = {}

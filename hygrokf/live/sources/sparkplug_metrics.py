@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.live.sources.payload import Payload, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Message, Metric
 from hygrokf.live.sources.stream import Receipt
 

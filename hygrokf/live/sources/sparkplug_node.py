@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
-from hygrokf.live.sources.payload import Unreadable
+from hygrokf.live.sources.payload_formats import Unreadable
 from hygrokf.live.sources.sparkplug_held import HeldMessages
 from hygrokf.live.sources.sparkplug_metrics import (
     Arrived,

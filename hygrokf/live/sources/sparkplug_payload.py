@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from hygrokf.live.sources.payload import Refused
+from hygrokf.live.sources.payload_formats import Refused
 
 LARGEST_MESSAGE = 2**20
 """Largest message [bytes], also after decompression: a birth certificate lists every metric of an edge
