@@ -19,6 +19,7 @@ from hygrokf.live.config import read_config
 from hygrokf.live.doctor import machine as doctor_machine
 from hygrokf.live.doctor.check import Check
 from hygrokf.live.doctor.examination import examine
+from hygrokf.live.doctor.payloads import try_payloads
 from hygrokf.live.sources import sparkplug_node
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.mqtt import Mqtt
@@ -196,3 +197,16 @@ def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[], di
         checks = look()
     assert found(checks, "messages are missing in the sequence").level == "doubt"
     assert not node.rebirths
+
+
+@needs_mosquitto
+def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
+    text = f'url = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]'
+    stream, _ = read(text)
+    node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
+    with publishing(node, lambda number: node.bear(None, Cabinet_Temperature=21.5)):
+        (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 0.5)
+    assert found.used == found.count > 0
+    assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {
+        ("T1", 21.5, "degC")
+    }
