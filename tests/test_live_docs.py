@@ -28,10 +28,12 @@ from hygrokf.live import config
 from hygrokf.live.config import SurfaceForm, TrackForm, TurbineForm, WanderingForm, read_config
 from hygrokf.live.log import LogLines
 from hygrokf.live.mapping_form import MappingForm, SignalForm
+from hygrokf.live.notification.form import MailForm, WebhookForm
 from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
+from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0
@@ -125,7 +127,9 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
         (OPERATION, (FileForm, PageForm)),
         (DOCS / "live_page.md", (PageForm,)),
         (DOCS / "live_mqtt.md", (MqttForm,)),
+        (DOCS / "live_notify.md", (MailForm, WebhookForm)),
         (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
+        (DOCS / "live_postgres.md", (PostgresForm,)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )  # fmt: skip

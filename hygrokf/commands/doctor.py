@@ -30,6 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|TOPIC",
         help="print what the payloads of a file or topic give by [mapping], and check nothing else",
     )
+    parser.add_argument("--notify", action="store_true", help="send a test message to every [[notify]]")
     add_library(parser)
     add_json(parser)
 
@@ -53,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.tried is not None:
         return _try(options, config.streams)
     file = next((path for path in options.what if path.suffix == ".toml"), None)
-    found = examine(config, file, options.wait, with_page=not options.no_page)
+    found = examine(config, file, options.wait, not options.no_page, options.notify)
     show(as_data(found), as_text(found), options.json)
     return int(any(one.level == "fault" for one in found))
 

@@ -19,6 +19,7 @@ from hygrokf.commands import (
     fit,
     fleet,
     report,
+    restore,
     simulate,
     track,
     transfer,
@@ -29,7 +30,7 @@ from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB, climate.VERB,
-    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, report.VERB,
+    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
 

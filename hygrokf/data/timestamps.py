@@ -45,6 +45,11 @@ def duration(text: str) -> float:
     return float(found[1]) * _SECONDS[found[2]]
 
 
+def whole_microseconds(seconds: float) -> float:
+    """A time rounded to microseconds [s since 1970]: a database's timestamp gives back every bit of it."""
+    return round(seconds * 1e6) / 1e6
+
+
 def signed_duration(text: str) -> float:
     """Seconds of a duration with an optional sign, such as "-49min" or "+1h" [s]; raises ValueError as
     `duration` does."""

@@ -20,6 +20,8 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings, texts
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.form import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
@@ -48,6 +50,7 @@ class Config:
     store: str
     page: PageSettings = field(default_factory=PageSettings)
     retention_s: float = RETENTION_S
+    channels: tuple[Channel, ...] = ()
 
 
 def _names(value: object) -> dict[str, str]:
@@ -137,6 +140,7 @@ class TrackForm:
     mapping: MappingForm = setting(MappingForm, "how payloads are read")
     source: tuple[Mapping[str, Any], ...] = setting((), "where payloads come from")
     wandering: Mapping[str, Any] | None = setting(None, "what may change slowly")
+    notify: tuple[Mapping[str, Any], ...] = setting((), "who is told of alarms")
 
     @across("turbine")
     def any_turbine(self) -> Iterator[str]:
@@ -168,13 +172,28 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         if made.url in [one.url for one in streams]:
             inside.fault(f"{made.url} is a source already; two of one broker need a client_id each")
         streams.append(made)
+    channels = _channels(form, file.parent, place)
     page = page_settings(form.page, file.parent, place)
     if place.faults:
         raise ConfigFault(file.name, place.faults)
     store = form.store
     if store.startswith("sqlite:") and not Path(store.removeprefix("sqlite:")).is_absolute():
         store = f"sqlite:{file.parent / store.removeprefix('sqlite:')}"
-    return Config(turbines, tuple(streams), store, page, form.retention_s)
+    return Config(turbines, tuple(streams), store, page, form.retention_s, channels)
+
+
+def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
+    """The channels of the [[notify]] tables."""
+    channels: list[Channel] = []
+    turbines = [one.name for one in form.turbine]
+    for number, table in enumerate(form.notify):
+        inside = place.inside("notify", number)
+        made = channel_of(table, inside, folder, turbines)
+        if made is not None and made.name in [one.name for one in channels]:
+            inside.fault(f"a second channel named {made.name!r}")
+        elif made is not None:
+            channels.append(made)
+    return tuple(channels)
 
 
 def _own_names(

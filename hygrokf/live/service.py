@@ -20,10 +20,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
+from hygrokf.live.acknowledgement import look_again
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.notices import notices_of
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
+from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import SOURCE, Fleet, Turbine
@@ -54,10 +58,10 @@ WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 
 @dataclass(frozen=True)
 class SourceTimes:
-    """When a source's last delivery arrived [s], and how long after the time of its newest reading [s]; None
-    without readings so far."""
+    """Of a source's last delivery: when it was committed [s, this machine's clock], and how long after the
+    time of its newest reading it arrived [s]; None without readings so far."""
 
-    arrived: float
+    committed: float
     lag_s: float | None = None
 
 
@@ -87,12 +91,12 @@ class Health:
             self.wait_counts[bisect_left(WAITS_S, wait)] += 1
         self.wait_sum_s += sum(waits)
 
-    def note_source(self, url: str, deliveries: Sequence[Delivery], batch: Batch) -> None:
-        """Note when a source delivered, and how far its newest reading was behind."""
+    def note_source(self, url: str, batch: Batch) -> None:
+        """Note that deliveries of a source were committed, and how far their newest reading was behind."""
         before = self.sources.get(url, SourceTimes(0.0))
         newest = max((*batch.observations, *batch.weather), key=lambda one: one.reading.time, default=None)
         lag_s = before.lag_s if newest is None else newest.received - newest.reading.time
-        self.sources[url] = SourceTimes(max(one.received for one in deliveries), lag_s)
+        self.sources[url] = SourceTimes(time.time(), lag_s)
 
     def wait_s(self, share: float) -> float | None:
         """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
@@ -104,7 +108,8 @@ class Service:
     """Streams, a fleet and a store, run by one thread.
 
     `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
-    store keeps `retention_s` [s] of history before each turbine's newest final estimate.
+    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  Alarms are written
+    together with notices for the `channels` that cover them.
     """
 
     def __init__(
@@ -114,6 +119,7 @@ class Service:
         store_url: str,
         settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
+        channels: Sequence[Channel] = (),
     ) -> None:
         self.turbines = turbines
         self.streams = {one.url: one for one in streams}
@@ -121,9 +127,11 @@ class Service:
         self.health = Health()
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
+        self.channels = tuple(channels)
         self._settle = settle
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
+        self._marks: dict[str, str] = {}
         self._isolation: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
@@ -179,8 +187,10 @@ class Service:
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
+            store.claim("channel", [one.name for one in self.channels])
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             self.fleet = Fleet.from_store(self.turbines, store)
+            self._marks.clear()
         except BaseException:
             store.close()
             raise
@@ -232,7 +242,7 @@ class Service:
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
-        self.health.note_source(url, deliveries, batch)
+        self.health.note_source(url, batch)
         self._publish(batch)
 
     def _forecast(self, name: str) -> Batch:
@@ -246,12 +256,16 @@ class Service:
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
-        attempt, mark = 0, secrets.token_hex(8)
+        attempt, mark, replaced = 0, secrets.token_hex(8), False
         while True:
             try:
+                self._expect_own_batch(source)
                 # if the mark is stored, the commit succeeded and only its answer was lost
                 if not attempt or not source or self._open_store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
+                    if replaced:
+                        batch.counters[SOURCE, "store replaced"] = 1
+                    batch.notices += notices_of(batch.alarms, self.channels, time.time(), self.now)
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
                         self._open_store.claim("source", batch.place)
@@ -259,6 +273,7 @@ class Service:
                         self._open_store.commit(batch)
                 break
             except StoreFault as fault:
+                replaced = replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
                 self.health.failures += (
                     1  # set after the message, so that whoever sees the failure finds the message
@@ -267,9 +282,18 @@ class Service:
                 if attempt and self.ending.is_set():
                     raise
                 attempt = self._reopen(attempt)
+        if source:
+            self._marks[source] = mark
         self.health.store = ""
         self.health.committed_s = time.time()
         return batch
+
+    def _expect_own_batch(self, source: str) -> None:
+        """Raise StoreReplaced if the store does not hold the batch of a source that was last committed."""
+        store, mark = self._open_store, self._marks.get(source)
+        missing = mark is not None and store.memory(SOURCE, f"batch of {source}") != mark
+        if missing or store.database.is_replaced():
+            raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
         """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
@@ -295,6 +319,8 @@ class Service:
             self._log_states(states)
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
             self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states, left)))
+            self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
+            self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
             name = self._open_fleet.forecast_due(EVERY_S)
@@ -320,7 +346,9 @@ class Service:
             if name is None:
                 return
             lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
-            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._open_store))
+            reference = self._open_fleet.reference_points.get(name)
+            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
+            self._isolation = (name, steps)
         name, steps = self._isolation
         try:
             found = next(steps)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from hygrokf.live.config import Config
+from hygrokf.live.notification.sender import Sender
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
 
@@ -42,6 +43,7 @@ def track(
         config.store,
         settle=hub.settle,
         retention_s=config.retention_s,
+        channels=config.channels,
     )
     with ExitStack() as stack:
         page = None
@@ -52,7 +54,15 @@ def track(
             app = Page(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
-        service.run(until_ended, lambda: begun(service, page))
+        senders = [Sender(one, config.store, lambda: service.now) for one in config.channels]
+
+        def begin() -> None:
+            for one in senders:
+                one.start()
+                stack.callback(one.stop)
+            begun(service, page)
+
+        service.run(until_ended, begin)
     lost = [said for word, said in (one.state for one in config.streams) if word == "lost"]
     if until_ended and lost:
         raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")

@@ -36,18 +36,26 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
+from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Observation
+from hygrokf.live.changes import Change, settled
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Plan
-from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
+from hygrokf.live.properties import (
+    LASTING_S,
+    ParameterShift,
+    TrackedState,
+    parameter_shifts,
+    properties,
+    states_of,
+)
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.stream import Delivery, SourceState
-from hygrokf.live.storage.store import Store
-from hygrokf.live.tracker import SAME_S, Course, Tracker
+from hygrokf.live.storage.store import Store, state_of, state_text
+from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
@@ -75,6 +83,14 @@ class Turbine:
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class KeptState:
+    """The states of a filter at `time` [s] as text (`state_text`), in a turbine's memory."""
+
+    time: float
+    state: str
+
+
 class Fleet:
     """The trackers by turbine, and the data that each turbine carries from round to round."""
 
@@ -86,6 +102,10 @@ class Fleet:
         self.faults: dict[str, str] = {}
         self.forecast_made_s: dict[str, float] = {}
         self.findings: dict[str, Finding] = {}
+        self.changes: dict[str, list[Change]] = defaultdict(list)
+        # what shifts are judged against after a stated change: states of properties, and the whole state
+        self.references: dict[str, dict[str, TrackedState]] = {}
+        self.reference_points: dict[str, Point] = {}
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
         self._slots: dict[str, float] = {}
@@ -100,14 +120,21 @@ class Fleet:
         fleet = cls(turbines)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - one.plan.context_s
-            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
-            fleet.waiting[name] = None  # committed readings may not have been filtered yet
+            since = -math.inf if point is None else point.time - one.plan.context_s
             known = store.memories(name)
+            fleet.changes[name] = structured(list[Change], known.get("changes", []))
+            times = [change.time for change in fleet.changes[name]]
+            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since), times)
+            fleet.waiting[name] = None  # committed readings may not have been filtered yet
+            pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
+            fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
+            if known.get("reference_point"):
+                kept = structured(KeptState, known["reference_point"])
+                fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
             fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
             fleet.standings[name] = structured(dict[str, Standing], known.get("alarms", {}))
-            if "finding" in known:
+            if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
@@ -135,7 +162,8 @@ class Fleet:
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            for turbine, readings, rejections in found:
+            for turbine, stated, rejections in found:
+                readings = [reading.at_whole_microsecond() for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
                 if mapping.weather:
                     batch.weather += [Observation(turbine, r, one.received) for r in readings]
@@ -211,8 +239,50 @@ class Fleet:
                 return
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
-            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors)
+            references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
+            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors, references)
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
+
+    def _references(
+        self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
+    ) -> Mapping[str, TrackedState] | None:
+        """The states against which shifts are judged at a time [s]; None for the fit's values."""
+        if not self.changes[name] or at < self.changes[name][-1].time:
+            return None
+        before = self.references.get(name, {})
+        found = settled(before, self.changes[name][-1].time, at, states)
+        if found != before:
+            self.references[name] = found
+            batch.memories[name, "references"] = {key: list(one) for key, one in found.items()}
+        if found and not before:
+            self.reference_points[name] = point
+            kept = KeptState(at, state_text(point.state))
+            batch.memories[name, "reference_point"] = asdict(kept)
+        return found
+
+    def take_events(self, events: Iterable[Event]) -> Batch:
+        """Take stated changes into account that are not known yet: what had shifted is expected, and its
+        alarms end."""
+        batch = Batch()
+        for event in events:
+            name = event.turbine
+            if name not in self.trackers or event.id in [one.event for one in self.changes[name]]:
+                continue
+            tracker = self.trackers[name]
+            self.changes[name].append(Change(event.id, tracker.note_change(event.time)))
+            self.changes[name].sort(key=lambda one: one.time)
+            self.shifts[name], self.references[name] = {}, {}
+            self.findings.pop(name, None)
+            self.reference_points.pop(name, None)
+            batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
+            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
+                batch.memories[name, key] = nothing
+            batch.memories[name, "reference_point"] = None
+            newest = tracker.newest_state
+            if newest is not None:
+                self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
+            self.waiting[name] = None
+        return batch
 
     def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
         """Judge alarms at every estimate newer than the last one judged."""

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, forecast, restart, saturation
+from trials import changes, forecast, notification, restart, saturation
 from trials.picture import reliability_png
 
 
@@ -29,6 +29,10 @@ TRIALS = {
     "saturation": Trial(
         saturation.one, saturation.table, "condensation said for several surfaces against what came"
     ),
+    "mail": Trial(
+        notification.of_mail, notification.table, "notices by mail over a hundred outages of the server"
+    ),
+    "webhook": Trial(notification.of_webhook, notification.table, "the same of a webhook"),
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

@@ -127,6 +127,23 @@ def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
     assert again.state.word == "stopped"
 
 
+def test_a_source_is_connected_again_with_its_next_delivery(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.02, 0.04))
+    stream, got, failed = played(), Collected(), []
+
+    def put(one: Delivery) -> None:
+        if one.place == "50" and not failed:
+            failed.append(one.place)
+            raise KeyError("once")
+        if one.place == "52":
+            assert stream.state.word == "connected"
+        got(one)
+
+    stream.start(None, put)
+    assert [int(one.place) for one in got.wait(99)] == list(range(1, 100)) and failed
+    eventually(lambda: stream.state.word == "ended")
+
+
 def test_a_source_that_cannot_go_on_stays_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "BACK_OFF_S", (0.02, 0.04))
     calls = []

@@ -475,7 +475,7 @@ def expect_sound(found: list[TurbineReadings]) -> None:
 
 
 def test_nothing_from_outside_breaks_a_mapping(folder: Path) -> None:
-    counts = fuzz(folder, 18, 3_000)
+    counts = fuzz(folder, 18, 10_000)
     assert counts["reading"] > 300 and counts["malformed"] > 300 and len(counts) >= 9, counts
 
 

@@ -420,11 +420,11 @@ def test_tests_that_fail_are_named_by_kind() -> None:
     found = judgements(results(fit))[-1]
     count = len(fit["innovations"]["tests"])
     assert found.kind == "caution"
-    assert f"1 of {count} tests" in found.sentence and "(mean), none of them by a correl" in found.sentence
+    assert f"1 of {count} tests" in found.sentence and "(mean), but none finds a correl" in found.sentence
     for row in fit["innovations"]["tests"]:
         row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
     found = judgements(results(fit))[-1]
-    assert "tests speak against white innovations (mean, correlation with inputs), by corr" in found.sentence
+    assert "tests reject white innovations (mean, correlation with inputs), by corr" in found.sentence
 
 
 def test_numbers_in_words() -> None:

@@ -13,11 +13,13 @@ from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.live.doctor.check import OLD_S, Check, doubt, fault, lasting, ok, payload_checks, stamp_check
 from hygrokf.live.doctor.mqtt import mqtt_checks
 from hygrokf.live.doctor.opcua import opcua_checks
+from hygrokf.live.doctor.postgres import postgres_checks
 from hygrokf.live.doctor.sparkplug import sparkplug_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.postgres import PostgresQuery
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import PAUSE_S, Stream
 
@@ -173,6 +175,7 @@ KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
     Sparkplug: sparkplug_checks,
     Mqtt: mqtt_checks,
     OpcUa: opcua_checks,
+    PostgresQuery: postgres_checks,
 }
 """Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s); a kind stands before
 the one that it extends."""

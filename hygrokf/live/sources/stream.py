@@ -134,11 +134,15 @@ class Threaded:
             nonlocal reached, pause
             put(one)
             reached, pause = one.place or reached, BACK_OFF_S[0]
+            if self._state.word == "lost":
+                self._state = SourceState("connected", self.url)
 
         self._state = SourceState("connected", self.url)
         while not self._ended.is_set():
             try:
                 self._deliver(reached, reach)
+                ended = SourceState("ended", "read to its end")
+                self._state = SourceState("stopped", "") if self._ended.is_set() else ended
                 break
             except Exception as fault:  # of any kind: a source must never end without a word
                 words = _reason(fault, self.url)
@@ -151,8 +155,6 @@ class Threaded:
             # a random pause, so that several sources do not come back all at once
             self._ended.wait(pause * random.uniform(0.5, 1.0))
             pause = min(2.0 * pause, longest)
-        ended = SourceState("ended", "read to its end")
-        self._state = SourceState("stopped", "") if self._ended.is_set() else ended
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError

@@ -35,6 +35,8 @@ ADDRESSES = 1000
 """Number of addresses whose wrong tokens are remembered."""
 OPEN = ("/", "/healthz", "/api/login")
 """Paths that need no token, because they reveal nothing about a turbine."""
+READING = ("GET", "HEAD")
+"""Methods that change nothing."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'",
@@ -133,7 +135,7 @@ class Access:
                 "the page does not answer to this name; add it to hosts in [page] of the tracker's file",
                 {},
             )
-        if scope["method"] == "POST" and not own_page(headers):
+        if scope["method"] not in READING and not own_page(headers):
             return Refusal(
                 403,
                 "expected JSON from the page itself, found a request from another site or of another kind",

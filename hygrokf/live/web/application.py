@@ -5,26 +5,25 @@ The page reads the store over its own connection, so that the tracker never wait
 
 from __future__ import annotations
 
-import asyncio
-import json
 import logging
 import math
 import os
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.storage.outbox import ChannelState, channel_states
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
+from hygrokf.live.web.exchange import posted_json, refusal, reply
 from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
+from hygrokf.live.web.statements import Statements
 from hygrokf.live.web.views import FleetRow, alarms_view, fleet_view, health_view, turbine_view
 from hygrokf.version import __version__
 
@@ -39,12 +38,6 @@ DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
-LARGEST = 4096
-"""Largest body of a POST [bytes]."""
-BODY_S = 10.0
-"""[s] a body may take to arrive."""
-LONGEST_NAME, LONGEST_ID = 60, 300
-"""Longest name of a person who acknowledges, and longest id of an alarm [characters]."""
 
 
 class Page:
@@ -93,7 +86,7 @@ class Page:
             Route("/api/fleet", self.fleet),
             Route("/api/turbine/{name:path}", self.turbine),
             Route("/api/alarms", self.alarms),
-            Route("/api/alarms/acknowledge", self.acknowledge, methods=["POST"]),
+            *Statements(self.service, self.hub, self.reader).routes(),
             Route("/api/health", self.health),
             Route("/api/login", self.login, methods=["POST"]),
             Route("/api/logout", self.logout, methods=["POST"]),
@@ -148,40 +141,26 @@ class Page:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        counters, open_ = self.reader.read(lambda store: (store.counters(), open_alarms(store)))
+        counters, open_, told = self.reader.read(
+            lambda store: (store.counters(), open_alarms(store), channel_states(store))
+        )
         own = {
             "now": self.service.now,
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
             "open_alarms": open_,
+            "channels": [
+                {"name": one.name, **asdict(told.get(one.name, ChannelState()))}
+                for one in self.service.channels
+            ],
         }
         return reply({**own, **health_view(self._sources(), self.service.health, counters)})
 
     def _sources(self) -> dict[str, SourceState]:
         return {url: one.state for url, one in self.service.streams.items()}
 
-    # -- what is changed -------------------------------------------------------------------------------------
-    async def acknowledge(self, request: Request) -> Response:
-        from starlette.concurrency import run_in_threadpool
-
-        given = await posted_json(request)
-        alarm, by = given.get("id"), given.get("by")
-        by = by.strip() if isinstance(by, str) else ""
-        if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID or not alarm.isprintable():
-            return refusal(400, "expected the id of an alarm")
-        if not 0 < len(by) <= LONGEST_NAME or not by.isprintable():
-            return refusal(400, f"expected a name of 1 to {LONGEST_NAME} characters")
-        done = await run_in_threadpool(
-            self.reader.read,
-            lambda store: store.acknowledge(alarm, by, self.service.now) and alarm_turbine(store, alarm),
-        )
-        if done is False:
-            return refusal(409, "there is no such alarm, or it is already acknowledged")
-        LOG.info("an alarm was acknowledged", extra={"alarm": alarm, "by": by})
-        self.hub.changed([done])
-        return reply({"turbine": done})
-
+    # -- who is let in ---------------------------------------------------------------------------------------
     async def login(self, request: Request) -> Response:
         token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
@@ -234,40 +213,3 @@ class Page:
 def open_alarms(store: Store) -> int:
     """Number of open alarms."""
     return int(store.rows("SELECT COUNT(*) FROM alarm WHERE ended IS NULL")[0][0])
-
-
-def alarm_turbine(store: Store, alarm: str) -> str:
-    """The turbine of an alarm."""
-    return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
-
-
-async def posted_json(request: Request) -> JsonObject:
-    """The posted JSON object; empty if the body is no object, too large or takes too long."""
-    from starlette.requests import ClientDisconnect
-
-    body = b""
-    try:
-        async with asyncio.timeout(BODY_S):
-            async for part in request.stream():
-                body += part
-                if len(body) > LARGEST:
-                    return {}
-        found = json.loads(body)
-    except (TimeoutError, ClientDisconnect, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def reply(
-    content: Mapping[str, Any], headers: Mapping[str, str] | None = None, status: int = 200
-) -> Response:
-    """A JSON response."""
-    from starlette.responses import Response
-
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=asdict)
-    return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
-
-
-def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:
-    """A JSON response that says why a request is refused."""
-    return reply({"fault": words}, headers, status)

@@ -105,7 +105,7 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
     state = GaugeMetricFamily(
         "hygrokf_source_state", "1 for the state that a source is in", labels=["source", "state"]
     )
-    arrived = GaugeMetricFamily(
+    last = GaugeMetricFamily(
         "hygrokf_source_last_message_timestamp_seconds",
         "When a source last delivered something, since 1970",
         labels=["source"],
@@ -120,10 +120,10 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
             state.add_metric([url, one], int(one == word))
         times = found.health.sources.get(url)
         if times is not None:
-            arrived.add_metric([url], times.arrived)
+            last.add_metric([url], times.committed)
             if times.lag_s is not None:
                 lag.add_metric([url], times.lag_s)
-    yield from (state, arrived, lag)
+    yield from (state, last, lag)
 
 
 def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:

@@ -165,7 +165,8 @@ def listening_socket(settings: PageSettings) -> socket.socket:
 # -- events --------------------------------------------------------------------------------------------------
 def changed_turbines(batch: Batch) -> set[str]:
     """Turbines for which a batch changes the page."""
-    named = {o.turbine for o in batch.observations} | {a.turbine for a in batch.alarms} | set(batch.estimates)
+    named = {o.turbine for o in batch.observations} | {a.turbine for a in (*batch.alarms, *batch.reopened)}
+    named |= set(batch.estimates)
     named |= {name for name, *_ in batch.properties}
     named |= {name for name, _ in (*batch.memories, *batch.counters)}
     return named - {""}
