@@ -161,7 +161,8 @@ def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
         own = replace(record, series=tuple(s for s in record.series if s.signal not in without))
         found += record_messages(own, name)
     mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in NAMES})
-    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s)
+    label = f"Demo: synthetic turbines, played back at {speed:,.0f} times real time"
+    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s, label)
 
 
 def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:
