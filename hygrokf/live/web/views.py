@@ -203,8 +203,8 @@ class KindLabels(TypedDict):
 class SourceRow(TypedDict):
     """A source with its state in one word and its explanation.
 
-    `heard`: when its last message was committed [s], None if none was; `lag`: time [s] from its newest reading
-    to its arrival.
+    `heard`: when its last message was committed [s], None if none was; `lag`: time [s] from its newest
+    reading to its arrival.
     """
 
     url: str
