@@ -75,7 +75,8 @@ class Service:
     """Streams, a fleet and a store, run by one thread.
 
     `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
-    store keeps `retention_s` [s] of history before each turbine's newest final estimate.
+    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  `clock` gives this
+    machine's time [s].
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class Service:
         store_url: str,
         settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
+        clock: Callable[[], float] = time.time,
     ) -> None:
         self.turbines = turbines
         self.streams = {one.url: one for one in streams}
@@ -93,6 +95,7 @@ class Service:
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
         self._settle = settle
+        self._clock = clock
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
         self._isolation: tuple[str, Iterator[Finding | None]] | None = None
@@ -211,8 +214,9 @@ class Service:
         found = make_forecast(name, one, tracker, self._open_store)
         if found is None:
             return Batch()
-        self._open_fleet.forecast_made_s[name] = found.time_s
-        return forecast_batch(name, found, one.limit)
+        batch = forecast_batch(name, found, one.limit)
+        self._open_fleet.keep_forecast(name, found.time_s, found.forecast, batch)
+        return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
@@ -238,7 +242,7 @@ class Service:
                     raise
                 attempt = self._reopen(attempt)
         self.health.store = ""
-        self.health.committed_s = time.time()
+        self.health.committed_s = self._clock()
         return batch
 
     def _publish(self, batch: Batch) -> None:
@@ -254,7 +258,7 @@ class Service:
     def now(self) -> float:
         """The time [s] against which the age of data is judged; a played-back record has its own clock."""
         clocks = [stream.now() for stream in self.streams.values() if not stream.mapping.weather]
-        return min(clocks, default=time.time())
+        return min(clocks, default=self._clock())
 
     def _work_between_rounds(self, idle: bool) -> None:
         """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""

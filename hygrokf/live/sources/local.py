@@ -76,8 +76,14 @@ class TailedFile(Threaded):
     without a line end is incomplete and waits.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mapping: PayloadMapping, follow: bool = True) -> None:
-        super().__init__(mapping)
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mapping: PayloadMapping,
+        follow: bool = True,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        super().__init__(mapping, clock)
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
@@ -116,7 +122,7 @@ class TailedFile(Threaded):
                 offset += len(line)
                 content = lines.content(line)
                 if content is not None:
-                    put(Delivery(content, time.time(), place=f"{identity} {offset}"))
+                    put(Delivery(content, self.clock(), place=f"{identity} {offset}"))
                 if whole:
                     continue
                 return True
@@ -141,8 +147,13 @@ class StandardInput(Threaded):
 
     url = "stdin"
 
-    def __init__(self, mapping: PayloadMapping, file: Iterable[str] | None = None) -> None:
-        super().__init__(mapping)
+    def __init__(
+        self,
+        mapping: PayloadMapping,
+        file: Iterable[str] | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        super().__init__(mapping, clock)
         self._file = file
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
@@ -152,7 +163,7 @@ class StandardInput(Threaded):
                 return
             content = lines.content(line)
             if content is not None:
-                put(Delivery(content, time.time()))
+                put(Delivery(content, self.clock()))
 
 
 class Playback(Threaded):

@@ -39,7 +39,9 @@ LONGEST = 200
 EARLIEST_S = 631_152_000.0
 """1990 [s since 1970]: earlier stamps are not times of a turbine."""
 AHEAD_S = 900.0
-"""[s] a stamp may be ahead of this machine's clock."""
+"""[s] a stamp may be ahead of this machine's clock; readings that are further ahead are held back."""
+LATEST_S = 4_102_444_800.0
+"""2100 [s since 1970]: later stamps are not times of a turbine."""
 FORECAST_S = 20 * DAY_S
 """[s] a weather forecast's stamp may be ahead of this machine's clock."""
 EVERYONE = ""
@@ -138,8 +140,8 @@ class PayloadMapping:
     def read(self, content: bytes | str | Payload, received: float, topic: str = "") -> TurbineReadings:
         """The readings of a payload received at a time [s].  Raises Refused if none of it can be used.
 
-        Stamps that are ahead of the arrival by more than `AHEAD_S`, for a weather forecast by more than
-        `FORECAST_S`, are refused.
+        Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
+        ahead of the arrival by more than `FORECAST_S`.
         """
         payload = parse_payload(content)
         turbine = self._turbine(payload, topic)
@@ -150,9 +152,9 @@ class PayloadMapping:
                 "no time",
                 f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_quoted(stamp)}",
             )
-        if not EARLIEST_S <= time <= received + (FORECAST_S if self.weather else AHEAD_S):
+        if not EARLIEST_S <= time <= (received + FORECAST_S if self.weather else LATEST_S):
             raise Refused(
-                "impossible time", f"time {_quoted(stamp)} is before 1990 or ahead of this machine's clock"
+                "impossible time", f"time {_quoted(stamp)} is before 1990, after 2100, or too far ahead"
             )
         if self.quality:
             mark = _value_at(payload, self.quality, topic)

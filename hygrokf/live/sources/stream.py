@@ -98,13 +98,15 @@ class Stream(Protocol):
 
 
 class Threaded:
-    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set."""
+    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set, and
+    this machine's `clock` [s]."""
 
     url = ""
     played_back = False
 
-    def __init__(self, mapping: PayloadMapping) -> None:
+    def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
+        self.clock = clock
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._state = SourceState("idle", "not started")
@@ -141,7 +143,7 @@ class Threaded:
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
-        return time.time()
+        return self.clock()
 
     def stop(self) -> None:
         self._ended.set()

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.web.page_settings import NEEDED, PageFault
@@ -124,6 +125,13 @@ def _turbines(now: float, fleet: Sequence[FleetRow]) -> Iterator[Metric]:
             if value is not None:
                 family.add_metric([row["turbine"]], value)
     yield from (heard, chance, margin)
+    state = GaugeMetricFamily(
+        "hygrokf_turbine_state", "1 for the state that a turbine is in", labels=["turbine", "state"]
+    )
+    for row in fleet:
+        for one in TURBINE_STATES:
+            state.add_metric([row["turbine"], one], int(one == row["state"]))
+    yield state
     alarms = GaugeMetricFamily("hygrokf_open_alarms", "Open alarms", labels=["kind", "severity"])
     for (kind, severity), count in sorted(
         Counter((a.kind, a.severity) for row in fleet for a in row["alarms"]).items()
