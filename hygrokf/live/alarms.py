@@ -136,7 +136,7 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Level:
-    """A level that a rule judges, with its statement and a remedy that replaces the rule's own.
+    """A level that a rule judges, with its statement; remedy and severity replace the rule's own.
 
     `subject` distinguishes alarms of one kind.
     """
@@ -146,6 +146,7 @@ class Level:
     statement: str
     remedy: str = ""
     subject: str = ""
+    severity: str = ""
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _judge_level(
 ) -> tuple[Standing, Alarm | None]:
     """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
     rule, alarm = RULES[level.kind], before.alarm
-    severity = "alarm" if level.level >= rule.severe else rule.severity
+    severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
     past = level.level < rule.off if alarm is not None else level.level >= rule.on
     since = None if not past else now if before.since is None else before.since
     if since is not None and now - since >= rule.hold_s:
@@ -317,7 +318,7 @@ def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
 
 def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: float) -> list[Level]:
     """The levels of what never came `since` the tracker knows the turbine: the time until `now` [s] as a
-    multiple of the limit [s]."""
+    multiple of the limit [s]; a notice where there is an estimate without it."""
     return [
         Level(
             MISSING.kind,
@@ -325,6 +326,7 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
             f"{one.words} never came since {stamp_text(since)}"
             + (": without it there is no estimate" if one.required else ""),
             subject=one.signals[0],
+            severity="" if one.required else "notice",
         )
         for one in missing
     ]

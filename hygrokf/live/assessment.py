@@ -3,7 +3,7 @@
 The states are those of `batch.STATES`, and the first one that applies is taken:
 
 - *at risk*: condensation is likely now, by an estimate that is not old, or within the forecast;
-- *alarm*: an alarm about the cabinet, its sensors or a clock is open, or a signal is missing;
+- *alarm*: an alarm about the cabinet, its sensors or a clock is open; a notice is none;
 - *stale*: the estimate is old, or an alarm about silent signals is open;
 - *no estimate*: there is no probability of condensation, for the stated reason;
 - *off*: condensation is unlikely, and the turbine has fed no power for `STANDSTILL_S`;
@@ -100,8 +100,8 @@ def _at_risk(known: Known, now: float) -> str:
 
 def _alarm(known: Known, now: float) -> str:
     unsaid = {STALE.kind} if known.estimate_s is not None else {STALE.kind, MISSING.kind}
-    kinds = dict.fromkeys(one.kind for one in known.alarms if one.kind not in unsaid)
-    return ", ".join(kinds)
+    said = [one.kind for one in known.alarms if one.kind not in unsaid and one.severity != "notice"]
+    return ", ".join(dict.fromkeys(said))
 
 
 def _stale(known: Known, now: float) -> str:

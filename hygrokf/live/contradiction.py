@@ -17,7 +17,7 @@ from hygrokf.live.alarms import CONTRADICTS, Level
 from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.tracker import Course
 
-BEYOND = 8.0
+BEYOND = 6.0
 """Standard deviations of the prediction beyond which a reading contradicts it.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, forecast, restart, saturation
+from trials import changes, contradictions, forecast, restart, saturation
 from trials.picture import reliability_png
 
 
@@ -28,6 +28,9 @@ TRIALS = {
     "restart": Trial(restart.one, restart.table, "advice how long to pre-heat against how long it took"),
     "saturation": Trial(
         saturation.one, saturation.table, "condensation said for several surfaces against what came"
+    ),
+    "contradictions": Trial(
+        contradictions.one, contradictions.table, "readings that are said to contradict the estimate"
     ),
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"

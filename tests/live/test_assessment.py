@@ -29,8 +29,8 @@ HOUR_S = 3600.0
 NOW = 1_600_000_000.0
 
 
-def alarm(kind: str) -> Alarm:
-    return Alarm(f"T1:{kind}:0", "T1", kind, "warning", NOW, f"about {kind}", "")
+def alarm(kind: str, severity: str = "warning") -> Alarm:
+    return Alarm(f"T1:{kind}:0", "T1", kind, severity, NOW, f"about {kind}", "")
 
 
 def known(**changed: object) -> Known:
@@ -54,6 +54,7 @@ def coming(*chances: float) -> Outlook:
         ({"outlook": coming(0.9, 0.2)}, "ok", "within"),  # the hour is over
         ({"alarms": [alarm("cabinet changed"), alarm("data stale")]}, "alarm", "cabinet changed"),
         ({"alarms": [alarm("signal missing")]}, "alarm", "signal missing"),
+        ({"alarms": [alarm("signal missing", "notice")]}, "ok", ""),
         ({"alarms": [alarm("data stale")]}, "stale", "about data stale"),
         ({"estimate_s": NOW - 3.0 * HOUR_S}, "stale", "from 2020-09-13T09:26:40Z"),
         ({"estimate_s": NOW - 3.0 * HOUR_S, "condensation": 0.98}, "stale", "from"),
@@ -162,6 +163,18 @@ def test_ambient_humidity_that_never_comes(
     (row,) = fleet_view(store, ["T1"], now)
     assert row["state"] in ("ok", "off", "at risk") and row["alarms"] == []
     assert row["since"] > fleet.states.known_since("T1", now, Batch())
+    store.close()
+
+
+def test_a_sensor_that_never_came_is_a_notice_where_the_model_goes_without(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+) -> None:
+    store = open_store(f"sqlite:{tmp_path / 'live.db'}")
+    fleet = Fleet.from_store({"T1": turbine}, store)
+    rounds(fleet, store, record, mapping, without="cabinet_relative_humidity")
+    (row,) = fleet_view(store, ["T1"], record.end_s)
+    assert [(a.kind, a.severity) for a in row["alarms"]] == [("signal missing", "notice")]
+    assert row["state"] in ("ok", "off") and row["condensation"] is not None
     store.close()
 
 

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 from builders.live_case import count_of, expect_offline, live_record
+from builders.service_case import running
+from builders.waiting import eventually
 
 from hygrokf.data.record import Record
-from hygrokf.live import clocks
+from hygrokf.live import clocks, service
 from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.clocks import MACHINE, Clocks, clock_levels
-from hygrokf.live.sources.local import record_mapping, record_messages
+from hygrokf.live.service import Service
+from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
 from hygrokf.live.sources.payload import AHEAD_S
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
@@ -128,6 +131,46 @@ def test_stamps_of_the_next_century_fill_no_disk(
     told(4.2e9, 1)
     assert run.store.counters()["", "impossible time"] == 1
     run.store.close()
+
+
+def test_a_service_whose_clock_is_set_right(
+    tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock is a day behind; a file is followed meanwhile, the tracker is restarted, and the clock set
+    right while the tracker runs."""
+    monkeypatch.setattr(service, "TICK_S", 0.05)
+    rows = [json.dumps(content) for _, content in record_messages(record, "T1")]
+    path, url = tmp_path / "live.ndjson", f"sqlite:{tmp_path / 'live.db'}"
+    path.write_text("".join(row + "\n" for row in rows))
+    now = [record.end_s - 86400.0]
+
+    def tracker() -> Service:
+        file = TailedFile(path, record_mapping(record, "T1"), clock=lambda: now[0])
+        return Service({"T1": turbine}, [file], url, clock=lambda: now[0])
+
+    def held(store: Store) -> int:
+        return store.held_count("T1")
+
+    with running(tracker()):
+        eventually(lambda: taken(url) == len(rows))
+    store = open_store(url)
+    assert 0.3 * len(rows) < held(store) < 0.7 * len(rows)
+    assert store.point("T1").time <= now[0] + AHEAD_S
+    with running(tracker()):
+        now[0] = record.end_s + 10.0
+        eventually(lambda: held(store) == 0)
+    store.close()
+    expect_offline(url, record, turbine)
+
+
+def taken(url: str) -> int:
+    """How many readings a store holds, held ones included."""
+    if not Path(url.removeprefix("sqlite:")).exists():
+        return 0
+    store = open_store(url, read_only=True)
+    count = store.rows("SELECT COUNT(*) FROM observation")[0][0] + store.held_count("T1")
+    store.close()
+    return count
 
 
 def ahead(turbine: str, by_s: float, signal: str = "cabinet_temperature") -> list[Observation]:
