@@ -6,6 +6,7 @@ state, the model and the sensor.  The reading contradicts the estimate if |y −
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,9 +16,11 @@ from hygrokf.data.masks import SATURATED
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.live.alarms import CONTRADICTS, Level
 from hygrokf.live.ceiling import HUMIDITY
-from hygrokf.live.tracker import Course
+from hygrokf.live.tracker import SAME_S, Course
 
-BEYOND = 6.0
+UNKNOWN = "power_unknown"
+"""Input that is 1 where the power is unknown."""
+BEYOND = 8.0
 """Standard deviations of the prediction beyond which a reading contradicts it.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
@@ -46,12 +49,21 @@ class Innovation:
         return (reading - self.expected) / self.sd
 
 
-def innovations(course: Course, after_s: Mapping[str, float]) -> list[Innovation]:
-    """The innovations of a course by time, of each signal from its time `after_s` [s] on."""
+def innovations(course: Course, after_s: Mapping[str, float], final_s: float = math.inf) -> list[Innovation]:
+    """The innovations of a course by time, of each signal from its time `after_s` [s] on.
+
+    Where the power is not known yet, because its reading comes later than those of the cabinet, the
+    prediction is provisional: these instants are left out, unless they are final (up to `final_s` [s]).
+    """
     timeline, trace = course.run.timeline, course.trace
+    known = course.seconds <= final_s + SAME_S
+    if UNKNOWN in (*timeline.regimes, *timeline.varying):
+        known |= timeline.input(UNKNOWN) == 0.0
+    else:
+        known[:] = True
     found = []
     for column, signal in enumerate(timeline.outputs):
-        new = np.isfinite(timeline.y[:, column]) & (course.seconds > after_s.get(signal, -np.inf))
+        new = known & np.isfinite(timeline.y[:, column]) & (course.seconds > after_s.get(signal, -np.inf))
         found += [
             Innovation(
                 signal,
@@ -75,8 +87,9 @@ def contradiction_level(one: Innovation) -> Level:
         float(from_si(value, row.display, row))
         for value in (one.reading, one.expected, one.expected - 2.0 * one.sd, one.expected + 2.0 * one.sd)
     )
+    unit = {"degC": "°C"}.get(row.display, row.display)
     statement = (
-        f"{one.signal.replace('_', ' ')} reads {reading:.1f} {row.display}, where the estimate expects "
+        f"{one.signal.replace('_', ' ')} reads {reading:.1f} {unit}, where the estimate expects "
         f"{expected:.1f} ({lower:.1f} … {upper:.1f})"
     )
     return Level(CONTRADICTS.kind, level, statement, subject=one.signal)

@@ -215,7 +215,7 @@ class Fleet:
             return
         batch.points[name] = point
         self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
-        self._judge_readings(name, course, batch)
+        self._judge_readings(name, course, point.time, batch)
         self._judge_estimates(name, found, batch)
 
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
@@ -244,12 +244,12 @@ class Fleet:
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
-    def _judge_readings(self, name: str, course: Course, batch: Batch) -> None:
+    def _judge_readings(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
         """Judge alarms about readings that contradict the estimate, at every reading that is newer than the
         last one judged of its signal."""
         after = self._judged[name]
         levels = self._contradictions[name]
-        for one in innovations(course, after):
+        for one in innovations(course, after, final_s):
             after[one.signal] = one.time_s
             levels[one.signal] = contradiction_level(one)
             self._judge(name, one.time_s, list(levels.values()), (CONTRADICTS,), batch)
