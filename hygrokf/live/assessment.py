@@ -49,8 +49,8 @@ class Known:
     `known_s`: time [s] since when the tracker knows it; `heard`: signal → time [s] of its newest reading;
     `awaited`: what the model requires and has never come; `estimate_s`: time [s] of the newest estimate, None
     before the first; `condensation` [1]: its probability, None if it gives none; `with_humidity`: whether the
-    model has humidity; `outlook`: the forecast; `alarms`: its open alarms; `standstill_s`: time [s] since
-    when it feeds no power, None if it does or nothing is known; `history_until_s`: time [s] until which
+    model has humidity; `outlook`: the forecast; `alarms`: its open alarms; `standstill`:
+    whether it has fed no power for `STANDSTILL_S`; `history_until_s`: time [s] until which
     readings must come before the first estimate; `fault`: why the filter cannot run; `catching_up`: whether
     a backlog is being delivered; `stale_s` [s]: age of stale data.
     """
@@ -63,7 +63,7 @@ class Known:
     with_humidity: bool = True
     outlook: Outlook | None = None
     alarms: Sequence[Alarm] = ()
-    standstill_s: float | None = None
+    standstill: bool = False
     history_until_s: float | None = None
     fault: str = ""
     catching_up: bool = False
@@ -78,9 +78,8 @@ def assess(known: Known, now: float) -> tuple[str, str]:
             return state, reason
     now_and = "now" if known.outlook is None else "now and within the forecast"
     unlikely = f"condensation is unlikely {now_and}"
-    off = known.standstill_s is not None and now - known.standstill_s >= STANDSTILL_S
     power_s = known.heard.get("active_power", -math.inf)
-    if off and now - power_s <= known.stale_s:
+    if known.standstill and now - power_s <= known.stale_s:
         return "off", f"the turbine feeds no power; {unlikely}"
     return "ok", unlikely
 

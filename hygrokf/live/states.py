@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.data.structured import structured
-from hygrokf.live.assessment import Known, Outlook, assess
+from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
 from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Condition
 from hygrokf.live.storage.store import Store
@@ -92,7 +92,7 @@ class States:
             with_humidity="vapour" in one.plan.model.states,
             outlook=self._outlooks.get(name),
             alarms=alarms,
-            standstill_s=tracker.standstill_since(),
+            standstill=tracker.stands_still(STANDSTILL_S),
             history_until_s=tracker.history_until(),
             fault=fault,
             catching_up=catching_up,

@@ -141,15 +141,13 @@ class Tracker:
         """Time [s] of the newest reading of each signal."""
         return {signal: times[-1] for signal, times in self._times.items() if times}
 
-    def standstill_since(self) -> float | None:
-        """Time [s] since when the turbine has fed no power, as far back as readings are kept; None if it
-        feeds power or nothing is known."""
-        values = np.array(self._values.get("active_power", ()), dtype=float)
-        times = np.array(self._times.get("active_power", ()), dtype=float)
-        known = np.isfinite(values)
-        fed, times = np.flatnonzero(values[known] > 0.0), times[known]
-        first = int(fed[-1]) + 1 if len(fed) else 0
-        return float(times[first]) if first < len(times) else None
+    def stands_still(self, for_s: float) -> bool:
+        """Whether the turbine has fed no power for a time [s] up to its newest power reading; False without
+        readings of power over that time."""
+        times, values = self._times.get("active_power"), self._values.get("active_power")
+        if not times or not values or times[0] > times[-1] - for_s:
+            return False
+        return not any(value > 0.0 for value in values[bisect.bisect_left(times, times[-1] - for_s) :])
 
     def history_until(self) -> float | None:
         """Time [s] until which readings of ambient and cabinet have to come before the first estimate; None

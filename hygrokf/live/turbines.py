@@ -159,7 +159,7 @@ class Fleet:
         for one in deliveries:
             batch.memories.update({(source, name): data for name, data in one.memories.items()})
         self.filter_waiting(batch, filter_s)
-        for name in touched:
+        for name in touched.keys() & self.waiting.keys():  # the others were assessed when they were filtered
             self._assess(name, batch)
         return batch
 
@@ -181,9 +181,11 @@ class Fleet:
         batch."""
         end = time.monotonic() + filter_s
         courses: dict[str, Course] = {}
+        done: list[str] = []
         while self.waiting:
             name = next(iter(self.waiting))
             del self.waiting[name]
+            done.append(name)
             course = self._advance(name)
             if course is not None:
                 courses[name] = course
@@ -192,6 +194,7 @@ class Fleet:
         found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
+        for name in done:
             self._assess(name, batch)
         return batch
 

@@ -22,6 +22,7 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.web.views import fleet_summary, fleet_view, turbine_view
 
@@ -84,11 +85,10 @@ def coming(*chances: float) -> Outlook:
             "no estimate",
             "cannot run: no time",
         ),
-        ({"standstill_s": NOW - 2.0 * HOUR_S}, "off", "feeds no power"),
-        ({"standstill_s": NOW - 0.5 * HOUR_S}, "ok", ""),
-        ({"standstill_s": NOW - 9.0 * HOUR_S, "heard": {"active_power": NOW - 3.0 * HOUR_S}}, "ok", ""),
-        ({"standstill_s": NOW - 2.0 * HOUR_S, "condensation": 0.7}, "at risk", "now"),
-        ({"standstill_s": NOW - 2.0 * HOUR_S, "condensation": None}, "no estimate", ""),
+        ({"standstill": True}, "off", "feeds no power"),
+        ({"standstill": True, "heard": {"active_power": NOW - 3.0 * HOUR_S}}, "ok", ""),
+        ({"standstill": True, "condensation": 0.7}, "at risk", "now"),
+        ({"standstill": True, "condensation": None}, "no estimate", ""),
     ],
 )
 def test_states(changed: dict, state: str, words: str) -> None:
@@ -100,13 +100,13 @@ def test_every_state_and_no_null_is_ok() -> None:
     """Whatever else holds, without a probability of condensation that is a number no turbine is fine."""
     assert all(found in STATES for found in ("at risk", "alarm", "stale", "no estimate", "ok", "off"))
     for chance in (None, math.nan):
-        for standstill in (None, 0.0):
+        for standstill in (False, True):
             for estimate in (None, NOW, NOW - 9.0 * HOUR_S):
                 for outlook in (None, coming(0.0, 0.1)):
                     for kinds in ((), tuple(RULES)):
                         one = known(
                             condensation=chance,
-                            standstill_s=standstill,
+                            standstill=standstill,
                             estimate_s=estimate,
                             outlook=outlook,
                             alarms=[alarm(kind) for kind in kinds],
@@ -212,6 +212,17 @@ def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
     again = Fleet.from_store({"T1": turbine}, store)
     assert again.tick(record.end_s + 20.0, {}).assessments == []  # the forecast is known again
     store.close()
+
+
+def test_a_turbine_stands_still_by_its_power(turbine: Turbine) -> None:
+    def stands(*kilowatt: float) -> bool:
+        tracker = Tracker(turbine.plan)
+        tracker.take(Reading("active_power", 600.0 * i, 1e3 * kW) for i, kW in enumerate(kilowatt))
+        return tracker.stands_still(HOUR_S)
+
+    assert stands(500.0, *[0.0] * 7) and stands(*[-5.0] * 8)
+    assert not stands(500.0, *[0.0] * 6) and not stands(*[0.0] * 7, 20.0)
+    assert not stands(*[0.0] * 6) and not stands()  # not known for an hour
 
 
 def test_what_a_model_reads(record: Record, turbine: Turbine) -> None:

@@ -17,7 +17,7 @@ from builders.page_case import Case, add_forecast, filled, opened, write_certifi
 from builders.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
-from hygrokf.live.batch import Alarm, Batch
+from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.web import access as web_access
 from hygrokf.live.web.access import Attempts, Sessions, host_name
@@ -96,6 +96,10 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
         assert rows[name]["temperature"] == pytest.approx(kelvin - 273.15, abs=1e-4)
         assert rows[name]["relative_humidity"] == pytest.approx(100.0 * humidity, abs=1e-4)
         assert (rows[name]["condensation"], rows[name]["time"]) == (chance, at)
+    states = store.assessments()
+    assert {name: row["state"] for name, row in rows.items()} == {n: one.state for n, one in states.items()}
+    assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in STATES}
+    assert all(row["reason"] and row["since"] for row in rows.values())
     (most,) = store.rows("SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
     store.close()
     assert rows["T1"]["forecast"]["condensation"] == most[0] and rows[NAMES[1]]["forecast"] is None
@@ -287,6 +291,8 @@ def test_metrics_are_the_stores(service: Service) -> None:
     for name, row in rows.items():
         turbine = ("turbine", name)
         assert found["hygrokf_condensation_probability", turbine] == row["condensation"]
+        states = {s: found["hygrokf_turbine_state", ("state", s), turbine] for s in STATES}
+        assert states == {s: float(s == row["state"]) for s in STATES}
         assert found["hygrokf_dew_point_margin_kelvin", turbine] == row["margin"]
         age = found["hygrokf_heard_age_seconds", turbine]
         assert began - row["heard"] - 1e-3 <= age <= ended - row["heard"] + 1e-3
