@@ -22,18 +22,18 @@ NAMES = {
 }
 
 
-def one(seed: int) -> dict:
+def one(seed: int, days: float = DAYS, learnt: float = LEARNT_DAYS) -> dict:
     """The innovations of a plant over the days after those that its model was identified on.
 
     For each signal: readings, days, readings beyond, and of each step the readings with which it would have
     been noticed had it begun with them; steps go up and down by turns.  What the filter predicts for a
     reading does not depend on the reading, so that every reading can be the first one of a step.
     """
-    made = plant(seed, days=LEARNT_DAYS + DAYS, operation="turbine", weather="fronts", preheating=True)
-    begin = float(made.drivers.time[0]) + LEARNT_DAYS * DAY_S
+    made = plant(seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True)
+    begin = float(made.drivers.time[0]) + learnt * DAY_S
     case = tracked(made, begin)
     found = innovations(case.course, dict.fromkeys(STEPS, begin + SETTLED_S))
-    line: dict = {"seed": seed, "days": DAYS - SETTLED_S / DAY_S}
+    line: dict = {"seed": seed, "days": days - SETTLED_S / DAY_S}
     for signal, steps in STEPS.items():
         z = np.array([each.deviations for each in found if each.signal == signal])
         sd = np.array([each.sd for each in found if each.signal == signal])
@@ -59,9 +59,10 @@ def table(lines: Sequence[Mapping]) -> str:
         name, unit, factor = NAMES[signal]
         of = [line[signal] for line in lines]
         count = sum(each["readings"] for each in of)
+        noticed = [sum(each["noticed"][k] for each in of) / count for k in range(len(steps))]
         shares = [
-            f"{factor * step:g} {unit}: {sum(each['noticed'][k] for each in of) / max(count, 1):.1%}"
-            for k, step in enumerate(steps)
+            f"{factor * step:g} {unit}: {100.0 * share:.1f} %"
+            for step, share in zip(steps, noticed, strict=True)
         ]
         beyond = sum(each["beyond"] for each in of)
         text.append(
