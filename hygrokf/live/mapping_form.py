@@ -35,7 +35,9 @@ def _zone(value: object) -> datetime.tzinfo:
 
 
 def _time_form(value: object) -> str:
-    """A strptime form that holds a date and a time to the minute.  Raises ValueError."""
+    """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
+    if value == "":
+        return ""
     if isinstance(value, str):
         try:
             found = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)

@@ -6,6 +6,7 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from hygrokf.live.config import read_config
 from hygrokf.live.doctor import machine as doctor_machine
 from hygrokf.live.doctor.check import Check
 from hygrokf.live.doctor.examination import examine
+from hygrokf.live.doctor.payloads import try_payloads
 from hygrokf.live.sources import sparkplug_node
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.mqtt import Mqtt
@@ -58,6 +60,19 @@ def test_a_sparkplug_table(topics: str) -> None:
     # the layout of its payloads is its own; turbines and signals are those of the mapping
     assert (stream.mapping.tag, stream.mapping.quality, stream.mapping.turbine) == ("", "quality", "{4}")
     assert stream.signals("T1") == {"cabinet_temperature"}
+
+
+def test_a_metric_s_name_may_contain_the_turbine() -> None:
+    mapping = replace(
+        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", comma=True, records="values"
+    )
+    place = Place("[[source]] 1")
+    stream = stream_of(tomllib.loads(f'{TABLE}topics = ["spBv1.0/#"]'), place, Path(), mapping)
+    names = {f"W01/{NAME}": 21.5, f"W09/{NAME}": 22.5, "Load": 1.0}
+    (found,) = [
+        one for one in stream.mapping.read({**names, "time": 1.7e9, "quality": "good"}, 1.7e9) if one.readings
+    ]
+    assert found.turbine == "T1" and [one.value for one in found.readings] == [21.5 + 273.15]
 
 
 def test_messages_are_mapped_unless_a_format_is_stated() -> None:
@@ -182,3 +197,16 @@ def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[], di
         checks = look()
     assert found(checks, "messages are missing in the sequence").level == "doubt"
     assert not node.rebirths
+
+
+@needs_mosquitto
+def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
+    text = f'url = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]'
+    stream, _ = read(text)
+    node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
+    with publishing(node, lambda number: node.bear(None, Cabinet_Temperature=21.5)):
+        (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 0.5)
+    assert found.used == found.count > 0
+    assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {
+        ("T1", 21.5, "degC")
+    }

@@ -11,6 +11,7 @@ import re
 import time
 import timeit
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -327,6 +328,10 @@ def test_a_source_has_a_mapping_of_its_own(folder: Path) -> None:
     own += 'decimal = ","\n'
     found = config(folder, '[mapping]\ntime = "t"\nquality = "q"', SOURCE + own)
     common, table = (one.mapping for one in found.streams)
+    reset = own + 'records = ""\ntag = ""\nvalue = ""\ntag_pattern = ""\ntime_format = ""\nquality = ""\n'
+    arrays = '[mapping]\nrecords = "v"\ntag = "i"\nvalue = "v"\ntag_pattern = "*{field}"\nquality = "q"\n'
+    flat = config(folder, arrays + 'time_format = "%d.%m.%Y %H:%M"', SOURCE + reset).streams[1].mapping
+    assert flat == replace(table, quality="")
     assert (common.time, common.comma, common.clock.zone) == ("t", False, None)
     assert (table.time, table.comma, table.quality) == ("Zeit", True, "q")
     assert table.fields == common.fields and table.turbines == common.turbines

@@ -86,7 +86,8 @@ class Read:
             found = self.stream.mapping.read(one.content, one.received, one.topic)
         except Refused:
             return
-        self.values[found.turbine] += [round(r.value - 273.15, 3) for r in found.readings]
+        for turbine, readings, _ in found:
+            self.values[turbine] += [round(r.value - 273.15, 3) for r in readings]
 
 
 @contextmanager

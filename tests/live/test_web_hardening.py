@@ -239,6 +239,16 @@ def test_addresses_that_nobody_expects_are_refused_in_words(
         assert found.split(b" ", 2)[1] == str(status).encode(), found
 
 
+@pytest.mark.parametrize("method", ["HEAD", "GET", "POST", "CONNECT"])
+def test_a_body_that_is_malformed_is_no_fault_of_the_server(
+    service: Service, method: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    head = f"{method} / HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+    with served(service) as (_, server), ExitStack() as stack:
+        assert b" 400 " in connected(stack, server, head + b"zz\r\n").recv(4096).partition(b"\r\n")[0]
+    assert [r.getMessage() for r in caplog.records if r.levelno >= logging.WARNING] == []
+
+
 def test_an_origin_that_is_no_address_is_refused(service: Service) -> None:
     with served(service) as (_, server):
         headers = {"Content-Type": "application/json", "Origin": "http://["}

@@ -26,7 +26,7 @@ from hygrokf.live.sources.broker import filter_fault, unreachable
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import JSON, LARGEST, UNPACKED, Content, Unreadable
+from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import SourceFault, Stream
 from hygrokf.live.tracker import Reading
@@ -176,14 +176,16 @@ def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
         if link.lost.is_set() or not link.answered or link.denied:
             words = link.reason or f"{source.broker.where} has not answered"
             raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
-        end = time.monotonic() + wait_s
+        end, contents = time.monotonic() + wait_s, source.reader()
         while (left := end - time.monotonic()) > 0.0:
             with suppress(queue.Empty):
                 found = link.messages.get(timeout=left)
                 if found is None:
                     raise TrialFault(f"{source.url}: {link.reason}")
                 message, came = found
-                yield Arrived(bytes(message.payload[: LARGEST + 1]), came, message.topic)
+                payload = bytes(message.payload[: source.largest + 1])
+                for content in contents(message.topic, payload, came):
+                    yield Arrived(content, came, message.topic)
     finally:
         link.close()
 
@@ -214,7 +216,7 @@ def _tried(turbine: str, one: Reading) -> TriedReading:
 
 def _text(content: Content) -> str:
     if isinstance(content, Unreadable):
-        return "(a damaged row)"
+        return "(no payload)"
     if isinstance(content, Mapping):
         text = ", ".join(f"{name}={value}" for name, value in content.items())
     elif isinstance(content, bytes):

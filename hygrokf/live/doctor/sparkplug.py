@@ -26,10 +26,10 @@ def sparkplug_checks(
     The doctor knows only births within this time, so that it does not judge values by other aliases.
     """
     nodes = EdgeNodes()
+    read = source.reader(nodes)
 
     def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
-        _, released = nodes.take(topic, payload, received)
-        found = (content for one in released for content in source.contents(one))
+        found = read(topic, payload, received)
         return [one for one in found if not (isinstance(one, Unreadable) and one.kind in UNEXPLAINED)]
 
     yield from mqtt_checks(source, statistics, wait_s, lateness_s, contents, KEPT)

@@ -170,6 +170,10 @@ class Mqtt(Threaded):
             if self._closing.wait(0.02):
                 break
 
+    def reader(self) -> Callable[[str, bytes, float], Sequence[Content]]:
+        """Gives the payloads of messages (topic, payload, time of arrival [s]) that another session hears."""
+        return lambda topic, payload, received: [payload]
+
     def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
         """Hand over what a message gives."""
         self._put([found.payload], found.time, found.topic, MqttReceipt(link, found.identifier), put)

@@ -19,7 +19,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
 from hygrokf.live.sources.mqtt_link import Arrival, Link
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
 from hygrokf.live.sources.sparkplug_node import EdgeNode
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
@@ -107,8 +107,9 @@ class Sparkplug(Mqtt):
     largest = LARGEST_MESSAGE
 
     def __init__(self, broker: Broker, mapping: PayloadMapping, rebirth_requests: bool = False) -> None:
-        own = replace(mapping, time="time", quality="quality", good=("good",), tag="", value="")
-        super().__init__(broker, own)
+        own = mapping.of_own_payloads(("good",), mapping.turbines)
+        named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
+        super().__init__(broker, named)
         self.rebirth_requests = rebirth_requests
         self.edge_nodes = EdgeNodes()
         self._asked: dict[str, float] = {}
@@ -149,6 +150,17 @@ class Sparkplug(Mqtt):
             # the data to keep describe the edge node after all that is released
             memories = node.memories() if node is not None and place == len(released) else None
             self._put(self.contents(one), one.received, one.topic, receipt, put, memories)
+
+    def reader(self, nodes: EdgeNodes | None = None) -> Callable[[str, bytes, float], Sequence[Content]]:
+        """Gives the payloads of messages that another session hears, of edge nodes that it knows from these
+        messages alone."""
+        known = EdgeNodes() if nodes is None else nodes
+
+        def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
+            _, released = known.take(topic, payload, received)
+            return [content for one in released for content in self.contents(one)]
+
+        return contents
 
     def contents(self, one: Released) -> Sequence[Payload | Unreadable]:
         """What the mapping is given: where turbines are devices, nothing that an edge node says of itself."""

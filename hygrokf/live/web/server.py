@@ -123,7 +123,8 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
     except OSError as fault:  # TLS errors are OSErrors, too
         listening.close()
         raise PageFault(f"the page's certificate cannot be used: {fault.strerror or fault}") from None
-    logging.getLogger("uvicorn.error").addFilter(is_own_mistake)
+    for name in ("uvicorn.error", "asyncio"):
+        logging.getLogger(name).addFilter(is_own_mistake)
     # outside of what puts a proxy's clients in the place of the connections' own addresses
     server.config.loaded_app = connections.limited(server.config.loaded_app)
     thread = threading.Thread(target=server.run, args=([listening],), name="page", daemon=True)
@@ -140,13 +141,17 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
 
 
 def is_own_mistake(record: logging.LogRecord) -> bool:
-    """Whether an error that uvicorn logs is one of the program.
+    """Whether an error that uvicorn or asyncio logs is one of the program.
 
     It is not where a request turned out to be malformed while it was being answered: uvicorn has refused it
-    then, and the answer comes too late.
+    then, and the answer comes too late.  It is not either where uvicorn fails to refuse a malformed HEAD or
+    CONNECT, whose answers have no body; the connection is closed.
     """
     fault = record.exc_info[1] if record.exc_info else None
-    return re.search(r"role=SERVER and state=(MUST_CLOSE|CLOSED|ERROR)", str(fault)) is None
+    if type(fault).__name__ != "LocalProtocolError":
+        return True
+    too_late = re.search(r"our state is|role=SERVER and state=", str(fault))
+    return record.name != "asyncio" and too_late is None
 
 
 def listening_socket(settings: PageSettings) -> socket.socket:

@@ -184,7 +184,7 @@ class Statements:
             "an alarm was acknowledged",
             extra={"alarm": stated.id, "by": stated.by, "cause": stated.cause},
         )
-        self.hub.changed([done])
+        self.hub.changed({done} - {SOURCE})
         return reply({"turbine": done})
 
     def labels(self, request: Request) -> Response:
@@ -212,7 +212,7 @@ class Statements:
             "alarms were shelved",
             extra={"turbine": shelf.turbine, "kind": shelf.kind, "by": shelf.made_by, "until": shelf.until},
         )
-        self.hub.changed([shelf.turbine])
+        self.hub.changed({shelf.turbine} - {SOURCE})
         return reply({"shelf": shelf})
 
     async def unshelve(self, request: Request) -> Response:
@@ -224,7 +224,7 @@ class Statements:
         if not await self._write(lambda store: store.unshelve(turbine, kind)):
             return refusal(404, "there is no such shelf")
         LOG.info("a shelf was ended", extra={"turbine": turbine, "kind": kind})
-        self.hub.changed([turbine])
+        self.hub.changed({turbine} - {SOURCE})
         return reply({"turbine": turbine})
 
     def events(self, request: Request) -> Response:
