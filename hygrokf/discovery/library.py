@@ -69,8 +69,10 @@ LIBRARY: tuple[Cause, ...] = (
         "exchange_step", "the exchange of air changed at a date",
         "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now",
         exchange_step, alone=ODD,
-        forms="loss and exchange that change at a date, at once or within 8 days; disturbances of the "
-        "vapour are errors of the breathed air, or flows that stay as they were",
+        forms=(
+            "loss and exchange that change at a date, at once or within 8 days; the vapour disturbances "
+            "either enter with the exchanged air or are flows that do not change"
+        ),
         searches="dates",
     ),
     Cause(
@@ -112,7 +114,7 @@ LIBRARY: tuple[Cause, ...] = (
     ),
     Cause(
         "rain_ingress", "rain enters and evaporates",
-        "look for the way of the water: door, cable entry, roof",
+        "find where the water enters: door, cable entry, roof",
         "a wetness sensor on the floor", rain, needs="rain",
         forms="rain, or what of it exceeds 1 mm/h, that enters and evaporates",
     ),
@@ -125,24 +127,30 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",
         "current of the drier", drier,
-        forms="drying above a set-point, proportional or two-point, cold plate or desiccant, with or "
-        "without the heat that it gives to the air",
+        forms=(
+            "drying above a set-point, proportional or on/off, cold plate or desiccant, with or without "
+            "heat released to the air"
+        ),
         searches="set-points",
     ),
     Cause(
         "internal_moisture_source", "water evaporates inside",
         "look for leaks of coolant, wet cable ducts, ground water",
         "absolute humidity inside and outside with the cabinet at ambient temperature", source,
-        forms="vapour always, at standstill, from a wet surface, in the same hours, or drying out from a "
-        "date on",
+        forms=(
+            "vapour release: constant, at standstill, from a wet surface, in the same hours, or drying "
+            "out from a date on"
+        ),
         searches="dates, hours",
     ),
     Cause(
-        "ambient_bias", "the ambient series is not the air that the cabinet breathes",
+        "ambient_bias", "the ambient series does not describe the air that enters the cabinet",
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
         breathed,
-        forms="offset of the ambient's vapour, thermometer or humidity; air that lags the series; a series "
-        "that was smoothed",
+        forms=(
+            "offset of the ambient vapour, temperature or humidity; cabinet intake air that lags the "
+            "series; a smoothed series"
+        ),
     ),
     # the searches of hours and set-points take longest: they come last, where the time may not suffice
     Cause(
@@ -155,7 +163,7 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
         "look for lamps, timers and people at work in these hours; log the load",
-        "current of what runs in these hours",
+        "current of the equipment that runs in these hours",
         by_the_clock,
         forms="heat in the same hours of every day, or of every workday (UTC)",
         searches="hours",
@@ -183,4 +191,4 @@ def named(name: str, library: Sequence[Cause] = LIBRARY) -> Cause:
 def cause_table() -> list[tuple[str, str, str]]:
     """The causes with their forms and what is searched, for docs/discover.md; the head in the first row."""
     rows = [(f"`{cause.name}`", cause.forms, cause.searches or "–") for cause in LIBRARY]
-    return [("cause", "forms that are tried", "searched"), *rows]
+    return [("cause", "forms tried", "settings searched"), *rows]

@@ -187,7 +187,7 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
     except KeyboardInterrupt:
         raise
     except BaseException as fault:
-        raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; mend or uninstall it"]) from fault
+        raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; fix or uninstall it"]) from fault
     if isinstance(loaded, Cause):
         return [loaded]
     if isinstance(loaded, ModuleType):

@@ -39,8 +39,7 @@ from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
 
 REFUTED = (
-    "what the identification period showed was taken for a cause that the held-out period refutes: the model "
-    "lacks something else"
+    "the held-out period refutes the cause found in the identification period: the model lacks something else"
 )
 UNEXPLAINED_AT_MOST = 0.5
 """[1] largest confidence of a cause under the verdict "unexplained"."""

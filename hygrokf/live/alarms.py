@@ -294,9 +294,14 @@ def estimate_levels(now: Estimated, verdicts: Mapping[str, Inherited]) -> list[L
 
 
 # -- levels of missing data ----------------------------------------------------------------------------------
-def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
-    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s]."""
+def stale_levels(ages_s: Mapping[str, float], limit_s: float, left: str = "") -> list[Level]:
+    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s].
+
+    left: text about a sender that has left, so that its signals are stale at once.
+    """
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
+    if left:
+        return [Level(STALE.kind, max(1.0, *(age / limit_s for age in (0.0, *silent.values()))), left)]
     if not silent:
         return []
     oldest = max(silent.values())

@@ -20,7 +20,7 @@ import numpy as np
 
 from hygrokf.data.ambient import middle
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.changes import SAME_S as SAME_S
@@ -45,6 +45,11 @@ class Reading:
     signal: str
     time: float
     value: float
+
+    def at_whole_microsecond(self) -> Reading:
+        """The reading with its time rounded to microseconds, as every store gives it back."""
+        time = whole_microseconds(self.time)
+        return self if time == self.time else Reading(self.signal, time, self.value)
 
 
 @dataclass(frozen=True)

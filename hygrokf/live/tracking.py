@@ -1,19 +1,14 @@
 """The complete tracker: service, page, log and operating-system signals, run from a configuration until it is
 told to end.
-
-The log has one line per event, as text for people or as JSON for machines.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 
 from hygrokf.live.config import Config
 from hygrokf.live.notification.sender import Sender
@@ -21,8 +16,6 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
 
 LOG = logging.getLogger("hygrokf.track")
-_OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
-FORMS = ("text", "json")
 
 
 def track(
@@ -116,43 +109,3 @@ def ended_by_signals(service: Service) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-# -- the log -------------------------------------------------------------------------------------------------
-class LogLines(logging.Formatter):
-    """Formats time (UTC), level, logger, message and extra fields."""
-
-    def __init__(self, form: str = "text") -> None:
-        super().__init__()
-        self.form = form
-
-    def format(self, record: logging.LogRecord) -> str:
-        at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
-        beside = {key: value for key, value in vars(record).items() if key not in _OWN}
-        if record.exc_info:
-            beside["trace"] = self.formatException(record.exc_info)
-        if self.form == "json":
-            said = {
-                "time": at,
-                "level": record.levelname.lower(),
-                "name": record.name,
-                "message": record.getMessage(),
-            }
-            return json.dumps({**said, **beside}, default=str, ensure_ascii=False)
-        # an event stays on one line, whatever characters an external name contains
-        more = "".join(f" {key}={_flat(value)}" for key, value in beside.items())
-        return f"{at} {record.levelname.lower():7} {record.name}: {_flat(record.getMessage())}{more}"
-
-
-def _flat(value: object) -> str:
-    return "".join(c if c.isprintable() else " " for c in str(value))
-
-
-def log_to_stderr(form: str = "text", level: int = logging.INFO) -> None:
-    """Send the package's logs to standard error in one of the `FORMS`."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(LogLines(form))
-    own = logging.getLogger("hygrokf")
-    own.handlers[:] = [handler]
-    own.setLevel(level)
-    own.propagate = False

@@ -51,7 +51,8 @@ from hygrokf.live.properties import (
     properties,
     states_of,
 )
-from hygrokf.live.sources.payload import PayloadMapping, Refused
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.stream import Delivery, SourceState
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
@@ -119,7 +120,7 @@ class Fleet:
         fleet = cls(turbines)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - one.plan.context_s
+            since = -math.inf if point is None else point.time - one.plan.context_s
             known = store.memories(name)
             fleet.changes[name] = structured(list[Change], known.get("changes", []))
             times = [change.time for change in fleet.changes[name]]
@@ -157,16 +158,18 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                turbine, readings, refused = mapping.read(one.content, one.received, one.topic)
+                found = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            counts.update({(turbine, kind): n for kind, n in refused.items()})
-            if mapping.weather:
-                batch.weather += [Observation(turbine, r, one.received) for r in readings]
-                continue
-            is_late = self.trackers[turbine].is_late
-            touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
+            for turbine, stated, rejections in found:
+                readings = [reading.at_whole_microsecond() for reading in stated]
+                counts.update((turbine, rejection.kind) for rejection in rejections)
+                if mapping.weather:
+                    batch.weather += [Observation(turbine, r, one.received) for r in readings]
+                elif readings:
+                    is_late = self.trackers[turbine].is_late
+                    touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
         for name, observations in touched.items():
             tracker = self.trackers[name]
             tracker.take(one.reading for one in observations)
@@ -290,13 +293,19 @@ class Fleet:
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
-    def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
-        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources."""
-        batch = Batch()
+    def tick(
+        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+    ) -> Batch:
+        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources.
+
+        left: turbine -> text about a sender that has left.
+        """
+        batch, left = Batch(), left or {}
         self._began = min(self._began, now)
         for name, tracker in self.trackers.items():
             ages = {signal: now - time for signal, time in tracker.heard().items()} or {"": now - self._began}
-            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE,), batch)
+            levels = stale_levels(ages, self.turbines[name].stale_s, left.get(name, ""))
+            self._judge(name, now, levels, (STALE,), batch)
         self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
         return batch
 

@@ -140,8 +140,8 @@ def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
     vapour = ambient_absolute_humidity(record)
     if vapour is None:
         raise ValueError(
-            "the model reads an ambient humidity (relative, absolute or dew point), which the record does "
-            "not have; add the signal"
+            "the model needs an ambient humidity (relative, absolute or dew point), which the record "
+            "does not have; add the signal"
         )
     return 1e3 * rate(vapour, time)
 

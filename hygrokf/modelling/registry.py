@@ -35,7 +35,7 @@ def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]
     """Faults of names that the package already uses, and of one name used for a mechanism and a feature."""
     mechanisms, features = list(mechanisms), list(features)
     faults = [
-        f"{kind} {name!r}: the package has a mechanism, feature or signal of that name; choose another one"
+        f"{kind} {name!r}: the package has a mechanism, feature or signal of that name; choose another name"
         for kind, names in (("mechanism", mechanisms), ("feature", features))
         for name in names
         if name in _PACKAGE
@@ -95,7 +95,7 @@ def absent(stored: Mapping[str, Origin]) -> list[str]:
 
 def _remedy(origin: Origin) -> str:
     if "file" in origin:
-        return f"name the file as it was then: --library {origin['file']}"
+        return f"pass the file as it was then: --library {origin['file']}"
     if "package" in origin:
         return "install that version"
-    return "adopt the cause there before the fit is read"
+    return "register the cause there before reading the fit"

@@ -46,7 +46,7 @@ SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
     "thermal_pace": "relative change of the thermal rate 1/τ [1]",
     "exchange": "relative change of the air exchange with the ambient [1]",
-    "ambient_vapour": "departure of the air that the cabinet breathes from the ambient series [g/m³]",
+    "ambient_vapour": "difference between the intake air of the cabinet and the ambient series [g/m³]",
     "vapour_release": "vapour released into the cabinet air, per volume [g/(m³ h)]",
     "cabinet_temperature_reading": "error of the temperature reading [K]",
     "cabinet_relative_humidity_reading": "error of the humidity reading [1]",
@@ -144,7 +144,7 @@ class Model:
         names = [s for m in self.mechanisms for s in m.states]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise ValueError(f"two mechanisms bring a state of the same name: {twice}")
+            raise ValueError(f"two mechanisms have a state of the same name: {twice}")
         return tuple(names)
 
     @cached_property
@@ -226,7 +226,8 @@ class Model:
         missing = [n for n in self.states if n not in rates]
         if missing:
             raise ValueError(
-                f"no rate is given for the states {missing}: a mechanism's drift must return all of its own"
+                f"no rate is given for the states {missing}: the drift of a mechanism must return the "
+                "rates of all its states"
             )
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
@@ -312,8 +313,8 @@ class _Sums(SimpleNamespace):
         if name in self._sums:
             return self._sums[name]
         raise AttributeError(
-            f'a mechanism reads the sum "{name}", to which none adds{suggestion(name, self._sums, 1)} '
-            f"(the sums of this model: {', '.join(self._sums)})"
+            f'a mechanism reads the sum "{name}", to which no mechanism adds'
+            f"{suggestion(name, self._sums, 1)} (the sums of this model: {', '.join(self._sums)})"
         )
 
 

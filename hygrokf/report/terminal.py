@@ -26,7 +26,7 @@ from hygrokf.report.blocks import (
 )
 
 TEXT_WIDTH = 100
-KEY = "What to believe ({}), what with caution ({}), what not ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
+KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
 
 
 def page_text(page: Page, width: int = TEXT_WIDTH) -> str:

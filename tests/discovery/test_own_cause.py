@@ -492,7 +492,7 @@ def test_a_cause_of_a_session_has_its_module_for_an_origin() -> None:
     assert origins == {"transformer_heat": {"python": "notebook"}}
     assert additions.absent(origins) == []
     additions.withdraw(["transformer_heat"])
-    assert "adopt the cause there" in additions.absent(origins)[0]
+    assert "register the cause there" in additions.absent(origins)[0]
 
 
 def test_discover_refuses_before_the_work() -> None:
@@ -579,7 +579,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv")
     assert status == 2 and not (tmp_path / "course.csv").exists()
     assert "the model needs transformer_heat of transformer.py (SHA-256 " in said
-    assert "found none of that name; name the file as it was then: --library transformer.py" in said
+    assert "found none of that name; pass the file as it was then: --library transformer.py" in said
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv", "--library", file)
     assert status == 0 and "instants written" in said
     status, said = told("evaluate", out, case, "--library", file, "--json")

@@ -184,9 +184,10 @@ def chunks(
         values.append(turbine)
     names = ", ".join([*table.key, *(column.source for column in table.columns)])
     order, width = ", ".join(table.key), len(table.key)
+    marks = ", ".join("TIME(?)" if name == "time" else "?" for name in table.key)
     after: Row = ()
     while True:
-        following = [f"({order}) > ({', '.join('?' * width)})"] if after else []
+        following = [f"({order}) > ({marks})"] if after else []
         where = " AND ".join([*conditions, *following]) or "1 = 1"
         rows = store.rows(
             f"SELECT {names} FROM {table.source} WHERE {where} ORDER BY {order} LIMIT {CHUNK}",

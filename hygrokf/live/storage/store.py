@@ -9,6 +9,7 @@ that batch.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +29,7 @@ from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
-from hygrokf.live.storage.schema import TABLES
+from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite
 from hygrokf.live.tracker import Point, Reading
 
@@ -47,7 +48,8 @@ _READINGS = f"""{_SIGNALS}
 SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
 WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
     (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
-    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
+    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
+    (SELECT MIN(m.time) FROM observation m WHERE m.turbine = ? AND m.signal = known.signal))
 ORDER BY o.signal, o.time
 """
 """Query of `Store.readings`: one index lookup per signal, however long the history is."""
@@ -308,7 +310,7 @@ class Store:
 
         The value is NaN where two readings contradict each other.
         """
-        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
+        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
 
     def held(self, turbine: str | None = None) -> list[Observation]:
@@ -337,7 +339,7 @@ class Store:
         found = self.rows(f"SELECT {', '.join(EVENT_COLUMNS)} FROM event ORDER BY made, id")
         return [Event(*row) for row in found]
 
-    def events(self, turbine: str, since: float = -1e18) -> list[Event]:
+    def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
         found = self.rows(
             f"SELECT {', '.join(EVENT_COLUMNS)} FROM event WHERE turbine = ? AND time >= ? ORDER BY time, id",
@@ -401,7 +403,9 @@ class Store:
 
 def inserting(table: str, columns: Sequence[str]) -> str:
     """The statement that inserts a row."""
-    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
+    times = TIMESTAMPS.get(table, ())
+    marks = ", ".join("TIME(?)" if name in times else "?" for name in columns)
+    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
 
 
 def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequence[str] = ()) -> str:

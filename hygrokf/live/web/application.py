@@ -6,23 +6,22 @@ The page reads the store over its own connection, so that the tracker never wait
 from __future__ import annotations
 
 import logging
+import math
 import os
-import sqlite3
-import threading
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.outbox import ChannelState, channel_states
-from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
-from hygrokf.live.web.metrics import exposition
+from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
 from hygrokf.live.web.statements import Statements
 from hygrokf.live.web.views import FleetRow, alarms_view, fleet_view, health_view, turbine_view
@@ -39,58 +38,6 @@ DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
-T = TypeVar("T")
-
-
-class Reader:
-    """The page's own connection to the store, used by one thread at a time and reopened after a failure.
-
-    The tracker opens the store first, so that only the tracker creates its tables.
-    """
-
-    def __init__(self, service: Service) -> None:
-        self._service = service
-        self._lock = threading.Lock()
-        self._store: Store | None = None
-        self._failed = False
-
-    def read(self, view: Callable[[Store], T]) -> T:
-        """Apply `view` to the store and return its result.  Raises StoreFault if the store cannot be
-        reached."""
-        with self._lock:
-            if self._service.store is None:
-                raise StoreFault("the tracker has not opened its store yet")
-            try:
-                if self._store is None:
-                    self._store = open_store(self._service.store_url)
-                found = view(self._store)
-            except Exception as fault:
-                self._close()
-                if not is_store_error(fault):
-                    raise
-                if not self._failed:
-                    LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
-                self._failed = True
-                raise StoreFault("the store cannot be reached; the tracker's log says why") from fault
-            self._failed = False
-            return found
-
-    def close(self) -> None:
-        """Close the connection; the next read opens a new one."""
-        with self._lock:
-            self._close()
-
-    def _close(self) -> None:
-        if self._store is not None:
-            self._store.close()
-            self._store = None
-
-
-def is_store_error(fault: Exception) -> bool:
-    """Whether an exception comes from the database, of either kind, and not from a bug in the program."""
-    return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
-        "psycopg"
-    )
 
 
 class Page:
@@ -101,6 +48,7 @@ class Page:
         self.hub = hub
         self.access = Access(settings)
         self.reader = Reader(service)
+        self.answers = StoreAnswers(service)
         self._fleet: tuple[int, float, list[FleetRow]] = (-1, 0.0, [])
 
     def app(self) -> ASGIApp:
@@ -155,6 +103,11 @@ class Page:
         )
         return guard(made, self.access)
 
+    def close(self) -> None:
+        """Close the page's connections to the store."""
+        self.reader.close()
+        self.answers.close()
+
     # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
         now = self.service.now
@@ -174,7 +127,7 @@ class Page:
         name, days = request.path_params["name"], request.query_params.get("days", "3")
         if name not in self.service.turbines:
             return refusal(404, "no such turbine is tracked")
-        if not days.isdecimal() or int(days) not in DAYS:
+        if days not in map(str, DAYS):
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
         verdicts = self.service.turbines[name].verdicts
@@ -228,15 +181,22 @@ class Page:
 
         now = self.service.now
         try:
-            rows, counters = self.rows(now), self.reader.read(Store.counters)
+            rows: list[FleetRow] | None = self.rows(now)
+            counters, alarms = self.reader.read(
+                lambda store: (store.counters(), alarms_view(store, since=math.inf))
+            )
         except StoreFault:
-            rows, counters = None, {}
-        text, kind = exposition(now, self.service.health, self._sources(), len(self.hub), rows, counters)
+            rows, counters, alarms = None, {}, []
+        sources, clients = self._sources(), len(self.hub)
+        text, kind = exposition(Snapshot(now, self.service.health, sources, clients, rows, alarms, counters))
         return Response(text, headers={"Content-Type": kind})
 
-    def healthz(self, request: Request) -> Response:
+    async def healthz(self, request: Request) -> Response:
         """200 while readings can become estimates, else 503 with a reason that reveals no location and no
-        turbine."""
+        turbine.
+
+        It waits neither for other requests nor for the threads that answer them.
+        """
         fault = ""
         states = [state for state, _ in self._sources().values()]
         if self.service.ending.is_set():
@@ -246,10 +206,7 @@ class Page:
         elif states and all(state == "lost" for state in states):
             fault = "every source is lost"
         else:
-            try:
-                self.reader.read(lambda store: store.rows("SELECT 1"))
-            except StoreFault as found:
-                fault = str(found)
+            fault = await self.answers.fault()
         return refusal(503, fault) if fault else reply({"ok": True})
 
 

@@ -80,7 +80,7 @@ def _sensor(
     if estimated:
         time = Parameter(
             response, "h", 0.1, SHORTEST_RESPONSE_H, longest_h, positive=True,
-            meaning="time in which the sensor follows a step by all but 1/e",
+            meaning="time time in which the sensor covers 63 % of a step",
         )  # fmt: skip
         parameters.append(time)
     return Mechanism(

@@ -30,12 +30,16 @@ const NOT_USED = {
   "bad quality": "were marked as bad by the source",
   "no number": "were not numbers",
   "impossible value": "were outside the signal's range",
+  "other unit": "stated another unit than the mapping",
   "unknown tag": "had a tag that is not mapped",
+  "no known field": "had no field that is mapped",
+  "no records": "had nothing at the path of their records",
   malformed: "could not be read",
   "too large": "were too large",
   "too deep": "were nested too deep",
   "unknown turbine": "named a turbine that is not tracked",
   "no time": "had no time",
+  "ambiguous time": "had a local time that comes twice",
   "impossible time": "had a time before 1990 or in the future",
 };
 
