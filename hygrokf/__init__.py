@@ -41,7 +41,7 @@ _WHERE = {
     "thermal_system": "modelling.thermal_system",
     "discover": "discovery.procedure",
     "Cause": "discovery.cause",
-    "cause_of": "discovery.own_causes",
+    "cause_of": "discovery.cause",
     "load_library": "discovery.own_causes",
     "compare": "transfer.comparison",
     "comparison_column": "transfer.comparison",
@@ -95,7 +95,7 @@ if TYPE_CHECKING:
     from hygrokf.commands.fleet_tasks import run_fleet as run_fleet
     from hygrokf.data.record import Record as Record
     from hygrokf.discovery.cause import Cause as Cause
-    from hygrokf.discovery.own_causes import cause_of as cause_of
+    from hygrokf.discovery.cause import cause_of as cause_of
     from hygrokf.discovery.own_causes import load_library as load_library
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.errors import HygrokfError as HygrokfError

@@ -12,17 +12,14 @@ from builders.known_values import RELEASE
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.physics.mechanisms import (
+from hygrokf.physics.mechanisms.hygric import hygric_diffusion, hygric_exchange, vapour_disturbance
+from hygrokf.physics.mechanisms.sensors import humidity_sensor, temperature_sensor
+from hygrokf.physics.mechanisms.thermal import (
     heat_disturbance,
     heat_release,
-    humidity_sensor,
-    hygric_diffusion,
-    hygric_exchange,
     measured_air,
-    temperature_sensor,
     thermal_diffusion,
     thermal_network,
-    vapour_disturbance,
 )
 from hygrokf.physics.model import Model, compose
 

@@ -25,20 +25,15 @@ from hygrokf.data.record import Site
 from hygrokf.data.toml_form import keys_of
 from hygrokf.identification.fit import write_fit
 from hygrokf.live import config
-from hygrokf.live.config import (
-    MappingForm,
-    SignalForm,
-    SurfaceForm,
-    TrackForm,
-    TurbineForm,
-    WanderingForm,
-    read_config,
-)
+from hygrokf.live.config import SurfaceForm, TrackForm, TurbineForm, WanderingForm, read_config
+from hygrokf.live.log import LogLines
+from hygrokf.live.mapping_form import MappingForm, SignalForm
+from hygrokf.live.notification.form import MailForm, WebhookForm
 from hygrokf.live.plan import WANDERING
-from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.local import FileForm
+from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
-from hygrokf.live.tracking import LogLines
+from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0
@@ -127,11 +122,14 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("page", "forms"),
     [
-        (OPERATION, (TrackForm, TurbineForm, MappingForm, SignalForm, SurfaceForm, WanderingForm, Site)),
+        (OPERATION, (TrackForm, TurbineForm, SignalForm, SurfaceForm, WanderingForm, Site)),
+        (DOCS / "live_mapping.md", (MappingForm,)),
         (OPERATION, (FileForm, PageForm)),
         (DOCS / "live_page.md", (PageForm,)),
-        (DOCS / "live_mqtt.md", (BrokerForm,)),
+        (DOCS / "live_mqtt.md", (MqttForm,)),
+        (DOCS / "live_notify.md", (MailForm, WebhookForm)),
         (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
+        (DOCS / "live_postgres.md", (PostgresForm,)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )  # fmt: skip

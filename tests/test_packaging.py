@@ -50,7 +50,12 @@ LATE = {
     "h5py",
 }
 """Packages that cost too much to be loaded before a command needs them."""
-IMPORT_NAMES = {"pytest-xdist": "xdist", "paho-mqtt": "paho", "prometheus-client": "prometheus_client"}
+IMPORT_NAMES = {
+    "pytest-xdist": "xdist",
+    "paho-mqtt": "paho",
+    "prometheus-client": "prometheus_client",
+    "pyyaml": "yaml",
+}
 
 
 @pytest.fixture(scope="module")

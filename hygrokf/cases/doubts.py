@@ -243,8 +243,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 colder = np.mean(pair[1] - pair[0])
                 said.append(
                     Doubt(
-                        f"the cabinet is {colder:.1f} K colder than outside on average: are the "
-                        "columns exchanged?",
+                        f"the cabinet is {colder:.1f} K colder than outside on average: are the columns "
+                        "swapped?",
                         *PARTS,
                     )
                 )

@@ -46,7 +46,7 @@ class StatedSensor:
     accuracy: float | None = setting(None, "95 % accuracy of the sensor [its unit]", read=_size)
     resolution: float | None = setting(None, "spacing of the readings [its unit]", read=_size)
     response_time_s: float | None = setting(
-        None, "in which the sensor follows a step by all but 1/e", read=duration
+        None, "time in which the sensor covers 63 % of a step", read=duration
     )
 
     @across("unit", "signal")
@@ -130,20 +130,20 @@ class StatedSource:
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
     decimal: str = setting(".", "mark of numbers", **_CHARACTER)
-    comment: str | None = setting(None, "character that starts lines to skip", **_CHARACTER)
+    comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
     missing: tuple[str, ...] = setting(
         (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
     )
-    time_format: str | None = setting(None, "strptime form of stamps that are not ISO 8601")
+    time_format: str | None = setting(None, "strptime format of stamps that are not ISO 8601")
     ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
-    compare: bool = setting(False, "held against the other sources, and used for nothing else")
-    signals: Mapping[str, StatedColumn] = setting(dict, "the columns that are signals")
+    compare: bool = setting(False, "only compare with the other sources")
+    signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
     @across("decimal", "separator")
     def marks(self) -> str | None:
         if self.separator != self.decimal:
             return None
-        return f'separator and decimal are both "{self.decimal}"; state another one of the two'
+        return f'separator and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
@@ -184,7 +184,7 @@ class StatedWeather:
 
     OF: ClassVar = " in a [[source]] with format"
     REFUSED: ClassVar = {
-        "signals": "a source with format brings the signals that its file has; remove signals",
+        "signals": "a source with format supplies all signals of its file; remove signals",
         "time": "a source with format needs no time; remove it",
     }
     file: str = setting(help="path, relative to the case file")
@@ -195,13 +195,13 @@ class StatedWeather:
     altitude_m: float | None = setting(
         None, "of the weather; by default as in its file", least=-500.0, most=9000.0
     )
-    to_site_altitude: bool = setting(False, "whether the weather is moved to the site's altitude")
+    to_site_altitude: bool = setting(False, "convert the weather to the altitude of the site")
     lapse_rate_K_per_km: float | None = setting(
         None, "of the air between; by default 6.5", least=-20.0, most=20.0
     )
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
-    compare: bool = setting(False, "held against the other sources, and used for nothing else")
+    compare: bool = setting(False, "only compare with the other sources")
 
     @across("year", "format")
     def stamps(self) -> str | None:
@@ -243,7 +243,7 @@ class CaseForm:
     rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
     site: Site | None = setting(None, "location of the enclosure")
     source: tuple[Mapping[str, Any], ...] = setting((), "one for each file")
-    identification: StatedPeriod = setting(StatedPeriod, "period to identify from")
+    identification: StatedPeriod = setting(StatedPeriod, "identification period")
 
 
 @dataclass(frozen=True)

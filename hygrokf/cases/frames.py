@@ -158,7 +158,7 @@ def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
         if isinstance(frame, pd.Series):
             found += ': make it one with .to_frame("cabinet_temperature"), or what the signal is'
         elif hasattr(frame, "to_pandas"):
-            found += ": hand over .to_pandas()"
+            found += ": pass .to_pandas()"
         faults.append(found)
     return named, faults
 
@@ -253,7 +253,7 @@ def _prepare(
     stamps, stamps_named, length, wrong = _stamps(frame, labels, time)
     if length is not None:
         twice = [key for key in ("stamp", "interval") if stated.get(key) is not None]
-        wrong += [f"{stamps_named} holds periods, which say what each reading is the mean of: remove {key}"
+        wrong += [f"{stamps_named} holds periods, which already give the averaging intervals: remove {key}"
                   for key in twice]  # fmt: skip
         stated = {**stated, "stamp": "start", "interval": f"{length:.6f}s"}
     used = {
@@ -286,7 +286,7 @@ def _prepare(
             else:
                 faults.append(
                     f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
-                    f'say which one it holds, such as signals={{"{label}": "cabinet_temperature"}}'
+                    f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
                 )
     if not used:
         if len(faults) == before:
@@ -321,8 +321,9 @@ def _stamps(
         if frame.index.nlevels > 1:
             levels = ", ".join(str(one) for one in frame.index.names)
             return None, named, None, [
-                f"{named} has {frame.index.nlevels} levels ({levels}), expected the times alone: make the "
-                "others columns with .reset_index(level=…), or hand over one frame for each of their values"
+                f"{named} has {frame.index.nlevels} levels ({levels}), expected the times alone: turn the "
+                "other levels into columns with .reset_index(level=…), or pass one frame for each of "
+                "their values"
             ]  # fmt: skip
         stamps = pd.Series(frame.index)
     else:

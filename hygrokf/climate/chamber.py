@@ -31,8 +31,8 @@ class Acceleration:
 
     humidity_exponent: float = setting(2.66, "n [1]; 0: Arrhenius", least=0.0, most=10.0)
     activation_energy_eV: float = setting(0.79, "E_a", least=0.05, most=3.0)
-    reference_degC: float = setting(85.0, "at which the rate counts as 1", least=-50.0, most=200.0)
-    reference_percent: float = setting(85.0, "at which the rate counts as 1", least=1.0, most=100.0)
+    reference_degC: float = setting(85.0, "reference condition, with rate 1", least=-50.0, most=200.0)
+    reference_percent: float = setting(85.0, "reference condition, with rate 1", least=1.0, most=100.0)
 
     @property
     def humid(self) -> bool:
@@ -88,9 +88,9 @@ class ProfilePlan(ProfileLength):
 class ProfileForm:
     """A file of a test."""
 
-    test: ProfileLength = setting(ProfileLength, "length of the test, and the service that it stands for")
+    test: ProfileLength = setting(ProfileLength, "length of the test, and of the service that it represents")
     law: Acceleration = setting(Acceleration, "of ageing")
-    chamber: Chamber = setting(Chamber, "what the chamber can set")
+    chamber: Chamber = setting(Chamber, "limits of the chamber")
 
 
 def read_test_plan(path: str | os.PathLike[str]) -> ProfilePlan:

@@ -1,4 +1,4 @@
-"""The test profile of a chamber: days of the climate, warmed until they age as much as the years of service.
+"""The test profile of a chamber: days of the climate, warmed to the ageing of the years of service.
 
 With T* from 1/T* = 1/T − δ the law's rate grows by the same factor exp(E_a δ/k_B) in every hour, and the
 humidity stays: every condition keeps its share of the ageing.
@@ -23,14 +23,15 @@ from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 CUT_MOST = 0.5
 """Share of the hours that may stand at the chamber's highest temperature."""
 NOT_REPRODUCED = (
-    "temperatures and absolute humidity themselves: the test is warmer than the site",
-    "the number of temperature cycles in service: the test has those of its own length, each wider by "
-    "(T*/T)²",
+    "temperatures and absolute humidities themselves: the test is warmer than the site",
+    "the number of temperature cycles in service: the test has only the cycles of its own length, each "
+    "wider by (T*/T)²",
     "the order of the seasons, and stretches longer than a day",
     "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps "
     "allow",
     "condensation: the chamber's air is held below saturation, and no part in it is colder than the air",
-    "what does not age by the stated law: vibration, voltage, salt, dust, drying between wet stretches",
+    "ageing that does not follow the stated law: vibration, voltage, salt, dust, drying between wet "
+    "stretches",
 )
 
 

@@ -62,7 +62,7 @@ class LimitForm:
     quantity: str = setting(help="what is limited", choices=tuple(QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
     below: float | None = setting(None, "the level that the quantity should not fall below")
-    hours_a_year: float = setting(0.0, "allowed beyond the level", least=0.0, most=YEAR_H)
+    hours_a_year: float = setting(0.0, "hours allowed beyond the level", least=0.0, most=YEAR_H)
     during: str = setting("all", "the hours that count", choices=SCOPES)
     name: str = setting("", "by default quantity and level in words")
 

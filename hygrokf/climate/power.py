@@ -202,7 +202,7 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """
     first, last = power.time[0] - power.interval_s, power.time[-1]
     if covers(power, record):
-        return power, "power is taken hour by hour from its record"
+        return power, "power follows its record, hour by hour"
     if last - first < 0.95 * YEAR_S:
         raise PowerFault(
             f"{power.source}: expected power over the weather's time or over a whole year, found "
@@ -219,7 +219,8 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     value = np.where(at > last, np.nan, at_times(power, at, 1.0))
     span = "a year" if whole == 1 else f"{whole} years"
     return _hourly_power(ends, value, power.source), (
-        f"power is of another time than the weather, taken by the time of the year from a record of {span}: "
+        "power is from another time than the weather, assigned by the time of the year from a record of "
+        f"{span}: "
         f"it does not match this weather's wind; {_used_words(at[np.isfinite(value)], first, last)}"
     )
 

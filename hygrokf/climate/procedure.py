@@ -134,7 +134,9 @@ def _region(
             (whole if is_whole(year) else part).add(year, limits, plan.law, members)
     gathered = whole if whole.spans else part
     if not gathered.spans:
-        raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
+        raise ValueError(
+            "weather and power are never known at the same instant; check the files and their spans"
+        )
     operates = power is not None and fit.design.power_scale_W is not None
     scopes = {scope: summary(gathered.scalars[scope]) for scope in SCOPES if gathered.has(scope)}
     if operates:

@@ -121,9 +121,9 @@ def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str
     words = name.replace("preheating", "pre-heating")
     if power is not None and name in power and covers(power["active_power"], weather):
         if covers(power[name], weather):
-            return power[name], f"{words} is taken hour by hour from the record of the power"
+            return power[name], f"{words} follows the record of the power, hour by hour"
     why = (
-        "no record says when it is on"
+        "no record shows when it is on"
         if power is None or name not in power
         else ("the record of the power does not cover the weather's time")
     )
@@ -138,7 +138,7 @@ def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
         return []
     return [
         f"the turbine of the power is rated {rated_W / 1e3:.0f} kW, that of the fit {scale / 1e3:.0f} kW: "
-        "the heat release is taken at the power in kW"
+        "the heat release is that of the same power in kW"
     ]
 
 

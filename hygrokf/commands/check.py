@@ -24,4 +24,4 @@ def _run(options: Namespace) -> int:
     return 0
 
 
-VERB = Verb("check", "say what was read from a case: spans, steps, gaps, clocks, doubts", _arguments, _run)
+VERB = Verb("check", "show the data of a case as read: spans, steps, gaps, clocks, doubts", _arguments, _run)

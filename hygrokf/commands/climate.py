@@ -33,7 +33,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=FILE[,FILE]",
-        help="weather of a region; several regions stand side by side",
+        help="weather of a region; several regions are compared",
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--power", type=Path, metavar="CASE.toml", help="case file with active power over time")
@@ -41,14 +41,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--power-curve", type=Path, metavar="CURVE.toml", help="power over the weather's wind speed"
     )
     how.add_argument("--standstill", action="store_true", help="no power all year")
-    parser.add_argument(
-        "--limits", type=Path, metavar="LIMITS.toml", help="limits to hold the climate against"
-    )
+    parser.add_argument("--limits", type=Path, metavar="LIMITS.toml", help="limits for the climate")
     parser.add_argument(
         "--test", type=Path, metavar="TEST.toml", help="length, law and chamber of the test profile"
     )
-    parser.add_argument("--members", type=whole(2), default=50, help="of the ensemble (default 50)")
-    parser.add_argument("--seed", type=whole(0), default=1, help="of the ensemble (default 1)")
+    parser.add_argument("--members", type=whole(2), default=50, help="members of the ensemble (default 50)")
+    parser.add_argument("--seed", type=whole(0), default=1, help="seed of the ensemble (default 1)")
     parser.add_argument(
         "--surface",
         type=_surface,

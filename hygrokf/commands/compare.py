@@ -20,14 +20,14 @@ def _arguments(parser: ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="FIT.json",
-        help="one fit for all cases, several for one case, or one a case; none: each case is fitted first",
+        help="one fit for all cases, several fits for one case, or one fit per case; default: fit each case",
     )
     parser.add_argument(
         "--label",
         nargs="+",
         default=[],
         metavar="NAME",
-        help="names of the columns (default: of cases or fits)",
+        help="names of the columns (default: the names of the cases or fits)",
     )
     add_out(parser, "directory for compare.json, compare.csv and report.html")
     add_library(parser)

@@ -11,6 +11,9 @@ from pathlib import Path
 from hygrokf.data.files import DISCOVERY, FIT, RESULTS, is_stream
 from hygrokf.errors import HygrokfError
 
+USER_FAULT, INTERRUPTED = 2, 130
+"""Exit status after an input error, and after an interruption."""
+
 
 class UserFault(HygrokfError):
     """An input error, reported without a traceback."""

@@ -21,7 +21,7 @@ def _arguments(parser: ArgumentParser) -> None:
         type=seconds,
         default=120.0,
         metavar="SECONDS",
-        help="time after which no further trial is begun, bar what is needed to finish (default: "
+        help="time after which no further trial starts, except those needed to finish (default: "
         "%(default)g; inf: none)",
     )
     add_library(parser)
@@ -54,5 +54,5 @@ def _run(options: Namespace) -> int:
 
 
 VERB = Verb(
-    "discover", "show what the simulation gets wrong, name the cause, extend the model", _arguments, _run
+    "discover", "show the errors of the simulation, name their cause, extend the model", _arguments, _run
 )

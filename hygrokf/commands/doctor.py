@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import show
 from hygrokf.commands.inputs import load_causes
 from hygrokf.commands.track import add_tracked, tracked_config
 from hygrokf.commands.verb import Verb, add_json, add_library
 
+if TYPE_CHECKING:
+    from hygrokf.live.sources.stream import Stream
+
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
     parser.add_argument(
-        "--wait", type=_duration, default=10.0, metavar="TIME", help="listen to sources so long (default 10s)"
+        "--wait",
+        type=_duration,
+        default=10.0,
+        metavar="TIME",
+        help="time to listen to the sources (default 10s)",
     )
+    parser.add_argument(
+        "--try",
+        dest="tried",
+        metavar="FILE|TOPIC",
+        help="print what the payloads of a file or topic give by [mapping], and check nothing else",
+    )
+    parser.add_argument("--notify", action="store_true", help="send a test message to every [[notify]]")
     add_library(parser)
     add_json(parser)
 
@@ -35,10 +51,23 @@ def _run(options: argparse.Namespace) -> int:
 
     load_causes(options.library)
     config = tracked_config(options)
+    if options.tried is not None:
+        return _try(options, config.streams)
     file = next((path for path in options.what if path.suffix == ".toml"), None)
-    found = examine(config, file, options.wait, with_page=not options.no_page)
+    found = examine(config, file, options.wait, not options.no_page, options.notify)
     show(as_data(found), as_text(found), options.json)
     return int(any(one.level == "fault" for one in found))
 
 
-VERB = Verb("doctor", "look at all that a tracker needs, change nothing, say what to mend", _arguments, _run)
+def _try(options: argparse.Namespace, streams: Sequence[Stream]) -> int:
+    """Try payloads; the exit status is 1 where none gave a reading."""
+    from hygrokf.live.doctor.payloads import as_data, as_text, try_payloads
+
+    found = try_payloads(streams, options.tried, options.wait)
+    show(as_data(found), as_text(found), options.json)
+    return int(not any(one.used for one in found))
+
+
+VERB = Verb(
+    "doctor", "check everything that a tracker needs, change nothing, report what to fix", _arguments, _run
+)

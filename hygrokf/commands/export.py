@@ -12,17 +12,17 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
     )
-    add_out(parser, "directory for the files, one a table")
+    add_out(parser, "directory for the files, one per table")
     parser.add_argument(
-        "--format", choices=("csv", "parquet"), default="csv", help="of the files (default csv)"
+        "--format", choices=("csv", "parquet"), default="csv", help="format of the files (default csv)"
     )
-    parser.add_argument("--turbine", metavar="NAME", help="one turbine alone (default all)")
+    parser.add_argument("--turbine", metavar="NAME", help="only this turbine (default: all)")
     parser.add_argument(
         "--since",
         type=_moment,
         default=None,
         metavar="ISO",
-        help="from this time on, in UTC where it has no zone",
+        help="from this time on (UTC if it has no zone)",
     )
     parser.add_argument("--until", type=_moment, default=None, metavar="ISO", help="before this time")
     add_json(parser)
@@ -57,4 +57,4 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-VERB = Verb("export", "write what a live tracker has stored to CSV or Parquet files", _arguments, _run)
+VERB = Verb("export", "export the data of a live tracker to CSV or Parquet files", _arguments, _run)

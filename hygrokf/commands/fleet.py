@@ -18,10 +18,10 @@ def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("fleet", type=Path, metavar="FLEET.toml")
     add_out(parser, "directory for fleet.csv, report.html, each turbine's results")
     parser.add_argument(
-        "--workers", type=whole(1), default=None, help="processes on this machine (default one a core)"
+        "--workers", type=whole(1), default=None, help="processes on this machine (default: one per core)"
     )
     parser.add_argument(
-        "--dask", metavar="ADDRESS", help="do it on a Dask cluster, such as tcp://HOST:8786, instead"
+        "--dask", metavar="ADDRESS", help="run on a Dask cluster instead, such as tcp://HOST:8786"
     )
     add_json(parser)
 
@@ -48,4 +48,4 @@ def _run(options: Namespace) -> int:
     return int(bool(found.missing))
 
 
-VERB = Verb("fleet", "do one of these for many turbines: one table and one page of all", _arguments, _run)
+VERB = Verb("fleet", "run one of these tasks for many turbines: one table and one page", _arguments, _run)

@@ -19,21 +19,20 @@ from hygrokf.commands import (
     fit,
     fleet,
     report,
+    restore,
     simulate,
     track,
     transfer,
 )
-from hygrokf.commands.console import printable, system_words
+from hygrokf.commands.console import INTERRUPTED, USER_FAULT, printable, system_words
 from hygrokf.errors import HygrokfError
 from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB, climate.VERB,
-    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, report.VERB,
+    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
-USER_FAULT = 2
-"""Exit status of an input error."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:
-        print("interrupted; nothing half-written is left", file=sys.stderr)
-        return 130
+        print("interrupted; no incomplete file is left", file=sys.stderr)
+        return INTERRUPTED
     except BrokenPipeError:  # the reader of the output has gone; the remaining output must not raise at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

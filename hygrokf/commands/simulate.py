@@ -9,7 +9,6 @@ from hygrokf.commands.console import expect_file, expect_other, faults_of, show
 from hygrokf.commands.inputs import record_of, stored_fit
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out
 from hygrokf.data.files import FIT
-from hygrokf.identification.verdict_terms import verdict_lines
 
 
 def _arguments(parser: ArgumentParser) -> None:
@@ -22,6 +21,7 @@ def _arguments(parser: ArgumentParser) -> None:
 def _run(options: Namespace) -> int:
     from hygrokf.data.files import write_text_whole
     from hygrokf.identification.fit_on_record import simulation_csv, simulation_summary
+    from hygrokf.identification.verdict_terms import verdict_lines
 
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)

@@ -10,13 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import Progress, UserFault, expect_directory
+from hygrokf.commands.console import (
+    INTERRUPTED,
+    USER_FAULT,
+    Progress,
+    UserFault,
+    expect_directory,
+    system_words,
+)
 from hygrokf.commands.inputs import load_causes
 from hygrokf.commands.verb import Verb, add_library
+from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
     from hygrokf.live.config import Config
     from hygrokf.live.service import Service
+
+LOG = logging.getLogger("hygrokf.track")
 
 
 def add_tracked(parser: argparse.ArgumentParser) -> None:
@@ -33,13 +43,13 @@ def add_tracked(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="URL",
-        help="file:PATH or stdin, where no file says so",
+        help="source without a TRACK.toml: file:PATH or stdin",
     )
     parser.add_argument(
         "--store", metavar="URL", help="sqlite:PATH (default sqlite:live.db) or postgresql://…"
     )
     parser.add_argument("--page", metavar="HOST:PORT", help="address of the page (default 127.0.0.1:8080)")
-    parser.add_argument("--no-page", action="store_true", help="no page: the store and alarms alone")
+    parser.add_argument("--no-page", action="store_true", help="no page, only store and alarms")
 
 
 def tracked_config(options: argparse.Namespace) -> Config:
@@ -62,18 +72,19 @@ def tracked_config(options: argparse.Namespace) -> Config:
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
-    parser.add_argument(
-        "--demo", action="store_true", help="a synthetic turbine, played back; needs nothing else"
-    )
+    parser.add_argument("--demo", action="store_true", help="play back synthetic data; needs no files")
     parser.add_argument("--until-ended", action="store_true", help="end when all sources have ended")
     parser.add_argument(
-        "--log", choices=("text", "json"), default="text", help="form of the log on standard error"
+        "--log", choices=("text", "json"), default="text", help="format of the log on standard error"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("live-demo"), help="directory of the demo (default live-demo)"
     )
     parser.add_argument(
-        "--speed", type=_factor, default=1800.0, help="of the demo: times faster than real (default 1800)"
+        "--speed",
+        type=_factor,
+        default=1800.0,
+        help="speed of the demo, relative to real time (default 1800)",
     )
     add_library(parser)
 
@@ -90,17 +101,37 @@ def _factor(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Track until a signal ends it; with a JSON log, whatever ends it is a log entry, too."""
+    from hygrokf.live.log import log_to_stderr
+
+    with log_to_stderr(options.log):
+        if options.log != "json":
+            return _track(options)
+        try:
+            return _track(options)
+        except KeyboardInterrupt:
+            LOG.error("interrupted")
+            return INTERRUPTED
+        except (OSError, HygrokfError) as fault:
+            words = system_words(fault) if isinstance(fault, OSError) else str(fault)
+            LOG.error("ended by a fault", extra={"fault": words})
+            return USER_FAULT
+        except Exception as fault:
+            LOG.error("ended by an exception", exc_info=True, extra={"fault": str(fault)})
+            return 1
+
+
+def _track(options: argparse.Namespace) -> int:
     """Track until a signal ends it."""
-    from hygrokf.live.tracking import log_to_stderr, track
+    from hygrokf.live.tracking import track
 
     load_causes(options.library)
     config = _demo_config(options) if options.demo else tracked_config(options)
-    log_to_stderr(options.log)
 
     def tell(text: str, **beside: object) -> None:
         """Print a message for the user; with a JSON log, write it as a log entry."""
         if options.log == "json":
-            logging.getLogger("hygrokf.track").info(text.partition(":")[0], extra=beside)
+            LOG.info(text.partition(":")[0], extra=beside)
         else:
             print(text, file=sys.stderr, flush=True)
 

@@ -49,4 +49,9 @@ def _run(options: Namespace) -> int:
     return show_reported(page, results, transfer_text(results) + unpooled, options.json)
 
 
-VERB = Verb("transfer", "try a fitted model on another turbine: what travels, what differs", _arguments, _run)
+VERB = Verb(
+    "transfer",
+    "try a fitted model on another turbine: which parameters carry over, which differ",
+    _arguments,
+    _run,
+)

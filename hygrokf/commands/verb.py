@@ -63,13 +63,16 @@ def add_library(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="FILE.py",
-        help="a file with causes of your own, which is executed; may be given several times",
+        help="Python file with causes of your own (it is executed); may be given several times",
     )
 
 
 def add_starts(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--starts", type=whole(1), default=5, help="starts of the search for the maximum (default 5)"
+        "--starts",
+        type=whole(1),
+        default=5,
+        help="number of starts of the search for the maximum (default 5)",
     )
 
 

@@ -1,5 +1,4 @@
-"""What a record is: signals with units, series on their own clocks, time stamps, masks, the courses between
-readings.
+"""The record: signals with units, series on their own clocks, time stamps, masks, values between readings.
 
 Nothing here knows a model.
 """

@@ -197,8 +197,8 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
     hours = f", {duration_text(saturated.sum() * step)} in all" if np.isfinite(step) else ""
     sentence = (
         f"{_label(series)}: saturated humidity, {_readings(saturated)} of at least "
-        f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored "
-        "and stay out of the likelihood"
+        f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored and "
+        "excluded from the likelihood"
     )
     return _masked(series, saturated), (sentence,)
 
@@ -240,7 +240,9 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
         return series, ()
     if value[0] == value.min() == value.max() and not _is_idle(row.idle, value[0]):
         same = in_words(value[0], row)
-        doubt = f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms it"
+        doubt = (
+            f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms this"
+        )
         return series, (f"{_label(series)}: {doubt}",)
     starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
     lengths = np.diff(np.append(starts, len(value)))

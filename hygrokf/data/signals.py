@@ -254,6 +254,15 @@ def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
     return row.factor * np.asarray(values, dtype=float) + row.offset
 
 
+def unit_named(text: str) -> str | None:
+    """The name in `UNITS` of a unit as it is written in exports ("°C", "% RH", "W/m²"); None if unknown."""
+    name = text.strip()
+    if name in UNITS:
+        return name
+    spelled = name.lower()
+    return _OTHER_SPELLINGS.get(spelled) or _OTHER_SPELLINGS.get(spelled.replace(" ", ""))
+
+
 def from_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
     """Values in a unit, from the SI unit of the signal: the inverse of `to_si`.
 

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     import pandas
 
 MINUTE_S, HOUR_S, DAY_S, WEEK_S = 60.0, 3600.0, 86400.0, 604800.0
-_SECONDS = {"s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
 _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
 _ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
 _DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}\s*$")
-_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h|d)\s*$")
+_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
 _CLOCK_CHANGES = (
     "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
     'such as timezone = "Europe/Berlin"'
@@ -35,14 +35,19 @@ _CLOCK_DOES_NOT_CHANGE = (
 
 
 def duration(text: str) -> float:
-    """Seconds of a duration such as "30s", "10min", "1h", "2d" [s].
+    """Seconds of a duration such as "500ms", "30s", "10min", "1h", "2d" [s].
 
-    text: a number and one of s, min, h, d. Raises ValueError for anything else.
+    text: a number and one of ms, s, min, h, d. Raises ValueError for anything else.
     """
     found = _DURATION.match(text) if isinstance(text, str) else None
     if found is None:
         raise ValueError(f'expected a duration such as "30s", "10min" or "1h", found {text!r}')
     return float(found[1]) * _SECONDS[found[2]]
+
+
+def whole_microseconds(seconds: float) -> float:
+    """A time rounded to microseconds [s since 1970]: a database's timestamp gives back every bit of it."""
+    return round(seconds * 1e6) / 1e6
 
 
 def signed_duration(text: str) -> float:
@@ -303,15 +308,15 @@ def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str,
     if told_apart:
         days = sorted({stamp_text(local[group[0]])[:10] for group in told_apart})
         warnings.append(
-            f"summer-time hole: {sum(map(len, told_apart))} stamps of the doubled hour told apart "
-            f"by their order ({', '.join(days)})"
+            f"summer-time hole: {sum(map(len, told_apart))} stamps of the repeated hour resolved by their "
+            f"order ({', '.join(days)})"
         )
     if left_out:
         days = sorted({stamp_text(local[group[0]])[:10] for group in left_out})
         warnings.append(
-            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour "
-            f"comes twice in {zone} and the order of the file does not tell which is which "
-            f"({', '.join(days)}); stamps with an offset would"
+            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour occurs "
+            f"twice in {zone} and the order of the file does not resolve it "
+            f"({', '.join(days)}); stamps with an offset would resolve it"
         )
     return utc, tuple(warnings)
 
@@ -391,7 +396,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
     if moved:
         warnings.append(
-            f"summer-time hole: one hour is missing and the next comes twice on {_days(moved)}: the "
+            f"summer-time hole: one hour is missing and the next occurs twice on {_days(moved)}: the "
             "export moved the readings of the hour that summer time skips"
         )
     for days in (gap_days["spring"], double_days["spring"]):
@@ -404,7 +409,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         if gap_days[gap]:
             facts.append(f"one hour is missing on {_days(gap_days[gap])}")
         if double_days[double]:
-            facts.append(f"one hour comes twice on {_days(double_days[double])}")
+            facts.append(f"one hour occurs twice on {_days(double_days[double])}")
         if facts:
             warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {reason}")
     return tuple(warnings)

@@ -1,23 +1,31 @@
-"""What a cause is: a name, sentences about it, and the variants in which it is tried on a baseline."""
+"""What a cause is: a name, sentences about it, and the variants in which it is tried on a baseline.
+
+`cause_of` makes a cause of one mechanism, in the package's library and in a user's file alike.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
+from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
-from hygrokf.physics.model import Mechanism
+from hygrokf.modelling.derived_inputs import without_settings
+from hygrokf.modelling.registry import is_package_feature, is_package_mechanism
+from hygrokf.physics.model import Feature, Mechanism
 
 MechanismSettings: TypeAlias = tuple[str, Settings]
 """A mechanism's name and its settings."""
 Additions: TypeAlias = Mapping[str, tuple[MechanismSettings, ...]]
 """Mechanisms that a variant adds, by submodel."""
+ALWAYS = ("ambient_temperature", "exchange_factor")
+"""Inputs that every run has."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,7 @@ class Cause:
         changed exchange hardly shows in the free run, and simulated switches lose their phase.
     event: whether it happened at times that nobody logs, which no simulation can foresee.
     mechanisms: name → factory, features: name → (function, hold), of a user's own cause.
+    forms: what is tried, searches: the settings that are searched, for the table of docs/discover.md.
     """
 
     name: str
@@ -69,7 +78,9 @@ class Cause:
     alone: float = math.inf
     event: bool = False
     mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
-    features: Mapping[str, tuple[Callable[..., Any], str]] = field(default_factory=dict)
+    features: Mapping[str, Feature] = field(default_factory=dict)
+    forms: str = ""
+    searches: str = ""
 
 
 def needs_humidity(variants: Callable[[Baseline], list[Variant]]) -> Callable[[Baseline], list[Variant]]:
@@ -106,3 +117,79 @@ def at_setting(
     searched)."""
     setting, searched = found
     return Variant(cause, form, additions, {feature: setting}, starts, setting, searched, joint=joint)
+
+
+def cause_of(
+    name: str,
+    *,
+    thermal: Callable[[], Mechanism] | None = None,
+    hygric: Callable[[], Mechanism] | None = None,
+    meaning: str,
+    remedy: str,
+    separate_by: str,
+    starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
+    features: Mapping[str, Settings | Feature] | None = None,
+    needs: Sequence[str] = (),
+    alone: float = math.inf,
+    forms: str = "",
+) -> Cause:
+    """A cause that is one mechanism of the thermal submodel, of the hygric submodel, or one of each.
+
+    name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
+    meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
+        which measurement tells it from its rivals.
+    starts: start values of parameters; of several the best is followed.
+    features: settings of the package's features that need any (`{"after_step": {"date_s": 1.6e9}}`), and
+        features that the mechanism does not bring itself: (function(record, time), hold).
+    needs: signals that features read.  On a record that lacks one the cause is not tried.
+    alone: gain in evidence that is enough without a better free run.
+    forms: what is tried, for the table of docs/discover.md.
+
+    Returns the cause, for the library of the package or the `library` of `discover`.  For grids of dates or
+    thresholds make a `Cause` with `variants` of your own.  Raises ValueError without a factory, TypeError
+    where a factory returns no mechanism.
+    """
+    factories = {key: one for key, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
+    if not factories:
+        raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
+    mechanisms = {key: factory() for key, factory in factories.items()}
+    wrong = [key for key, one in mechanisms.items() if not isinstance(one, Mechanism)]
+    if wrong:
+        raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
+    inputs = {key for one in mechanisms.values() for key in one.inputs}
+    brought = {key: pair for one in mechanisms.values() for key, pair in one.features.items()}
+    named = {**without_settings(inputs), **brought, **(features or {})}
+    settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in named.items()}
+    own = {key: value for key, value in named.items() if not isinstance(value, Mapping)}
+    first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
+
+    def variants(baseline: Baseline) -> list[Variant]:
+        there = {key: one for key, one in mechanisms.items() if key in baseline.submodels}
+        if not there or any(_lacking(baseline, key, one, settings, needs) for key, one in there.items()):
+            return []
+        additions: Additions = {key: ((one.name, {}),) for key, one in there.items()}
+        return [Variant(name, "as given", additions, settings, first or ({},))]
+
+    made = {mechanisms[key].name: factory for key, factory in factories.items()}
+    return Cause(
+        name, meaning, remedy, separate_by, variants,
+        ", ".join(sorted({*inputs, *needs} - set(settings))), alone,
+        mechanisms={key: one for key, one in made.items() if not is_package_mechanism(key, one)},
+        features={key: pair for key, pair in own.items() if not is_package_feature(key, pair)},
+        forms=forms,
+    )  # fmt: skip
+
+
+def _lacking(
+    baseline: Baseline,
+    submodel: str,
+    mechanism: Mechanism,
+    features: Mapping[str, Settings],
+    needs: Sequence[str],
+) -> set[str]:
+    """Signals that a mechanism or its features read and a record does not have."""
+    inputs = baseline.submodels[submodel].base.model.inputs
+    there = {*ALWAYS, *features, *baseline.record.signals, *inputs}
+    if ambient_absolute_humidity(baseline.record) is not None:
+        there.add("ambient_absolute_humidity")
+    return {*mechanism.inputs, *needs} - there

@@ -1,5 +1,4 @@
-"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and
-registered.
+"""A user's own causes: loaded from a file or an installed package, checked, and registered.
 
 A file is executed: load only files that you trust.
 """
@@ -8,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -19,21 +17,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.cause import Additions, Cause, Variant
+from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.plugin_validation import exception_text, form_faults, is_feature, variant_faults
-from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.errors import HygrokfError
 from hygrokf.modelling.registry import Origin, admit, origins, withdraw
-from hygrokf.physics.model import Mechanism
 
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
-ALWAYS = ("ambient_temperature", "exchange_factor")
-"""Inputs that every run has."""
 _adopted: dict[str, Cause] = {}
 
 
@@ -45,75 +37,6 @@ class LibraryFault(HygrokfError):
         count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
         listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
         super().__init__("\n".join([f"library of causes: {count}", *listed]))
-
-
-def cause_of(
-    name: str,
-    *,
-    thermal: Callable[[], Mechanism] | None = None,
-    hygric: Callable[[], Mechanism] | None = None,
-    meaning: str,
-    remedy: str,
-    separate_by: str,
-    starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
-    features: Mapping[str, Settings | tuple[Callable[..., Any], str]] | None = None,
-    needs: Sequence[str] = (),
-    alone: float = math.inf,
-) -> Cause:
-    """A cause that is one mechanism of the thermal submodel, of the hygric submodel, or one of each.
-
-    name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
-    meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
-        which measurement tells it from its rivals.
-    starts: start values of parameters; of several the best is followed.
-    features: inputs that are no signals: (function(record, time), hold) for a feature of your own, settings
-        for one of the package's (`{"standstill": {}}`).
-    needs: signals that your own features read.  On a record that lacks one the cause is not tried.
-    alone: gain in evidence that is enough without a better free run.
-
-    Returns the cause, for the `library` of `discover`.  For grids of dates or thresholds make a `Cause` with
-    `variants` of your own.  Raises ValueError without a factory, TypeError where a factory returns no
-    mechanism.
-    """
-    factories = {key: one for key, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
-    if not factories:
-        raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
-    mechanisms = {key: factory() for key, factory in factories.items()}
-    wrong = [key for key, one in mechanisms.items() if not isinstance(one, Mechanism)]
-    if wrong:
-        raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
-    features = dict(features or {})
-    own = {key: value for key, value in features.items() if not isinstance(value, Mapping)}
-    settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in features.items()}
-    first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
-
-    def variants(baseline: Baseline) -> list[Variant]:
-        there = {key: one for key, one in mechanisms.items() if key in baseline.submodels}
-        if not there or any(_lacking(baseline, key, one, settings, needs) for key, one in there.items()):
-            return []
-        additions: Additions = {key: ((one.name, {}),) for key, one in there.items()}
-        return [Variant(name, "as given", additions, settings, first or ({},))]
-
-    inputs = {key for one in mechanisms.values() for key in one.inputs} - set(settings)
-    return Cause(
-        name, meaning, remedy, separate_by, variants, ", ".join(sorted({*inputs, *needs})), alone,
-        mechanisms={mechanisms[key].name: factory for key, factory in factories.items()}, features=own,
-    )  # fmt: skip
-
-
-def _lacking(
-    baseline: Baseline,
-    submodel: str,
-    mechanism: Mechanism,
-    features: Mapping[str, Settings],
-    needs: Sequence[str],
-) -> set[str]:
-    """Signals that a mechanism or its features read and a record does not have."""
-    inputs = baseline.submodels[submodel].base.model.inputs
-    there = {*ALWAYS, *features, *baseline.record.signals, *inputs}
-    if ambient_absolute_humidity(baseline.record) is not None:
-        there.add("ambient_absolute_humidity")
-    return {*mechanism.inputs, *needs} - there
 
 
 # -- registration --------------------------------------------------------------------------------------------
@@ -264,7 +187,7 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
     except KeyboardInterrupt:
         raise
     except BaseException as fault:
-        raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; mend or uninstall it"]) from fault
+        raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; fix or uninstall it"]) from fault
     if isinstance(loaded, Cause):
         return [loaded]
     if isinstance(loaded, ModuleType):

@@ -100,7 +100,7 @@ def form_faults(cause: Cause) -> list[str]:
             f"name: expected an identifier in small letters such as damp_wall, found {cause.name!r}"
         )
     if cause.name in {own.name for own in LIBRARY}:
-        faults.append("the package has a cause of that name; choose another one")
+        faults.append("the package has a cause of that name; choose another name")
     if not callable(cause.variants):
         faults.append(f"variants: expected a function of a baseline, found {cause.variants!r}")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
@@ -115,7 +115,9 @@ def form_faults(cause: Cause) -> list[str]:
         elif pair[1] not in (LINEAR, ZERO_ORDER):
             faults.append(f"feature {name!r}: expected the hold {LINEAR} or {ZERO_ORDER}, found {pair[1]!r}")
         if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
-            faults.append(f"feature {name!r}: the base models have an input of that name; choose another one")
+            faults.append(
+                f"feature {name!r}: the base models have an input of that name; choose another name"
+            )
     for name, factory in cause.mechanisms.items():
         faults += _factory_faults(name, factory, cause.features)
     return faults
@@ -138,7 +140,13 @@ def _factory_faults(
         found = f"one named {made.name!r}" if isinstance(made, Mechanism) else repr(made)
         yield f"mechanism {name!r}: expected its factory to return a Mechanism of that name, found {found}"
         return
-    known = {*HOLDS, *features}
+    absent = [one for one in made.features if one not in features]
+    if absent:
+        yield (
+            f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
+            "found none there; state them, or make the cause with cause_of"
+        )
+    known = {*HOLDS, *features, *made.features}
     for one in made.inputs:
         if one not in known:
             yield (

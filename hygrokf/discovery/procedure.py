@@ -39,8 +39,7 @@ from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
 
 REFUTED = (
-    "what the identification period showed was taken for a cause that the held-out period refutes: the model "
-    "lacks something else"
+    "the held-out period refutes the cause found in the identification period: the model lacks something else"
 )
 UNEXPLAINED_AT_MOST = 0.5
 """[1] largest confidence of a cause under the verdict "unexplained"."""
@@ -238,7 +237,7 @@ def _results(
         refuted=tuple(Refuted(t.variant.cause, t.variant.form, gain) for t, gain in tested.refuted),
         unexplained=rest,
         not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
-        own_causes={cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features},
+        own_causes={cause.name: found for cause in library if (found := origins_of(cause))},
         findings=tuple(findings(before)),
     )
 

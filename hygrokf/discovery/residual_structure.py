@@ -78,7 +78,7 @@ def structure(residuals: Residuals, level: float = LEVEL) -> ResidualStructure |
         when, rest = first_dates(float(hours.time_s[a]) for a, _ in spans)
         when += f" and {rest} more" if rest else ""
         text = (
-            f"in {len(spans)} episodes, under no condition that is logged, simulated {NAMES[quantity]} is up "
+            f"in {len(spans)} episodesthat match no logged condition, simulated {NAMES[quantity]} is up "
             f"to {digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
         )
         return _with_driver(hours, quantity, "one-sided excursions", when, text, p)
@@ -94,7 +94,7 @@ def _course(hours: Hours, quantity: str) -> ResidualStructure | None:
         text = f"{line.hours:.1f} h" if line.hours < 72.0 else f"{line.hours / 24.0:.1f} days"
         words = (
             f"simulated {name} errs with a period of {text}, by {digits(line.size)} {unit} (root mean "
-            "square); something that nobody logs follows a timer or a cycle of its own"
+            "square); something unlogged follows a timer or a cycle of its own"
         )
         return _with_driver(hours, quantity, "period", f"every {text}", words, line.p)
     ratio, p = growth(error, hours.step_h)
@@ -105,8 +105,8 @@ def _course(hours: Hours, quantity: str) -> ResidualStructure | None:
     peaked, p = bursts(error, hours.step_h)
     if p < CHANCE and peaked > PEAKED:
         words = (
-            f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, 3 for a disturbance "
-            "that is always there), under no condition that is logged"
+            f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, a steady "
+            "disturbance has 3) that match no logged condition"
         )
         return _with_driver(hours, quantity, "bursts", "now and then", words, p)
     return None
@@ -134,14 +134,14 @@ def unlogged(residuals: Residuals) -> ResidualStructure | None:
         z, unsteady = unrest(residuals, quantity)
         if abs(z) > RESTLESS[quantity, int(math.copysign(1, z))] and unsteady > UNSTEADY:
             words = (
-                f"something under no condition that is logged comes and goes: the {NAMES[quantity]} is more "
-                f"restless while it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} "
-                "standard errors; none is expected of a disturbance that knows no side)"
+                f"something unlogged acts intermittently: the {NAMES[quantity]} fluctuates more while it "
+                f"is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} "
+                "standard errors; a symmetric disturbance has none)"
             )
             return _with_driver(
                 hours,
                 quantity,
-                "restless to one side",
+                "one-sided fluctuations",
                 "now and then",
                 words,
                 math.erfc(abs(z) / math.sqrt(2.0)),

@@ -117,9 +117,9 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     _, _, information, scores = objective.information_and_scores(z)
     if not np.isfinite(information).all():
         raise ValueError(
-            "expected a finite likelihood around the estimate, found none: the model runs away with "
+            "expected a finite likelihood around the estimate, found none: the model diverges with "
             + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in coordinates.names)
-            + "; leave out the mechanism that does, or mask the readings that it cannot follow"
+            + "; leave out the mechanism that diverges, or mask the readings that it cannot follow"
         )
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(information), 1e-12))
     steps = np.clip(steps, 1e-7, 0.05)

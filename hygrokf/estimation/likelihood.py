@@ -55,8 +55,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Log-likelihood, its score (r,) and expected information (r, r) along r directions; `scores` (T, r):
-    each instant's share of the score, if requested."""
+    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant."""
 
     loglik: float
     score: np.ndarray
@@ -84,8 +83,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Division of the steps for given parameter values:
-    `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the
+    """Sub-steps: `keys` (distinct steps, 1 + regimes) with their length [h], `parts` their number; `long` the
     instants that a long step leads to, of which the loops take the last `tail_h` [h]."""
 
     keys: np.ndarray

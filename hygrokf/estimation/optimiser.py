@@ -152,9 +152,9 @@ class _Metered:
         self._left -= steps
         if self._left < 0.0:
             raise _BudgetSpent(
-                f"stopped after its budget of {self._budget:.0f} filter steps an instant; one pass takes "
-                f"{steps:.0f} here, and many mean a time constant far shorter than the interval between the "
-                "readings: narrow its bounds"
+                f"stopped after its budget of {self._budget:.0f} filter steps per instant; one pass takes "
+                f"{steps:.0f} here, which points to a time constant far shorter than the interval between "
+                "the readings: narrow its bounds"
             )
 
     def _keep(self, z: np.ndarray, value: float) -> None:
@@ -426,7 +426,7 @@ def reject_below(least: float, found: Estimate) -> Estimate:
     if not short > BETTER:
         return found
     message = (
-        f"not converged: a model that this one contains is more likely, by {short:.2f} in ln L; give start "
+        f"not converged: a nested model has a higher likelihood, by {short:.2f} in ln L; give start "
         "values nearer to that model, more starts or wider bounds"
     )
     return replace(found, converged=False, message=message)

@@ -36,7 +36,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     """
     model, line = likelihood.model, likelihood.timeline
     if likelihood.initial == "diffuse":
-        raise ValueError("expected a proper first state, found the diffuse one; state `initial`")
+        raise ValueError("expected a proper initial state, found a diffuse state; state `initial`")
     first = likelihood.first_gaussian(values)
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):

@@ -1,5 +1,5 @@
-"""What a model with known parameters is worth: free run, forecasts, scores, tests of the innovations, effects
-of actuators.
+"""Judges a model with given parameters: free run, forecasts, scores, tests of the innovations, effects of
+actuators.
 
 Estimates nothing; the wings judge by it too.
 """

@@ -124,7 +124,7 @@ def _statements(
             reported.add(one.subject)
             statements.append(one.words)
     if tests and not statements:
-        statements.append(f"{name} innovations: none of {len(tests)} tests speaks against white noise")
+        statements.append(f"{name} innovations: none of {len(tests)} tests rejects white noise")
     return tuple(statements)
 
 
@@ -235,8 +235,8 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
             "variance",
             "variance",
             _two_sided((variance - 1.0) / spread),
-            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter says "
-            f"(variance {variance:.2f} instead of 1): its one-step band is "
+            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter "
+            f"predicts (variance {variance:.2f} instead of 1): its one-step band is "
             f"{'too narrow' if variance > 1 else 'too wide'}",
         ),
         _Test(
@@ -335,7 +335,7 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle
     p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
     words = (
         f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
-        f"{100 * explained:.1f} % of their variance: sun, ventilation or people follow the same clock"
+        f"{100 * explained:.1f} % of their variance: sun, ventilation or people may follow a daily cycle"
     )
     return DailyCycle(amplitude, explained, p), [_Test("daily cycle", "daily cycle", p, words)]
 
@@ -370,7 +370,7 @@ def _cross_correlation(
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
         return CrossCorrelation(
-            statement=f"{words}: does not vary, or is hardly known, at the readings"
+            statement=f"{words}: does not vary, or is rarely known, at the readings"
         ), None
     u, order = whitened(values)
     there = np.isfinite(u)
@@ -395,7 +395,7 @@ def _cross_correlation(
     at = float(lag[worst] * step)
     value = float(r[worst])
     lead = (
-        f": the readings move before the {words} does, so doubt the clocks or the hold first"
+        f": the readings move before the {words} does, so check the clocks and the hold first"
         if at < 0
         else ""
     )

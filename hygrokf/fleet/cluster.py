@@ -65,16 +65,17 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcom
                 raise FleetFault(
                     f"--dask {address}",
                     [
-                        "the scheduler ended before the work, or was not reached any more (the tasks are "
-                        f"{future.status}); what is done stays done: start a scheduler with workers, and run "
-                        "the same command again"
+                        "the scheduler ended before the work was done, or is no longer reachable (the "
+                        "tasks are "
+                        f"{future.status}); finished turbines are kept: start a scheduler with workers, "
+                        "and run the same command again"
                     ],
                 )
             elif len(batch) > 1:
                 coming.update([send([job]) for job in batch])
             else:
                 reason = " ".join(str(future.exception()).split())
-                yield outcome(batch[0], LOST, reason=f"no worker of the cluster could do it: {reason}")
+                yield outcome(batch[0], LOST, reason=f"no worker of the cluster could run it: {reason}")
 
 
 @contextmanager

@@ -38,10 +38,10 @@ class TurbineForm:
 class FleetForm:
     """FLEET.toml."""
 
-    task: str = setting(help="what is done for every turbine", choices=tuple(TASKS))
+    task: str = setting(help="the task for every turbine", choices=tuple(TASKS))
     name: str = setting("", "of the fleet; by default the file's name")
     cases: tuple[str, ...] = setting((), "patterns of case files", read=_patterns)
-    fit: str = setting("", "the fitted model of all; {name} in it stands for a turbine's name")
+    fit: str = setting("", "the fitted model of all turbines; {name} is replaced by the name of a turbine")
     options: Mapping[str, Any] = setting(dict, "of the task")
     turbine: tuple[TurbineForm, ...] = setting((), "turbines beside those of `cases`")
 

@@ -177,5 +177,5 @@ def _epitaph(status: int, last_words: str) -> str:
     end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
     reason = f"its process {end}, {ATTEMPTS} times in a row"
     if names.get(status) == "SIGKILL":
-        reason += "; the system does so where memory is short: run it again with fewer --workers"
+        reason += "; the system kills processes when memory is short: run it again with fewer --workers"
     return f"{reason}; its last output: {last_words}" if last_words else reason

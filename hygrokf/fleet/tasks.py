@@ -24,7 +24,7 @@ class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
     column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures.
-    verdict: the column that says whether it can be believed, or empty.
+    verdict: the column that says whether it is reliable, or empty.
     """
 
     column: str
@@ -35,7 +35,7 @@ class Compared:
     verdict: str = ""
 
     def rejected(self, row: Row) -> bool:
-        """Whether a turbine's value is not to be believed."""
+        """Whether a turbine's value is not reliable."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
 
@@ -62,7 +62,7 @@ class FitOptions:
         "cascade", "hygric on the measured temperature, or one filter", choices=("cascade", "joint")
     )
     starts: int = setting(5, "starts of the search for the maximum", least=1)
-    profiles: bool = setting(False, "bounds by profile likelihood; without, Wald bounds")
+    profiles: bool = setting(False, "bounds by profile likelihood; otherwise Wald bounds")
     report: bool = setting(False, "write each turbine's own page too")
 
 
@@ -78,8 +78,8 @@ class DiscoverOptions(LibraryOptions):
 class ClimateOptions(LibraryOptions):
     """The options of the task "climate"."""
 
-    standstill: bool = setting(False, "no power all year; without, the case has `active_power`")
-    limits: tuple[str, ...] = setting((), "files with limits to hold the climate against", expected=_FILES)
+    standstill: bool = setting(False, "no power all year; otherwise the case must have `active_power`")
+    limits: tuple[str, ...] = setting((), "files with limits for the climate", expected=_FILES)
     members: int = setting(50, "of the ensemble", least=2)
     seed: int = setting(1, "of the ensemble", least=0)
 
@@ -108,28 +108,28 @@ CLIMATE_COLUMNS = {
     "mean_relative_humidity_percent": "mean relative humidity in the cabinet [%]",
     "wetness_h": "time of wetness, above 80 % and 0 °C [h a year]",
     "condensation_h": "condensation on the coldest surface [h a year]",
-    "ageing_h": "hours at the reference condition that age as much, by Peck's law [h a year]",
+    "ageing_h": "hours at the reference condition that cause the same ageing, by Peck's law [h a year]",
 }
 
 _RECORD = {
     "record": "name of the record, from the case file",
     "start": "first reading of the record [UTC]",
     "end": "last reading of the record [UTC]",
-    "synthetic": "whether the record says of itself that a computer made it",
-    "warnings": "how many things were masked or repaired at reading",
+    "synthetic": "whether the record states that it is synthetic",
+    "warnings": "number of warnings about masked or repaired readings",
 }
 _CONSTANTS = {
-    f"{name}_{part}": f"{text} of the {name} time constant{unit}"
+    f"{name}_{part}": f"{text} the {name} time constant{unit}"
     for name in PARTS
     for part, text, unit in (
-        ("value_h", "estimate", " [h]"),
-        ("lower_h", "lower 95 % bound", " [h]"),
-        ("upper_h", "upper 95 % bound", " [h], empty where the data do not bound it"),
-        ("statement", "what is to be said", ", empty where value and bounds say it"),
+        ("value_h", "estimate of", " [h]"),
+        ("lower_h", "lower 95 % bound of", " [h]"),
+        ("upper_h", "upper 95 % bound of", " [h], empty if the data do not bound it"),
+        ("statement", "remark on", ", if value and bounds do not suffice"),
     )
 }
 _VERDICTS = {
-    f"{name}_verdict": f"whether the {name} time constant of the model can be believed: believe, caution or "
+    f"{name}_verdict": f"whether the {name} time constant of the model is reliable: believe, caution or "
     "reject"
     for name in PARTS
 }
@@ -137,7 +137,7 @@ _QUANTITIES = (("temperature", "K", "temperature", "K"), ("humidity", "g_m3", "a
 """Name and unit in a column's name, then both in its meaning."""
 _BOUNDS = ("lower", "upper")
 _SCORES = {
-    "scored_period": "period of the errors: validation, or identification where nothing is held out",
+    "scored_period": "period of the errors: validation, or identification if nothing is held out",
     **{
         f"{name}_rmse_{end}": f"free-run error of the {text} in total, root mean square [{unit}]"
         for name, end, text, unit in _QUANTITIES
@@ -161,24 +161,24 @@ TASKS: Mapping[str, Task] = {
         FitOptions,
         {
             **_RECORD,
-            "converged": "whether every climb ended at a maximum",
+            "converged": "whether every search converged to a maximum",
             "n_readings": "readings of the identification period",
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,
             "loglik": "log-likelihood of all stages",
-            "at_bounds": "parameters that ended at a bound",
+            "at_bounds": "parameters that ended at a limit",
         },
         _CONSTANTS_AND_ERRORS,
     ),
     "discover": Task(
-        "name what every simulation lacks",
+        "name the cause that every simulation lacks",
         DiscoverOptions,
         {
             **_RECORD,
             "verdict": "none, named or unexplained",
             "causes": "accepted causes, in the order in which they were accepted",
-            "confidence": "least confidence of the accepted causes [1]",
+            "confidence": "smallest confidence of the accepted causes [1]",
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,
@@ -203,30 +203,29 @@ TASKS: Mapping[str, Task] = {
             },
             "temperature_coverage": "share of temperature readings inside the free run's 95 % band [1]",
             "humidity_coverage": "share of absolute humidities inside the free run's 95 % band [1]",
-            "statements": "what the record brings that the model does not know, and the reverse",
+            "statements": "inputs of the record that the model does not use, and the reverse",
         },
         _ERRORS,
         uses_fit=True,
         files=("library",),
     ),
     "transfer": Task(
-        "try a fitted model on every case, and say what travels",
+        "try a fitted model on every case, and tell which parameters carry over",
         LibraryOptions,
         {
             **_RECORD,
             "model": "name of the fitted model",
             "transfer": "whether the model transfers, transfers after re-estimating, or does not",
-            "re_estimate": "groups of parameters that are to be re-estimated",
+            "re_estimate": "parameter groups to re-estimate",
             "sentence": "the verdict in words",
             **_VERDICTS,
             **_SCORES,
             **{
-                f"as_is_{name}_rmse_{end}": f"the same of the {text}, with the model as it is [{unit}]"
+                f"as_is_{name}_rmse_{end}": f"the same of the {text}, with the unchanged model [{unit}]"
                 for name, end, text, unit in _QUANTITIES
             },
             **{
-                f"{name}_gain_{end}{bound}": f"{of}what re-estimating takes off the error of the {text} "
-                f"[{unit}]"
+                f"{name}_gain_{end}{bound}": f"{of}error reduction by re-estimating, {text} [{unit}]"
                 for name, end, text, unit in _QUANTITIES
                 for bound, of in (("", ""), *((f"_{side}", f"{side} 95 % bound of ") for side in _BOUNDS))
             },
@@ -250,7 +249,7 @@ TASKS: Mapping[str, Task] = {
             },
             "limits": "worst verdict on the limits: fail, undecided or pass; empty without any",
             "wetness_class": "class of the time of wetness, ISO 9223:1992",
-            "statements": "how weather and power were put together",
+            "statements": "how weather and power were combined",
         },
         (
             Compared("ageing_h", "ageing", "h a year", "ageing_h_lower", "ageing_h_upper"),
@@ -266,8 +265,8 @@ TASKS: Mapping[str, Task] = {
 SHARED = {
     "turbine": "name of the turbine in the fleet",
     "status": "done; failed: see reason; lost: its process died, twice",
-    "reason": "why there is no result, empty otherwise",
-    "task": "what was done",
-    "key": "SHA-256 of what the row follows from: version, task, options, case, data files, fit",
+    "reason": "reason for the missing result, empty otherwise",
+    "task": "the task",
+    "key": "SHA-256 of everything the row depends on: version, task, options, case, data files, fit",
 }
 """Columns of every row, in front of the task's."""

@@ -73,7 +73,8 @@ def from_parts(scale: float, variance: float) -> Source:
     return Source(
         "parts",
         max(scale - 1.0, 0.0) * variance,
-        f"quarters of the record scatter {math.sqrt(max(scale, 0.0)):.1f} times as much as their bounds say",
+        f"quarters of the record scatter {math.sqrt(max(scale, 0.0)):.1f} times as much as their bounds "
+        "explain",
     )
 
 

@@ -123,11 +123,9 @@ def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
         return []
     inputs = fit.design.model.inputs
     powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
-    lacking = "an input is unknown, or was until shortly before, all along; see the gaps in `hygrokf check`"
+    lacking = "throughout, an input is unknown or was until shortly before; see the gaps in `hygrokf check`"
     if powered and "active_power" not in record:
-        lacking = (
-            "the fit knows the power, the record brings no active_power: it is taken as standstill throughout"
-        )
+        lacking = "the fit uses the power, but the record has no active_power: all of it counts as standstill"
     return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
 
 
@@ -170,10 +168,10 @@ def mismatches(fit: Fit, record: Record) -> list[str]:
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
         found.append(
-            "the fit's model has pre-heating, the record has no such signal: it counts as off throughout"
+            "the fit's model has pre-heating, but the record has no such signal: pre-heating counts as off"
         )
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
-        found.append("the record has pre-heating, which the fit's model lacks: it is left out")
+        found.append("the record has pre-heating, which the fit's model does not use")
     predicted = [name for name in HUMIDITIES if name in outputs]
     if predicted and not any(name in record for name in predicted):
         found += [

@@ -275,7 +275,7 @@ def _statements(
     lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
     if unseen:
         lines.append(
-            "the criterion is the least error of the free run: it sets constant errors of the cabinet's "
+            "the criterion is the smallest free-run error: it sets constant errors of the cabinet's "
             "sensors to 0, so that the other parameters absorb them"
         )
     lines += [e.disagreement for e in (thermal, moist) if e and e.disagreement]
@@ -323,10 +323,7 @@ def shared_error(
     """
     a, b = (p.name for p in pair)
     if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
-        return (
-            f"{a} and {b} trade off against each other (correlation {correlation:.2f}): only a "
-            "combination is identified"
-        )
+        return f"{a} and {b} are strongly correlated ({correlation:.2f}): only a combination is identified"
     # positive parameters are estimated as logarithms, to which the correlation applies
     sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
     better = "a combination"
@@ -334,7 +331,8 @@ def shared_error(
         ratio, sum_ = ("ratio", "product") if pair[0].positive else ("difference", "sum")
         better = f"their {ratio if correlation > 0 else sum_}"
     return (
-        f"{a} and {b} share one error (correlation {correlation:.2f}): {better} is known better than either"
+        f"{a} and {b} are strongly correlated ({correlation:.2f}): {better} is known better than either "
+        "of them"
     )
 
 
@@ -344,16 +342,16 @@ def _remarks(stage: Stage) -> list[str]:
     estimate, found = stage.estimate, stage.uncertainty
     if "resistance_ratio" in estimate.at_bounds and estimate.values["resistance_ratio"] > 0.99:
         lines.append(
-            "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient "
-            "temperature, R_IC cannot be told from 0"
+            "resistance_ratio is at its limit 1: the readings show no fast feed-through of the ambient "
+            "temperature, so R_IC cannot be distinguished from 0"
         )
     others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
     if others:
-        lines.append(f"at a bound, so without standard error: {', '.join(others)}")
+        lines.append(f"at a limit, so without standard error: {', '.join(others)}")
     for name, bounds in stage.bounds.items():
         lines += limit_remarks(name, bounds)
     if found.flat:
-        lines.append(f"not pinned down by this record: {', '.join(found.flat)}")
+        lines.append(f"not determined by this record: {', '.join(found.flat)}")
     for a, b, r in found.trade_offs:
         pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
         errors = [standard_error(estimate, found, p.name) for p in pair]

@@ -438,12 +438,14 @@ def _length_words(
 ) -> str:
     """The reason for the length of the periods, in words."""
     if time_constant_h is None:
-        wanted = f"the time constant is not known: as long as there are enough, up to {wanted_h:.3g} h"
+        wanted = (
+            f"the time constant is not known: the longest of which there are enough, up to {wanted_h:.3g} h"
+        )
     else:
         source = "a rough" if rough else "the given"
         wanted = f"{wanted_h:.3g} h wanted by {source} time constant of {time_constant_h:.2g} h"
         if wanted_h == shortest_h:
-            wanted = f"the shortest that is taken; {source} time constant is {time_constant_h:.2g} h"
+            wanted = f"the shortest allowed; {source} time constant is {time_constant_h:.2g} h"
     return f"{wanted}; {reason}" if reason else wanted
 
 
@@ -452,8 +454,8 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
     if hours <= 0.0:
         return f"{regime}: none in the record"
     return (
-        f"{regime}: {_periods_words(choice)} within {hours:.0f} h are too few for a regression, which takes "
-        f"{FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the heat release is left to the likelihood"
+        f"{regime}: {_periods_words(choice)} within {hours:.0f} h are too few for a regression, which "
+        f"needs {FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the likelihood alone determines the heat release"
     )
 
 
@@ -470,7 +472,7 @@ def _form_words(regime: str, points: Periods, chosen: Candidate, sd: float, limi
             text += f"; the power hardly varies ({low:.2f} … {high:.2f} of rated), so its slope is unknown"
             return text
     if regime == OPERATION and limited:
-        text += "; higher orders were not tried, as too few episodes reach every part of the range of power"
+        text += "; higher orders were not tried, because too few episodes cover every part of the power range"
     return text
 
 
@@ -478,13 +480,13 @@ def _transient_words(transient_K: float | None, settled: bool, settle: bool) -> 
     if transient_K is None:
         return []
     if settled:
-        return [f"{transient_K:.2g} K by warming and cooling within the periods is taken off"]
+        return [f"{transient_K:.2g} K is subtracted for warming and cooling within the periods"]
     if settle:
         return [
-            "by the time constant, warming and cooling within the periods would make far more than they "
-            "show: nothing is taken off"
+            "by the time constant, warming and cooling within the periods would be far larger than "
+            "observed: nothing is subtracted"
         ]
-    return [f"{transient_K:.2g} K of it by warming and cooling within the periods"]
+    return [f"{transient_K:.2g} K of it due to warming and cooling within the periods"]
 
 
 def _doubts(points: Periods, coefficients: Mapping[str, Coefficient]) -> list[str]:

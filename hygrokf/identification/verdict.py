@@ -1,4 +1,4 @@
-"""The verdict on a time constant: whether it can be believed, and the evidence against it.
+"""The verdict on a time constant: whether it is reliable, and the evidence against it.
 
 A verdict is decided once, at the end of a fit, from its results.  Everything that uses the number inherits
 the verdict: pages, commands, forecasts, alarms.  Each rule examines one kind of evidence and returns reasons;
@@ -151,8 +151,8 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "at_limit",
             REJECT,
-            f"the estimate ended at the limit of the search, {plain_number(value)} h, which the record did "
-            "not set",
+            f"the estimate ended at the limit of the search, {plain_number(value)} h, so the record does "
+            "not determine it",
             {"value_h": value},
         )
     if not math.isfinite(value) or not (low > 0 or math.isfinite(high)):
@@ -175,8 +175,8 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "undetermined",
             REJECT,
-            f"its interval reaches over {spread_words(value, low, high)} on either side: not even its order "
-            "of magnitude is known",
+            f"its interval spans {spread_words(value, low, high)} on either side: not even its order of "
+            "magnitude is known",
             {"lower_h": low, "upper_h": high},
         )
     elif not (half := half_width(value, low, high)) <= TIGHT:
@@ -225,7 +225,7 @@ def _sensors(fit: FitResults, part: str) -> Iterator[Reason]:
                 "sensor_stretched",
                 CAUTION,
                 f"the fit needs a constant error {name} of {size}, {fixed(apart, 1)} standard deviations of "
-                "what the sensor's accuracy allows: it takes in what the model lacks",
+                "the sensor's accuracy: the error absorbs a defect of the model",
                 {"error": value, "standard_deviations": apart},
             )
 
@@ -257,8 +257,8 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "free_run_silent",
             CAUTION,
-            f"the free run alone hardly says anything about it ({plain_number(other)} h, {how}): only the "
-            "one-step predictions speak for it",
+            f"the free run alone hardly determines it ({plain_number(other)} h, {how}): the number rests on "
+            "the one-step predictions alone",
             {"simulation_h": other, "simulation_lower_h": low, "simulation_upper_h": high},
         )
 
@@ -295,8 +295,8 @@ def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "worse_than_mean",
             REJECT if beyond == scored else CAUTION,
-            f"the free run's {name} errs by {fixed(error)} {unit} in {beyond[0]}, more than the readings "
-            f"vary ({fixed(spread)} {unit}): their mean alone would do better",
+            f"the free run's {name} errs by {fixed(error)} {unit} in {beyond[0]}, more than the standard "
+            f"deviation of the readings ({fixed(spread)} {unit}): their mean would predict better",
             {"error": error, "readings_sd": spread},
         )
     worse = [p for p in scored if (rule := best_rule(fit, quantity, p)) and rule.gain < -MATERIAL]
@@ -385,8 +385,9 @@ def _innovations(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "noise_not_as_modelled",
             CAUTION,
-            f"the estimate scatters {plain_number(factor, 2)} times as much (in variance) as the model's "
-            "noise explains: the interval was widened by that, and rests on a model that is not quite right",
+            f"the variance of the estimate is {plain_number(factor, 2)} times what the model's noise "
+            "explains: "
+            "the interval was widened accordingly, but the noise model is not right",
             {"factor": factor},
         )
 
@@ -397,7 +398,7 @@ def largest_correlation(fit: FitResults, output: str) -> tuple[float, str]:
     data = fit.innovations.outputs.get(output, OutputDiagnosis())
     rejected = {row.test for row in fit.innovations.tests if row.output == output and row.rejected}
     found: list[tuple[str, Autocorrelation | CrossCorrelation | None, str]] = [
-        ("what came before", data.autocorrelation, "autocorrelation")
+        ("earlier innovations", data.autocorrelation, "autocorrelation")
     ]
     for name, crossed in data.cross_correlation.items():
         words = name.replace("_", " ")
@@ -424,9 +425,9 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "ambient_coarse",
             CAUTION,
-            "with every second ambient reading left out it changes by "
+            "without every second ambient reading it changes by "
             f"{minus(f'{100 * math.expm1(shift):+.0f}')} %, more "
-            f"than its interval allows: readings of the ambient every {60 * step:.3g} min hardly resolve it",
+            f"than its interval allows: ambient readings every {60 * step:.3g} min hardly resolve it",
             {"shift": math.expm1(shift), "ambient_step_h": step},
         )
     output = fit.innovations.outputs.get(_OUTPUTS[part])
@@ -435,8 +436,9 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
         yield Reason(
             "readings_coarse",
             CAUTION,
-            f"the cabinet is read every {60 * every:.3g} min, when {percent(1.0 - math.exp(-every / value))} "
-            "of what the last reading showed is forgotten",
+            f"the cabinet is read every {60 * every:.3g} min; by then "
+            f"{percent(1.0 - math.exp(-every / value))} "
+            "of a deviation has decayed",
             {"step_h": every},
         )
     free = sum(not row.fixed for _, row in _rows(fit, part))
@@ -489,7 +491,7 @@ def _other_estimates(fit: FitResults, part: str) -> Iterator[Reason]:
             "parts_differ",
             CAUTION,
             f"parts of the record scatter {plain_number(scatter, 2)} times as much as their own bounds "
-            "explain: the number is not the same throughout, or the model lacks something",
+            "explain: the number changes over the record, or the model lacks something",
             {"scatter": scatter},
         )
 

@@ -17,7 +17,7 @@ CAUTION: Final = "caution"
 REJECT: Final = "reject"
 VERDICTS: tuple[Kind, ...] = (BELIEVE, CAUTION, REJECT)
 """From best to worst."""
-WORDS = {BELIEVE: "to be believed", CAUTION: "with caution", REJECT: "not to be believed"}
+WORDS = {BELIEVE: "reliable", CAUTION: "with caution", REJECT: "not reliable"}
 MARKS = {BELIEVE: "✓", CAUTION: "!", REJECT: "✕"}
 PLAIN_MARKS = {BELIEVE: "+", CAUTION: "!", REJECT: "x"}
 """Marks for a terminal."""
@@ -66,7 +66,7 @@ class _InWords:
 
     @property
     def words(self) -> str:
-        """The verdict in words: "to be believed", "with caution" or "not to be believed"."""
+        """The verdict in words: "reliable", "with caution" or "not reliable"."""
         return WORDS[self.verdict]
 
     @property
@@ -86,7 +86,7 @@ class _InWords:
 
 @dataclass(frozen=True)
 class Verdict(_InWords):
-    """Whether a number can be believed, and the reasons against it, the most serious first."""
+    """Whether a number is reliable, and the reasons against it, the most serious first."""
 
     verdict: Kind = BELIEVE
     reasons: tuple[Reason, ...] = ()

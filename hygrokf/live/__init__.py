@@ -1,4 +1,4 @@
-"""Cabinets followed from live readings: the tracker, its alarms and forecasts, and the service around them.
+"""Live tracking of cabinets: the tracker, its alarms and forecasts, and the service around them.
 
 `sources`, `storage`, `web` and `doctor` hold what touches networks, databases and browsers; nothing else
 does.

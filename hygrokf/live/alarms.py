@@ -73,7 +73,7 @@ RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSI
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
-`ESTIMATE_LEVELS`.
+`ESTIMATE_LEVELS`; docs/live.md has an example.
 """
 
 CABINET_CHANGES = {
@@ -206,7 +206,7 @@ def _judge_level(
 
 
 def _kind(key: str) -> str:
-    return next(kind for kind in RULES if key == kind or key.startswith(kind + " "))
+    return max((kind for kind in RULES if key == kind or key.startswith(kind + " ")), key=len)
 
 
 # -- levels that follow from estimates -----------------------------------------------------------------------
@@ -279,13 +279,16 @@ RESTS_ON = {
     "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
     "humidity_offset": PARTS[1:],
 }  # fmt: skip
-"""Property -> the numbers of the fit on which its shift rests; all other levels rest on both numbers."""
+"""Property, or kind of alarm -> the numbers of the fit on which its level rests; all others rest on both."""
 
 
 def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
     """The levels, with a note in each statement that rests on a number of the fit that its verdict rejects;
     `verdicts` are the fit's."""
-    doubts = [(level, rests_on(verdicts, RESTS_ON.get(level.subject, PARTS))) for level in levels]
+    doubts = [
+        (level, rests_on(verdicts, RESTS_ON.get(level.subject, RESTS_ON.get(level.kind, PARTS))))
+        for level in levels
+    ]
     return [
         replace(level, statement=f"{level.statement}; {doubt}") if level.statement and doubt else level
         for level, doubt in doubts
@@ -305,9 +308,14 @@ def estimate_levels(now: Estimated, verdicts: Mapping[str, Inherited]) -> list[L
 
 
 # -- levels of missing data ----------------------------------------------------------------------------------
-def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
-    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s]."""
+def stale_levels(ages_s: Mapping[str, float], limit_s: float, left: str = "") -> list[Level]:
+    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s].
+
+    left: text about a sender that has left, so that its signals are stale at once.
+    """
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
+    if left:
+        return [Level(STALE.kind, max(1.0, *(age / limit_s for age in (0.0, *silent.values()))), left)]
     if not silent:
         return []
     oldest = max(silent.values())

@@ -129,10 +129,10 @@ class Batch:
     """The results of one round.
 
     `held`: readings whose stamps are ahead of this machine's clock, kept apart until they are `released`;
-    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine or source,
-    name) → JSON data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source →
-    position to resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete
-    it; `weather`: values of a weather forecast.
+    `reopened`: alarms that are unacknowledged again; `estimates`: by turbine; `properties`: (turbine, time
+    [s], properties); `memories`: (turbine or source, name) → JSON data that the tracker resumes from;
+    `counters`: (turbine, name) → increase; `place`: source → position to resume from; `forecasts`: turbine →
+    forecast that replaces the previous one, None to delete it; `weather`: values of a weather forecast.
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -142,6 +142,7 @@ class Batch:
     estimates: dict[str, Estimates] = field(default_factory=dict)
     properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
+    reopened: list[Alarm] = field(default_factory=list)
     assessments: list[Assessment] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     memories: dict[tuple[str, str], Json] = field(default_factory=dict)

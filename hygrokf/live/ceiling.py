@@ -48,7 +48,7 @@ def censored_trace(
         if place < len(t):
             found.append(_censored(_with_timeline(likelihood, t.window(place, place + 1)), values, start))
             start, first = found[-1].last, place + 1
-    return _joined(found)
+    return joined(found)
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
@@ -91,7 +91,7 @@ def _with_timeline(likelihood: Likelihood, t: Timeline) -> Likelihood:
     return replace(likelihood, timeline=t)
 
 
-def _joined(found: list[Trace]) -> Trace:
+def joined(found: list[Trace]) -> Trace:
     """Join the traces of consecutive pieces."""
     arrays = {
         name: np.concatenate([getattr(one, name) for one in found])

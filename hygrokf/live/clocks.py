@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from hygrokf.data.timestamps import HOUR_S, duration_text
 from hygrokf.live.alarms import CLOCK, Level
 from hygrokf.live.batch import Batch, Observation
-from hygrokf.live.sources.payload import AHEAD_S
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.storage.store import Store
 
 HELD_MOST = 200_000

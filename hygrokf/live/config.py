@@ -4,30 +4,31 @@ reported at once."""
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
 from hygrokf.data.record import Site
 from hygrokf.data.result_file import ResultFault
-from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration
-from hygrokf.data.toml_form import FormFault, Place, across, entry_name, read_form, read_toml, setting
+from hygrokf.data.toml_form import FormFault, Place, across, read_form, read_toml, setting
+from hygrokf.data.toml_lines import LinedPlace, lines_of
+from hygrokf.errors import suggestion
 from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
+from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings, texts
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.form import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import GOOD, Field, PayloadMapping
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
-from hygrokf.physics.holds import ZERO_ORDER
 
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
@@ -49,12 +50,13 @@ class Config:
     store: str
     page: PageSettings = field(default_factory=PageSettings)
     retention_s: float = RETENTION_S
+    channels: tuple[Channel, ...] = ()
 
 
-def _texts(value: object) -> tuple[str, ...]:
-    if not isinstance(value, list):
-        raise ValueError(f"expected a list, found {value!r}")
-    return tuple(str(one) for one in value)
+def _names(value: object) -> dict[str, str]:
+    if not isinstance(value, dict) or not all(isinstance(one, str) for one in value.values()):
+        raise ValueError(f'expected a table such as {{ TT101 = "Tcab" }}, found {value!r}')
+    return value
 
 
 def _store(value: object) -> str:
@@ -63,72 +65,6 @@ def _store(value: object) -> str:
     if (wrong := url_fault(value)) is not None:
         raise ValueError(wrong)
     return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class SignalForm(StatedSensor):
-    """A row of [mapping.signals]."""
-
-    field: str = entry_name()
-    signal: Signal = setting(help="a signal of docs/signals.md", read=stated_signal)
-    stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
-    interval_s: float = setting(0.0, "length averaged over", read=duration)
-
-    @across("stamp", "interval")
-    def mean(self) -> str | None:
-        if (self.stamp == "instant") == (self.interval_s == 0.0):
-            return None
-        return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
-
-    def to_field(self) -> Field:
-        """The field of a payload."""
-        hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
-        return Field(self.signal.name, self.unit, Form(hold, self.interval_s, **self.settings), self.stamp)
-
-
-@dataclass(frozen=True)
-class MappingForm:
-    """The table [mapping]."""
-
-    turbine: str = setting("turbine", "field with the turbine's name", empty=True)
-    time: str = setting("time", "field with the time")
-    quality: str = setting("", "field with a quality")
-    good: tuple[str, ...] = setting(GOOD, "marks of a reading that counts", read=_texts)
-    tag: str = setting("", "field with the name, where a payload is one reading")
-    value: str = setting("", "field with the value, where a payload is one reading")
-    signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
-
-    @across("tag", "value")
-    def one_reading(self) -> str | None:
-        if bool(self.tag) == bool(self.value):
-            return None
-        return "tag and value belong together: one reading a payload needs both"
-
-    @across("signals")
-    def rows(self) -> Iterator[str]:
-        if not self.signals:
-            yield (
-                "no signals: add [mapping.signals] with rows such as "
-                'Tcab = { signal = "cabinet_temperature", unit = "degC" }'
-            )
-        taken: dict[str, str] = {}
-        for name, one in self.signals.items():
-            if one.signal.name in taken:
-                yield f"{name} and {taken[one.signal.name]} are both {one.signal.name}"
-            taken[one.signal.name] = name
-
-    def to_mapping(self) -> PayloadMapping:
-        """The mapping, without rows that cannot be used and without turbines yet."""
-        valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
-        return PayloadMapping(
-            {name: one.to_field() for name, one in valid.items()},
-            turbine=self.turbine,
-            time=self.time,
-            quality=self.quality,
-            tag=self.tag,
-            value=self.value,
-            good=tuple(one.strip().lower() for one in self.good),
-        )
 
 
 @dataclass(frozen=True)
@@ -160,7 +96,10 @@ class TurbineForm:
         expected="text of 1 to 100 printable characters",
     )
     fit: str = setting(help="its model: fit.json, or the directory of it")
-    known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=_texts)
+    known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=texts)
+    names: Mapping[str, Any] = setting(
+        dict, "its own names of fields in payloads: NAME = FIELD of [mapping.signals]", read=_names
+    )
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
     site: SiteForm | None = setting(None, "for models that read the sun")
     rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
@@ -201,6 +140,7 @@ class TrackForm:
     mapping: MappingForm = setting(MappingForm, "how payloads are read")
     source: tuple[Mapping[str, Any], ...] = setting((), "where payloads come from")
     wandering: Mapping[str, Any] | None = setting(None, "what may change slowly")
+    notify: tuple[Mapping[str, Any], ...] = setting((), "who is told of alarms")
 
     @across("turbine")
     def any_turbine(self) -> Iterator[str]:
@@ -215,34 +155,65 @@ class TrackForm:
 
 def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault."""
-    file, place = Path(path), Place()
-    form = read_form(TrackForm, read_toml(file, ConfigFault)[1], place)
-    mapping = form.mapping.to_mapping()
-    turbines, names = _turbines(form, file.parent, mapping, place)
-    mapping = replace(mapping, turbines=names)
+    file = Path(path)
+    text, stated = read_toml(file, ConfigFault)
+    place = LinedPlace(lines=lines_of(text))
+    form = read_form(TrackForm, stated, place)
+    mappings = source_mappings(form.mapping, stated.get("mapping"), form.source, place)
+    turbines, names = _turbines(form, file.parent, source_forms(mappings, form.source, place), place)
+    own_names = _own_names(form.turbine, {name for one in mappings for name in one.fields}, place)
     streams: list[Stream] = []
-    for number, table in enumerate(form.source):
+    for number, (table, layout) in enumerate(zip(form.source, mappings, strict=True)):
         inside = place.inside("source", number)
-        made = stream_of(table, inside, file.parent, mapping)
+        mapping = replace(layout, turbines=names, names=own_names)
+        made = stream_of({k: v for k, v in table.items() if k != "mapping"}, inside, file.parent, mapping)
         if made is None:
             continue
         if made.url in [one.url for one in streams]:
             inside.fault(f"{made.url} is a source already; two of one broker need a client_id each")
         streams.append(made)
+    channels = _channels(form, file.parent, place)
     page = page_settings(form.page, file.parent, place)
     if place.faults:
         raise ConfigFault(file.name, place.faults)
     store = form.store
     if store.startswith("sqlite:") and not Path(store.removeprefix("sqlite:")).is_absolute():
         store = f"sqlite:{file.parent / store.removeprefix('sqlite:')}"
-    return Config(turbines, tuple(streams), store, page, form.retention_s)
+    return Config(turbines, tuple(streams), store, page, form.retention_s, channels)
+
+
+def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
+    """The channels of the [[notify]] tables."""
+    channels: list[Channel] = []
+    turbines = [one.name for one in form.turbine]
+    for number, table in enumerate(form.notify):
+        inside = place.inside("notify", number)
+        made = channel_of(table, inside, folder, turbines)
+        if made is not None and made.name in [one.name for one in channels]:
+            inside.fault(f"a second channel named {made.name!r}")
+        elif made is not None:
+            channels.append(made)
+    return tuple(channels)
+
+
+def _own_names(
+    turbines: Sequence[TurbineForm], fields: Collection[str], place: Place
+) -> dict[str, dict[str, str]]:
+    """Turbine → its own names of fields; names of fields that no mapping has are faults."""
+    for number, one in enumerate(turbines):
+        for name, field_ in one.names.items():
+            if field_ not in fields:
+                near = suggestion(field_, fields)
+                place.inside("turbine", number).fault(
+                    f"names: {name} is {field_!r}, which [mapping.signals] does not have{near}"
+                )
+    return {one.name: dict(one.names) for one in turbines if one.names}
 
 
 def _turbines(
-    form: TrackForm, folder: Path, mapping: PayloadMapping, place: Place
+    form: TrackForm, folder: Path, forms: Mapping[str, Form], place: Place
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
     """Turbines by name, and the turbine that each name in a payload stands for."""
-    forms = {one.signal: one.form for one in mapping.fields.values()}
     rates = None
     if form.wandering is not None:
         stated = vars(read_form(WanderingForm, form.wandering, place.inside("wandering")))

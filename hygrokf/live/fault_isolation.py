@@ -10,12 +10,16 @@ demands, while a heater that stays on does not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
+from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import prepare_run
 
 STATES = {
@@ -70,15 +74,22 @@ class Explanation:
     value: float
 
 
-def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
+def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Iterator[Finding | None]:
     """Search for the cause in a record, step by step: yields None after each step and the finding at the end.
 
-    Raises ValueError if the record cannot be filtered.
+    `reference`: the state from which shifts count after a stated change, None for the fit's values; the
+    record then begins before it.  Raises ValueError if the record cannot be filtered.
     """
     t = prepare_run(plan.design, record).timeline
-    likelihood = plan.likelihood(t)
     still = {**plan.values, **_lowest_rates(plan)}
-    base = censored_trace(likelihood, still).loglik
+    start = None
+    if reference is not None:
+        t = t.window(int(np.searchsorted(t.seconds, reference.time + SAME_S, side="right")), len(t))
+        if not len(t):
+            raise ValueError("no readings since the stated change")
+        start = _still_state(plan, reference.state)
+    likelihood = plan.likelihood(t)
+    base = censored_trace(likelihood, still, start).loglik
     end_s = float(t.seconds[-1])
     gains: dict[str, Explanation] = {}
     for cause, options in STATES.items():
@@ -87,12 +98,29 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
                 continue
             place = plan.model.states.index(state)
             for rate in rates:
-                found = censored_trace(likelihood, {**still, f"{state}_rate": rate})
+                begin = None if start is None else _with_variance(start, place, rate**2)
+                found = censored_trace(likelihood, {**still, f"{state}_rate": rate}, begin)
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
                     gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
                 yield None
     yield finding_from(gains, end_s)
+
+
+def _still_state(plan: Plan, state: Gaussian) -> Gaussian:
+    """A state whose wandering properties are known."""
+    for name in (name for options in STATES.values() for name, _ in options):
+        if name in plan.model.states:
+            state = _with_variance(state, plan.model.states.index(name), 0.0)
+    return state
+
+
+def _with_variance(state: Gaussian, place: int, variance: float) -> Gaussian:
+    """A state with another variance at a place, uncorrelated with the others."""
+    covariance = state.covariance.copy()
+    covariance[place, :] = covariance[:, place] = 0.0
+    covariance[place, place] = variance
+    return replace(state, covariance=covariance)
 
 
 def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:

@@ -79,15 +79,19 @@ def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Recor
 
 
 def isolation_steps(
-    name: str, one: Turbine, shifts: Iterable[ParameterShift], store: Store
+    name: str, one: Turbine, shifts: Iterable[ParameterShift], store: Store, reference: Point | None = None
 ) -> Iterator[Finding | None]:
-    """The steps of fault isolation for a turbine's shifts, on readings from some weeks before them."""
+    """The steps of fault isolation for a turbine's shifts, on readings from some weeks before them, or since
+    the state from which shifts count after a stated change."""
     since = min(shift.since for shift in shifts)
     newest = store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))[0][0]
     first = max(since - BEFORE_S, newest - LONGEST_S)
+    if reference is not None:
+        first = reference.time - one.plan.context_s
     signals = (*CABINET, *DRIVERS, *one.plan.further)
     try:
-        yield from isolate(one.plan, _history(store, name, one.plan, signals, first, newest))
+        history = _history(store, name, one.plan, signals, first, newest)
+        yield from isolate(one.plan, history, reference)
     except ValueError:
         yield Finding(newest, "")
 

@@ -148,8 +148,12 @@ def parameter_shifts(
     time: float,
     states: Mapping[str, TrackedState],
     errors: Mapping[str, float],
+    references: Mapping[str, TrackedState] | None = None,
 ) -> dict[str, ParameterShift]:
     """Parameter shifts at `time` [s], updated from the known ones.
+
+    `references`: the states from which shifts count after a stated change, None for the fit's values; a
+    property without one is not judged.
 
     A shift begins when a property differs from the fit's value by more than the smallest change that
     matters and by `SURE` standard deviations.  It is lasting after `LASTING_S`.  It ends when less than the
@@ -161,9 +165,11 @@ def parameter_shifts(
             continue
         x, sd = states[one.name]
         before = known.get(one.name)
-        spread = math.hypot(sd, errors.get(one.name, 0.0))
-        if sd >= one.blind:
+        if sd >= one.blind or (references is not None and one.name not in references):
             continue
+        spread = math.hypot(sd, errors.get(one.name, 0.0))
+        if references is not None:
+            x, spread = x - references[one.name].x, math.hypot(sd, references[one.name].sd)
         if before is None or before.change * x < 0.0:
             if abs(x) > max(one.least, SURE * spread):
                 found[one.name] = ParameterShift(one.name, time, False, x)

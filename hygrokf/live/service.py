@@ -14,15 +14,20 @@ import queue
 import secrets
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
+from hygrokf.live.acknowledgement import look_again
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.notices import notices_of
 from hygrokf.live.sources.stream import Delivery, SourceState, Stream
+from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import SOURCE, Fleet, Turbine
@@ -47,12 +52,27 @@ RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 """[s] between attempts to reopen a failed store; the last value repeats."""
 
 
+WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+"""Upper bounds [s] of the classes in which waits are counted; the last class has none."""
+
+
+@dataclass(frozen=True)
+class SourceTimes:
+    """Of a source's last delivery: when it was committed [s, this machine's clock], and how long after the
+    time of its newest reading it arrived [s]; None without readings so far."""
+
+    committed: float
+    lag_s: float | None = None
+
+
 @dataclass
 class Health:
     """Counts of the loop.
 
-    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from delivery to
-    commit; `store`: why the store fails now, empty if it does not.
+    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from the last
+    deliveries to their commits; `wait_counts`: all of them since the start by the classes `WAITS_S`, and
+    `wait_sum_s` their sum [s]; `sources`: times of each source by its URL; `store`: why the store fails now,
+    empty if it does not.
     """
 
     rounds: int = 0
@@ -60,10 +80,23 @@ class Health:
     failures: int = 0
     committed_s: float = 0.0
     waits_s: list[float] = field(default_factory=list)
+    wait_counts: list[int] = field(default_factory=lambda: [0] * (len(WAITS_S) + 1))
+    wait_sum_s: float = 0.0
+    sources: dict[str, SourceTimes] = field(default_factory=dict)
     store: str = ""
 
     def note(self, waits: Sequence[float]) -> None:
         self.waits_s = [*self.waits_s, *waits][-10_000:]
+        for wait in waits:
+            self.wait_counts[bisect_left(WAITS_S, wait)] += 1
+        self.wait_sum_s += sum(waits)
+
+    def note_source(self, url: str, batch: Batch) -> None:
+        """Note that deliveries of a source were committed, and how far their newest reading was behind."""
+        before = self.sources.get(url, SourceTimes(0.0))
+        newest = max((*batch.observations, *batch.weather), key=lambda one: one.reading.time, default=None)
+        lag_s = before.lag_s if newest is None else newest.received - newest.reading.time
+        self.sources[url] = SourceTimes(time.time(), lag_s)
 
     def wait_s(self, share: float) -> float | None:
         """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
@@ -75,8 +108,8 @@ class Service:
     """Streams, a fleet and a store, run by one thread.
 
     `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
-    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  `clock` gives this
-    machine's time [s].
+    store keeps `retention_s` [s] of history before each turbine's newest final estimate.  Alarms are written
+    together with notices for the `channels` that cover them.  `clock` gives this machine's time [s].
     """
 
     def __init__(
@@ -86,6 +119,7 @@ class Service:
         store_url: str,
         settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
+        channels: Sequence[Channel] = (),
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.turbines = turbines
@@ -94,10 +128,12 @@ class Service:
         self.health = Health()
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
+        self.channels = tuple(channels)
         self._settle = settle
         self._clock = clock
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
+        self._marks: dict[str, str] = {}
         self._isolation: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
@@ -153,8 +189,10 @@ class Service:
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
+            store.claim("channel", [one.name for one in self.channels])
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             self.fleet = Fleet.from_store(self.turbines, store)
+            self._marks.clear()
         except BaseException:
             store.close()
             raise
@@ -206,6 +244,7 @@ class Service:
         stream = self.streams[url]
         batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
+        self.health.note_source(url, batch)
         self._publish(batch)
 
     def _forecast(self, name: str) -> Batch:
@@ -220,12 +259,16 @@ class Service:
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
-        attempt, mark = 0, secrets.token_hex(8)
+        attempt, mark, replaced = 0, secrets.token_hex(8), False
         while True:
             try:
+                self._expect_own_batch(source)
                 # if the mark is stored, the commit succeeded and only its answer was lost
                 if not attempt or not source or self._open_store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
+                    if replaced:
+                        batch.counters[SOURCE, "store replaced"] = 1
+                    batch.notices += notices_of(batch.alarms, self.channels, time.time(), self.now)
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
                         self._open_store.claim("source", batch.place)
@@ -233,6 +276,7 @@ class Service:
                         self._open_store.commit(batch)
                 break
             except StoreFault as fault:
+                replaced = replaced or isinstance(fault, StoreReplaced)
                 self.health.store = str(fault).strip()
                 self.health.failures += (
                     1  # set after the message, so that whoever sees the failure finds the message
@@ -241,9 +285,18 @@ class Service:
                 if attempt and self.ending.is_set():
                     raise
                 attempt = self._reopen(attempt)
+        if source:
+            self._marks[source] = mark
         self.health.store = ""
         self.health.committed_s = self._clock()
         return batch
+
+    def _expect_own_batch(self, source: str) -> None:
+        """Raise StoreReplaced if the store does not hold the batch of a source that was last committed."""
+        store, mark = self._open_store, self._marks.get(source)
+        missing = mark is not None and store.memory(SOURCE, f"batch of {source}") != mark
+        if missing or store.database.is_replaced():
+            raise StoreReplaced(f"{self.store_url}: {REPLACED}")
 
     def _publish(self, batch: Batch) -> None:
         """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
@@ -267,7 +320,10 @@ class Service:
             self._tick = begin + TICK_S
             states = {url: stream.state for url, stream in self.streams.items()}
             self._log_states(states)
-            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states)))
+            left = {name: words for one in self.streams.values() for name, words in one.left().items()}
+            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states, left)))
+            self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
+            self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
             name = self._open_fleet.forecast_due(EVERY_S)
@@ -293,7 +349,9 @@ class Service:
             if name is None:
                 return
             lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
-            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._open_store))
+            reference = self._open_fleet.reference_points.get(name)
+            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
+            self._isolation = (name, steps)
         name, steps = self._isolation
         try:
             found = next(steps)

@@ -20,17 +20,16 @@ import numpy as np
 
 from hygrokf.data.ambient import middle
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
-from hygrokf.live.ceiling import censored_trace
+from hygrokf.live.changes import SAME_S as SAME_S
+from hygrokf.live.changes import changed_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
 AHEAD_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
-SAME_S = 1e-3
-"""[s] times closer than this count as equal."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,11 @@ class Reading:
     signal: str
     time: float
     value: float
+
+    def at_whole_microsecond(self) -> Reading:
+        """The reading with its time rounded to microseconds, as every store gives it back."""
+        time = whole_microseconds(self.time)
+        return self if time == self.time else Reading(self.signal, time, self.value)
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,11 @@ class Course:
     def seconds(self) -> np.ndarray:
         return self.run.timeline.seconds
 
+    def state(self, place: int) -> Gaussian:
+        """The state after an instant; the accumulator of a mean that begins there is not reset."""
+        time_h = float(self.run.timeline.time[place])
+        return Gaussian(self.trace.mean[place].copy(), self.trace.covariance[place].copy(), time_h)
+
 
 class Tracker:
     """The state of one turbine's filter.
@@ -70,11 +79,18 @@ class Tracker:
     which may still change, and `running` tells whether the turbine operates then; `newest` is the time [s] of
     the newest reading, −∞ without any.  `counts` counts the readings that are not used: "repeated" (already
     present), "contradicting" (several values with one stamp, of which none is used) and "late" (received
-    after the estimate at their time was final).
+    after the estimate at their time was final).  `changes`: times [s] of stated changes of the cabinet.
     """
 
-    def __init__(self, plan: Plan, point: Point | None = None, readings: Iterable[Reading] = ()) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        point: Point | None = None,
+        readings: Iterable[Reading] = (),
+        changes: Iterable[float] = (),
+    ) -> None:
         self.plan = plan
+        self.changes = tuple(changes)
         self.point = point
         self.newest_state = point
         self.running = False
@@ -97,6 +113,14 @@ class Tracker:
                 self.counts["repeated" if self._has(one) else "late"] += 1
             else:
                 self._insert(one)
+
+    def note_change(self, time: float) -> float:
+        """Take a stated change at `time` [s] into account; returns the time from which it is, which is not
+        before the newest final estimate."""
+        if self.point is not None:
+            time = max(time, self.point.time)
+        self.changes = (*self.changes, time)
+        return time
 
     def is_late(self, one: Reading) -> bool:
         """Whether the estimate at a reading's time is already final."""
@@ -228,16 +252,18 @@ class Tracker:
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
         there is reset."""
-        t, trace = course.run.timeline, course.trace
+        t = course.run.timeline
         if t.reset[place]:
             return self._filter(t.window(0, place + 1), self._start()).last
-        return Gaussian(trace.mean[place].copy(), trace.covariance[place].copy(), float(t.time[place]))
+        return course.state(place)
 
     def _start(self) -> Gaussian | None:
         return None if self.point is None else self.point.state
 
     def _filter(self, t: Timeline, start: Gaussian | None) -> Trace:
-        return censored_trace(self.plan.likelihood(t), self.plan.values, start)
+        final = -math.inf if self.point is None else self.point.time
+        coming = [time for time in self.changes if time + SAME_S >= final]
+        return changed_trace(self.plan.likelihood(t), self.plan.values, start, coming)
 
     @property
     def _limit(self) -> float:
@@ -317,10 +343,13 @@ def record_of(
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 
-def offline_course(plan: Plan, record: Record) -> Course:
+def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) -> Course:
     """The offline filter on a whole record, with the tracker's model and steps; missing readings are
-    skipped."""
+    skipped.
+
+    `changes`: times [s] of stated changes.
+    """
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
     made = prepare_run(plan.design, record_of(plan, times, values))
-    return Course(made, censored_trace(plan.likelihood(made.timeline), plan.values))
+    return Course(made, changed_trace(plan.likelihood(made.timeline), plan.values, None, changes))

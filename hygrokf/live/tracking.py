@@ -1,27 +1,21 @@
 """The complete tracker: service, page, log and operating-system signals, run from a configuration until it is
 told to end.
-
-The log has one line per event, as text for people or as JSON for machines.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 
 from hygrokf.live.config import Config
+from hygrokf.live.notification.sender import Sender
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
 
 LOG = logging.getLogger("hygrokf.track")
-_OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
-FORMS = ("text", "json")
 
 
 def track(
@@ -49,6 +43,7 @@ def track(
         config.store,
         settle=hub.settle,
         retention_s=config.retention_s,
+        channels=config.channels,
     )
     with ExitStack() as stack:
         page = None
@@ -59,11 +54,36 @@ def track(
             app = Page(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
-        service.run(until_ended, lambda: begun(service, page))
+        start_senders = stack.enter_context(sending(service))
+
+        def begin() -> None:
+            start_senders()
+            begun(service, page)
+
+        service.run(until_ended, begin)
     lost = [said for word, said in (one.state for one in config.streams) if word == "lost"]
     if until_ended and lost:
         raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")
     return service
+
+
+@contextmanager
+def sending(service: Service) -> Iterator[Callable[[], None]]:
+    """The start of the senders of a service's channels, to be called once its store is open; they end with
+    this context."""
+    senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]
+
+    def start() -> None:
+        for one in senders:
+            one.start()
+
+    try:
+        yield start
+    finally:
+        for one in senders:
+            one.end()
+        for one in senders:
+            one.stop()
 
 
 @contextmanager
@@ -89,43 +109,3 @@ def ended_by_signals(service: Service) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-# -- the log -------------------------------------------------------------------------------------------------
-class LogLines(logging.Formatter):
-    """Formats time (UTC), level, logger, message and extra fields."""
-
-    def __init__(self, form: str = "text") -> None:
-        super().__init__()
-        self.form = form
-
-    def format(self, record: logging.LogRecord) -> str:
-        at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
-        beside = {key: value for key, value in vars(record).items() if key not in _OWN}
-        if record.exc_info:
-            beside["trace"] = self.formatException(record.exc_info)
-        if self.form == "json":
-            said = {
-                "time": at,
-                "level": record.levelname.lower(),
-                "name": record.name,
-                "message": record.getMessage(),
-            }
-            return json.dumps({**said, **beside}, default=str, ensure_ascii=False)
-        # an event stays on one line, whatever characters an external name contains
-        more = "".join(f" {key}={_flat(value)}" for key, value in beside.items())
-        return f"{at} {record.levelname.lower():7} {record.name}: {_flat(record.getMessage())}{more}"
-
-
-def _flat(value: object) -> str:
-    return "".join(c if c.isprintable() else " " for c in str(value))
-
-
-def log_to_stderr(form: str = "text", level: int = logging.INFO) -> None:
-    """Send the package's logs to standard error in one of the `FORMS`."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(LogLines(form))
-    own = logging.getLogger("hygrokf")
-    own.handlers[:] = [handler]
-    own.setLevel(level)
-    own.propagate = False

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -38,7 +38,8 @@ from hygrokf.live.alarms import (
     with_doubts,
 )
 from hygrokf.live.backlog import Backlogs
-from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
+from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Observation
+from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.contradiction import contradiction_level, innovations
@@ -46,12 +47,21 @@ from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import Forecast, ForecastMade
 from hygrokf.live.plan import Plan
-from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
-from hygrokf.live.sources.payload import AHEAD_S, PayloadMapping, Refused
+from hygrokf.live.properties import (
+    LASTING_S,
+    ParameterShift,
+    TrackedState,
+    parameter_shifts,
+    properties,
+    states_of,
+)
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, SourceState
 from hygrokf.live.states import States
-from hygrokf.live.storage.store import Store
-from hygrokf.live.tracker import SAME_S, Course, Tracker
+from hygrokf.live.storage.store import Store, state_of, state_text
+from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
@@ -61,6 +71,14 @@ PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
+
+
+@dataclass(frozen=True)
+class KeptState:
+    """The states of a filter at `time` [s] as text (`state_text`), in a turbine's memory."""
+
+    time: float
+    state: str
 
 
 class Fleet:
@@ -77,6 +95,10 @@ class Fleet:
         self.faults: dict[str, str] = {}
         self.forecast_made_s: dict[str, float] = {}
         self.findings: dict[str, Finding] = {}
+        self.changes: dict[str, list[Change]] = defaultdict(list)
+        # what shifts are judged against after a stated change: states of properties, and the whole state
+        self.references: dict[str, dict[str, TrackedState]] = {}
+        self.reference_points: dict[str, Point] = {}
         self.states = States(turbines)
         self.held = HeldReadings(store)
         self.backlogs = Backlogs()
@@ -99,14 +121,21 @@ class Fleet:
         fleet.states = States.from_store(turbines, store)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - one.plan.context_s
-            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
-            fleet.waiting[name] = None  # committed readings may not have been filtered yet
+            since = -math.inf if point is None else point.time - one.plan.context_s
             known = store.memories(name)
+            fleet.changes[name] = structured(list[Change], known.get("changes", []))
+            times = [change.time for change in fleet.changes[name]]
+            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since), times)
+            fleet.waiting[name] = None  # committed readings may not have been filtered yet
+            pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
+            fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
+            if known.get("reference_point"):
+                kept = structured(KeptState, known["reference_point"])
+                fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
             fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
             fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
-            if "finding" in known:
+            if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
@@ -133,15 +162,18 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                turbine, readings, refused = mapping.read(one.content, one.received, one.topic)
+                found = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            counts.update({(turbine, kind): n for kind, n in refused.items()})
-            if mapping.weather:
-                batch.weather += [Observation(turbine, r, one.received) for r in readings]
-                continue
-            touched[turbine] += [Observation(turbine, r, one.received) for r in readings]
+            for turbine, stated, rejections in found:
+                readings = [reading.at_whole_microsecond() for reading in stated]
+                counts.update((turbine, rejection.kind) for rejection in rejections)
+                observations = [Observation(turbine, reading, one.received) for reading in readings]
+                if mapping.weather:
+                    batch.weather += observations
+                elif observations:
+                    touched[turbine] += observations
         for name, observations in touched.items():
             self.clocks.note(name, observations)
             limit = self._now + AHEAD_S
@@ -235,8 +267,51 @@ class Fleet:
                 return
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
-            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors)
+            references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
+            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors, references)
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
+
+    def _references(
+        self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
+    ) -> Mapping[str, TrackedState] | None:
+        """The states against which shifts are judged at a time [s]; None for the fit's values."""
+        if not self.changes[name] or at < self.changes[name][-1].time:
+            return None
+        before = self.references.get(name, {})
+        found = settled(before, self.changes[name][-1].time, at, states)
+        if found != before:
+            self.references[name] = found
+            batch.memories[name, "references"] = {key: list(one) for key, one in found.items()}
+        if found and not before:
+            self.reference_points[name] = point
+            kept = KeptState(at, state_text(point.state))
+            batch.memories[name, "reference_point"] = asdict(kept)
+        return found
+
+    def take_events(self, events: Iterable[Event]) -> Batch:
+        """Take stated changes into account that are not known yet: what had shifted is expected, and its
+        alarms end."""
+        batch = Batch()
+        for event in events:
+            name = event.turbine
+            if name not in self.trackers or event.id in [one.event for one in self.changes[name]]:
+                continue
+            tracker = self.trackers[name]
+            self.changes[name].append(Change(event.id, tracker.note_change(event.time)))
+            self.changes[name].sort(key=lambda one: one.time)
+            self.shifts[name], self.references[name] = {}, {}
+            self.findings.pop(name, None)
+            self.reference_points.pop(name, None)
+            batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
+            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
+                batch.memories[name, key] = nothing
+            batch.memories[name, "reference_point"] = None
+            newest = tracker.newest_state
+            if newest is not None:
+                self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
+            self.waiting[name] = None
+            self._assess(name, batch)
+        return batch
 
     def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
         """Judge alarms at every estimate newer than the last one judged."""
@@ -257,16 +332,21 @@ class Fleet:
             levels[one.signal] = contradiction_level(one)
             self._judge(name, one.time_s, list(levels.values()), (CONTRADICTS,), batch)
 
-    def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
+    def tick(
+        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+    ) -> Batch:
         """Judge alarms about missing data and wrong clocks at `now` [s], and about lost sources; release
-        readings that were ahead, and assess every turbine."""
-        batch = Batch()
+        readings that were ahead, and assess every turbine.
+
+        left: turbine -> text about a sender that has left.
+        """
+        batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()
         self._began, self._now = min(self._began, now), now
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
         for name in self.turbines:
-            self._judge_missing(name, now, batch)
+            self._judge_missing(name, now, left.get(name, ""), batch)
         clocks = clock_levels(self.clocks.ahead())
         for name in (*self.turbines, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
@@ -276,16 +356,16 @@ class Fleet:
         batch.counters = {key: count for key, count in counts.items() if count}
         return batch
 
-    def _judge_missing(self, name: str, now: float, batch: Batch) -> None:
+    def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:
         """Judge alarms about signals that came and come no more, and signals that never came; not while a
-        backlog may still bring them."""
+        backlog may still bring them, unless their sender has `left`."""
         one, heard = self.turbines[name], self.trackers[name].heard()
         since = self.states.known_since(name, now, batch)
-        if self.backlogs.awaited(name, now):
+        if self.backlogs.awaited(name, now) and not left:
             return
         ages = {signal: now - time for signal, time in heard.items()} or {"": now - self._began}
         missing = [need for need in one.plan.expected if heard and not set(need.signals) & set(heard)]
-        levels = stale_levels(ages, one.stale_s)
+        levels = stale_levels(ages, one.stale_s, left)
         levels += missing_levels(missing, since, now, one.stale_s)
         self._judge(name, now, levels, (STALE, MISSING), batch)
 

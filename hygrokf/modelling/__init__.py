@@ -1,5 +1,4 @@
-"""Which model describes a record, and what drives it: the design, its inputs, and what users bring of their
-own.
+"""The model of a record and its inputs: the design, derived inputs, and users' own mechanisms.
 
 Chooses mechanisms and prepares courses; estimates nothing.
 """

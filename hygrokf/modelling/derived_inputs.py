@@ -3,12 +3,15 @@
 A design stores its features with their settings, so that an extended model can be driven by any record:
 `{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over
 steps is evaluated in the middle of the step that ends at each instant.
+
+Features that several mechanisms read, or that need more than a series' own readings, stand here; a feature of
+one mechanism alone stands with it (`Mechanism.features`).
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -19,6 +22,8 @@ from hygrokf.data.input_paths import Same, input_path
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.model import Feature
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 
 SOLAR_CONSTANT = 1361.0
@@ -125,16 +130,6 @@ def scheduled(
     return (inside & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
 
 
-def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
-    """0 before a date [s], then 1, decaying with the time constant `days`."""
-    return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S)), 0.0)
-
-
-def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
-    """0 before a date [s], then approaching 1 with the time constant `days`."""
-    return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S))
-
-
 def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
     """Rate of the ambient temperature [K/h]; see `rate`."""
     return rate(record["ambient_temperature"], time)
@@ -145,8 +140,8 @@ def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
     vapour = ambient_absolute_humidity(record)
     if vapour is None:
         raise ValueError(
-            "the model reads an ambient humidity (relative, absolute or dew point), which the record does "
-            "not have; add the signal"
+            "the model needs an ambient humidity (relative, absolute or dew point), which the record "
+            "does not have; add the signal"
         )
     return 1e3 * rate(vapour, time)
 
@@ -191,9 +186,6 @@ def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarra
     return _switched(record, time, SWITCHES["drying"](on, off))
 
 
-Feature = tuple[Callable[..., np.ndarray], str]
-"""A function (record, time, **settings) -> values (T,), and the hold of the input that it gives."""
-
 FEATURES: dict[str, Feature] = {
     "elapsed": (elapsed, LINEAR),
     "sunshine": (sunshine, LINEAR),
@@ -204,8 +196,6 @@ FEATURES: dict[str, Feature] = {
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
     "heavy_rain": (heavy_rain, ZERO_ORDER),
-    "fading": (fading, ZERO_ORDER),
-    "since": (since, LINEAR),
     "standstill": (standstill, ZERO_ORDER),
     "after_step": (after_step, ZERO_ORDER),
     "door_open": (door_open, ZERO_ORDER),
@@ -216,6 +206,7 @@ FEATURES: dict[str, Feature] = {
     "scheduled": (scheduled, ZERO_ORDER),
     "open_hours": (scheduled, ZERO_ORDER),
     "drying": (drying, ZERO_ORDER),
+    **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
 }
 """Features, with their holds, by the name of the input that they provide."""
 
@@ -226,6 +217,11 @@ def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.nda
     if hold == ZERO_ORDER:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return function(record, time, **settings)
+
+
+def without_settings(inputs: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Those of a mechanism's inputs that are features which need no settings, as a design names them."""
+    return {name: {} for name in inputs if name in FEATURES and not feature_faults({name: {}})}
 
 
 def feature_faults(features: Mapping[str, Mapping[str, Any]]) -> list[str]:

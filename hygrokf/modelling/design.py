@@ -20,7 +20,7 @@ from hygrokf.data.actuators import Chosen, actuators
 from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
-from hygrokf.modelling.derived_inputs import FEATURES
+from hygrokf.modelling.derived_inputs import FEATURES, without_settings
 from hygrokf.modelling.registry import origins
 from hygrokf.physics.holds import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.physics.mechanisms import LIBRARY, Factory
@@ -348,12 +348,17 @@ def extended(
     holds: Mapping[str, str] | None = None,
     features: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Design:
-    """The design with further mechanisms of the library and the features that they read."""
+    """The design with further mechanisms of the library and the features that they read.
+
+    `features` states those that have settings; the others follow from the mechanisms.
+    """
+    named = {**base.features, **(features or {})}
+    read = [name for mechanism, settings in additions for name in LIBRARY[mechanism](**settings).inputs]
     return replace(
         base,
         mechanisms=(*base.mechanisms, *additions),
         holds={**base.holds, **(holds or {})},
-        features={**base.features, **(features or {})},
+        features={**named, **without_settings(name for name in read if name not in named)},
     )
 
 

@@ -122,7 +122,7 @@ def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, flo
             for name, time in zip(ambient, known, strict=True)
             if not len(time)
         )
-        raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
+        raise ValueError(f"no reading of {empty} can be used, and every model needs it; check the source")
     first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
     last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
     if not first < last:

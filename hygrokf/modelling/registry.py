@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from hygrokf.data.signals import SIGNALS
-from hygrokf.modelling.derived_inputs import FEATURES, Feature
+from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.physics.mechanisms import LIBRARY, Factory
+from hygrokf.physics.model import Feature
 
 Origin = Mapping[str, str]
 
@@ -20,11 +21,21 @@ _origins: dict[str, Origin] = {}
 """Origins of the mechanisms and features that users brought, by name."""
 
 
+def is_package_mechanism(name: str, factory: Factory) -> bool:
+    """Whether this factory is the package's own of that name."""
+    return name in _PACKAGE and LIBRARY.get(name) is factory
+
+
+def is_package_feature(name: str, feature: Feature) -> bool:
+    """Whether this feature is the package's own of that name."""
+    return name in _PACKAGE and FEATURES.get(name) == feature
+
+
 def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]:
     """Faults of names that the package already uses, and of one name used for a mechanism and a feature."""
     mechanisms, features = list(mechanisms), list(features)
     faults = [
-        f"{kind} {name!r}: the package has a mechanism, feature or signal of that name; choose another one"
+        f"{kind} {name!r}: the package has a mechanism, feature or signal of that name; choose another name"
         for kind, names in (("mechanism", mechanisms), ("feature", features))
         for name in names
         if name in _PACKAGE
@@ -84,7 +95,7 @@ def absent(stored: Mapping[str, Origin]) -> list[str]:
 
 def _remedy(origin: Origin) -> str:
     if "file" in origin:
-        return f"name the file as it was then: --library {origin['file']}"
+        return f"pass the file as it was then: --library {origin['file']}"
     if "package" in origin:
         return "install that version"
-    return "adopt the cause there before the fit is read"
+    return "register the cause there before reading the fit"

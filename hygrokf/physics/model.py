@@ -30,6 +30,9 @@ Space = SimpleNamespace
 sums."""
 Values = Mapping[str, Value]
 """Values by name."""
+Feature = tuple[Callable[..., np.ndarray], str]
+"""A function (record, time, **settings) -> values (T,) at `time` (T,) [s], and the hold of the input that it
+gives."""
 Pair = tuple[Value, Value]
 """A mean, or a prediction, and its variance."""
 Initial = Callable[[Space, Space], Mapping[str, Pair]]
@@ -43,7 +46,7 @@ SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
     "thermal_pace": "relative change of the thermal rate 1/τ [1]",
     "exchange": "relative change of the air exchange with the ambient [1]",
-    "ambient_vapour": "departure of the air that the cabinet breathes from the ambient series [g/m³]",
+    "ambient_vapour": "difference between the intake air of the cabinet and the ambient series [g/m³]",
     "vapour_release": "vapour released into the cabinet air, per volume [g/(m³ h)]",
     "cabinet_temperature_reading": "error of the temperature reading [K]",
     "cabinet_relative_humidity_reading": "error of the humidity reading [1]",
@@ -67,6 +70,7 @@ class Mechanism:
         initial(p, u)                  their (mean, variance) at the first instant
         outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
+    `features` are those inputs that no signal gives and that this mechanism brings with it, by name.
     `amounts` are states that cannot be negative; simulations enforce this, the filter does not.
     `settings` are the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
     `leaves` describes what its absence leaves in the residuals, `source` cites the origin of the equations.
@@ -85,6 +89,7 @@ class Mechanism:
     initial: Initial | None = None
     outputs: Mapping[str, Output] = field(default_factory=dict)
     amounts: tuple[str, ...] = ()
+    features: Mapping[str, Feature] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     meaning: str = ""
     leaves: str = ""
@@ -139,7 +144,7 @@ class Model:
         names = [s for m in self.mechanisms for s in m.states]
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
-            raise ValueError(f"two mechanisms bring a state of the same name: {twice}")
+            raise ValueError(f"two mechanisms have a state of the same name: {twice}")
         return tuple(names)
 
     @cached_property
@@ -221,7 +226,8 @@ class Model:
         missing = [n for n in self.states if n not in rates]
         if missing:
             raise ValueError(
-                f"no rate is given for the states {missing}: a mechanism's drift must return all of its own"
+                f"no rate is given for the states {missing}: the drift of a mechanism must return the "
+                "rates of all its states"
             )
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
@@ -307,8 +313,8 @@ class _Sums(SimpleNamespace):
         if name in self._sums:
             return self._sums[name]
         raise AttributeError(
-            f'a mechanism reads the sum "{name}", to which none adds{suggestion(name, self._sums, 1)} '
-            f"(the sums of this model: {', '.join(self._sums)})"
+            f'a mechanism reads the sum "{name}", to which no mechanism adds'
+            f"{suggestion(name, self._sums, 1)} (the sums of this model: {', '.join(self._sums)})"
         )
 
 

@@ -85,7 +85,7 @@ class Parameter:
             )
         if not self.physical[0] <= self.lower or not self.upper <= self.physical[1]:
             raise ValueError(
-                f"{self.name}: expected a search within what is physical, {self.physical[0]} … "
+                f"{self.name}: expected search limits within the physical range, {self.physical[0]} … "
                 f"{self.physical[1]}, found {self.lower} … {self.upper}"
             )
         if self.prior is not None and self.prior.logarithmic and not self.positive:
@@ -197,7 +197,7 @@ def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     seen: dict[str, Parameter] = {}
     for p in parameters:
         if p.name in seen:
-            raise ValueError(f"two mechanisms bring a parameter named {p.name!r}: rename one of them")
+            raise ValueError(f"two mechanisms have a parameter named {p.name!r}: rename one of them")
         seen[p.name] = p
     return tuple(seen.values())
 

@@ -82,7 +82,7 @@ class Line:
     within: bool = False
     head: bool = False
     struck: str = ""
-    """A number at the beginning that is not to be believed, shown struck through."""
+    """A number at the beginning that is not reliable, shown struck through."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def synthetic(found: bool, text: str) -> tuple[Banner, ...]:
 def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts | None:
     """The time constants that a result took over from a fit, each with the verdict that it came with.
 
-    A value that is not to be believed is struck through.  None without any.
+    A value that is not reliable is struck through.  None without any.
     """
     lines = []
     for part, one in found.items():

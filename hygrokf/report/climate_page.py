@@ -67,8 +67,8 @@ DURATION_CAPTION = (
     "weather."
 )
 PROFILE_CAPTION = (
-    "Days of the simulated climate that together resemble all of it, warmed until they age as much as the "
-    "years of service. The relative humidity is the site's own."
+    "Days of the simulated climate that together resemble all of it, warmed until they cause the same "
+    "ageing as the years of service. The relative humidity is the site's own."
 )
 REGIONS_CAPTION = (
     "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
@@ -121,9 +121,7 @@ def climate_blocks(study: Study) -> Page:
         study.name.strip() or "unnamed model",
         _about(study),
         (
-            *synthetic(
-                made_up, "A computer made the model or the weather. Nothing on this page was measured."
-            ),
+            *synthetic(made_up, "The model or the weather is synthetic. Nothing on this page was measured."),
             *answer,
             _regions_figure(regions) if several else _year_figure(regions[0], 1),
         ),
@@ -146,7 +144,7 @@ def _about(study: Study) -> tuple[str, ...]:
 
 
 def _doubt(study: Study) -> str:
-    """A sentence where the climate rests on numbers of the fit that are not to be believed; else empty."""
+    """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
     doubt = rests_on(study.verdicts)
     return sentence(doubt) if doubt else ""
 
@@ -301,7 +299,8 @@ def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
 def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
     said = (
-        f"{len(profile.hour)} hours in the chamber age as much as {plain_number(aged.years)} years at the "
+        f"{len(profile.hour)} hours in the chamber cause the same ageing as {plain_number(aged.years)} "
+        "years at the "
         f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration "
         f"factor is {plain_number(profile.acceleration)} before the chamber's limits apply; "
         f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."

@@ -127,8 +127,13 @@ def excursions_table(region: RegionClimate) -> Table:
 
 def rates_table(region: RegionClimate) -> Table:
     """Rates of change and temperature cycles."""
+
+    def outside(one: Statistic) -> str:
+        shown = one.weather and one.name in region.outside
+        return plain_number(region.outside[one.name]) if shown else ""
+
     rows = [
-        (one.words, one.unit, span_text(region.year[one.name]), plain_number(region.outside[one.name]))
+        (one.words, one.unit, span_text(region.year[one.name]), outside(one))
         for one in STATISTICS
         if one.table == "rate" and one.name in region.year
     ]

@@ -146,7 +146,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
             "Errors over time",
             (Figure("weeks", "Errors by week", _CAPTION_WEEKS, partial(figure_weeks, found)),),
         ),
-        *section("What the columns rest on", *verdicts, *notes),
+        *section("Models used", *verdicts, *notes),
     )
     return Page(
         "Comparison",

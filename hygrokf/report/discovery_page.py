@@ -146,8 +146,8 @@ def discovery_blocks(
         *_errors(found),
         *_constants(found),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
-        *section("What is left unexplained", *(Prose(line) for line in _left(found))),
-        *section("What was tried and left out", *_rejected(found)),
+        *section("Unexplained errors", *(Prose(line) for line in _left(found))),
+        *section("Causes tried and rejected", *_rejected(found)),
     )
     return Page(
         "Discovery report",
@@ -204,10 +204,10 @@ def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
         ]
     blocks += _verdicts(found)
     left = _left(found)
-    blocks += [Heading("What is left unexplained"), Items(left)] if remainder(found) else []
+    blocks += [Heading("Unexplained errors"), Items(left)] if remainder(found) else []
     out = len(found.rejected)
     causes = "cause" if out == 1 else "causes"
-    blocks.append(Prose(f"Tried and left out: {out} {causes} (discovery.json has the evidence)."))
+    blocks.append(Prose(f"Tried and rejected: {out} {causes} (discovery.json has the evidence)."))
     blocks += [Prose(sentence(untried(found)))] if untried(found) else []
     return present(*blocks)
 
@@ -317,7 +317,7 @@ def _left(found: DiscoveryResults) -> tuple[str, ...]:
 
 def _rejected(found: DiscoveryResults) -> tuple[Block, ...]:
     said, table = untried(found), rejected_table(found)
-    folded = Details(f"{len(table.rows)} causes, and why each was left out", (table,))
+    folded = Details(f"{len(table.rows)} causes, and why each was rejected", (table,))
     return (
         *([Prose(sentence(said))] if said else []),
         folded if table else Prose("No other cause was tried.", "missing"),

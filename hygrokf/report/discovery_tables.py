@@ -182,7 +182,7 @@ def rejected_table(found: DiscoveryResults) -> Table:
     )
     return Table(
         "In order of their evidence",
-        ("cause (best form)", "gain", "df", "net", "temp.", "hum.", "why it was left out"),
+        ("cause (best form)", "gain", "df", "net", "temp.", "hum.", "why it was rejected"),
         rows,
         left=(0, 6),
         groups=(("", 1), ("2 ln L", 3), ("free run", 2), ("", 1)),

@@ -33,11 +33,11 @@ from hygrokf.report.fit_tables import unit
 from hygrokf.report.fit_text import p_value, share_text
 
 VERDICTS = {
-    "none": "Nothing is missing that this record shows",
-    "unexplained": "Something is missing; its cause is not known",
+    "none": "This record shows no missing cause",
+    "unexplained": "Something is missing; the cause is unknown",
 }
 """The verdict where no cause is named."""
-NOT_RIGHT = "No cause is found, and the model is not right"
+NOT_RIGHT = "No cause was found, but the model is not right"
 REPETITION = "The logger repeats readings of the day before"
 PERIOD = {"validation": "the held-out period", "identification": "the identification period"}
 PARTS = {"thermal": "temperature", "hygric": "humidity"}

@@ -150,7 +150,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     believe, terms = _judgements(fit), Prose(TERMS, "note")
     cards = Cards(tuple(_card(fit, name) for name in PARTS))
     body = (
-        *section("What to believe, and what not", terms, believe),
+        *section("What is reliable", terms, believe),
         *section(
             "Accuracy",
             table_or(rmse[0], "No validation period: `until` is not stated, or nothing was scored after it."),

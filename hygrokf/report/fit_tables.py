@@ -62,6 +62,7 @@ def time_constants_table(fit: FitResults) -> Table:
         tuple(rows),
         left=(0, 3, 4),
         note=" ".join(notes),
+        brief=(0, 1, 2, 3),  # at the terminal the verdicts stand above
     )
 
 

@@ -1,6 +1,6 @@
 """Numbers and judgements of a fit in words.
 
-Any part of the results may be missing.  Whether a time constant can be believed is decided by its verdict
+Any part of the results may be missing.  Whether a time constant is reliable is decided by its verdict
 (`identification.verdict`), not here.
 """
 
@@ -65,7 +65,7 @@ METHODS = {
 class TimeConstant:
     """A time constant as printed: `value` ("1.49 h", "≤ 0.4 h", "not identifiable") and `bounds`.
 
-    `closed`: whether the interval has both ends.  `verdict`: whether the number can be believed.
+    `closed`: whether the interval has both ends.  `verdict`: whether the number is reliable.
     """
 
     name: str
@@ -82,7 +82,7 @@ class TimeConstant:
 
     @property
     def sentence(self) -> str:
-        """The number with its verdict; the verdict first where the number is not to be believed."""
+        """The number with its verdict; the verdict first where the number is not reliable."""
         return (
             f"{self.name} {self.span}"
             if self.found is None
@@ -186,9 +186,9 @@ def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
         known += f", known to {spread_words(found.value_h, found.lower_h, found.upper_h)}"
     verdict = constant.verdict
     head = {
-        BELIEVE: f"The {name} time constant, {known}, is to be believed.",
-        CAUTION: f"The {name} time constant, {known}, is to be taken with caution:",
-        REJECT: f"The {name} time constant ({known}) is not to be believed:",
+        BELIEVE: f"The {name} time constant, {known}, is reliable.",
+        CAUTION: f"The {name} time constant, {known}, should be used with caution:",
+        REJECT: f"The {name} time constant ({known}) is not reliable:",
     }[verdict.verdict]
     made = [Judgement(verdict.verdict, head, name)]
     made += [
@@ -226,7 +226,7 @@ def _errors(fit: FitResults, part: str) -> list[Judgement]:
         kind = CAUTION
         begins = (
             f"The free run's {name} error is {fixed(early)} {unit} on the data that the model was fitted to: "
-            "nothing validates it"
+            "no later data validate it"
         )
     else:
         begins = f"The free run's {name} error is {fixed(late)} {unit} in validation"
@@ -305,18 +305,18 @@ def _innovations(fit: FitResults) -> list[Judgement]:
     against = [row for row in rows if row.rejected]
     kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
     named = f" ({', '.join(kinds)})" if kinds else ""
-    count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
+    count = f"{len(against)} of {len(rows)} tests {'rejects' if len(against) == 1 else 'reject'}"
     if not against:
-        said = f"None of {len(rows)} tests speaks against white innovations."
+        said = f"None of {len(rows)} tests rejects white innovations."
         return [Judgement(BELIEVE, said, "innovations")]
     if kinds and set(kinds) <= set(NO_CORRELATION):
-        said = f"{count} against white innovations{named}, none of them by a correlation (see the tests)."
+        said = f"{count} white innovations{named}, but none finds a correlation (see the tests)."
         return [Judgement(CAUTION, said, "innovations")]
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
     small = largest < SMALL
     size = f", by correlations of at most {fixed(largest)}" if largest > 0 else ""
     what = "measurable, but small" if small else "the one-step predictions are still correlated"
-    words = f"{count} against white innovations{named}{size}: {what} (see the tests)."
+    words = f"{count} white innovations{named}{size}: {what} (see the tests)."
     return [Judgement(BELIEVE if small else CAUTION, words, "innovations")]
 
 

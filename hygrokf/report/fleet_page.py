@@ -107,7 +107,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     outliers = _outliers(found)
     body = (
         *_failures(fleet),
-        *section("Turbines that depart from the others", outliers),
+        *section("Outliers", outliers),
         *_believed(done),
         *_verdicts(done),
         *_transfers(done),
@@ -154,7 +154,7 @@ def _cards(fleet: FleetResults, found: Sequence[Spread]) -> list[Card]:
     odd = sorted({one.turbines[i] for one in found for i in one.outliers})
     if any(len(one.turbines) >= FEWEST_JUDGED for one in found):
         names = ", ".join(odd) if len(odd) <= 4 else f"{len(odd)} turbines, listed below"
-        text = names or "no turbine departs from the others by more than chance explains"
+        text = names or "no turbine differs from the others by more than chance"
         cards.append(_card("Outliers", str(len(odd)), sentence(text), bool(odd)))
     return cards + [_spread_card(one) for one in found if one.compared.lower and one.turbines]
 
@@ -191,12 +191,12 @@ def _pictures(found: Sequence[Spread]) -> list[Figure]:
         hours = all(one.compared.unit == "h" for one in constants)
         heading = "Time constants" if hours else "Climate of a year"
         caption = (
-            "The bounds of turbines of one type should reach into the shade, or to the median where there is "
-            "no shade."
+            "The bounds of turbines of one type should overlap the shaded range, or include the median "
+            "if nothing is shaded."
         )
         pictures.append(Figure("constants", heading, caption, partial(figure_spreads, constants)))
     if errors:
-        caption = "A turbine far to the right is simulated worse than the others."
+        caption = "Turbines far to the right have larger simulation errors."
         pictures.append(Figure("errors", "Free-run errors", caption, partial(figure_spreads, errors)))
     return pictures
 
@@ -226,7 +226,7 @@ _HEADS = {
 
 def _departing(found: Sequence[Spread]) -> list[str]:
     return [
-        f"{one.turbines[i]} departs: {one.compared.title} {math.exp(one.x[i]):.3g} {one.compared.unit} "
+        f"{one.turbines[i]} is an outlier: {one.compared.title} {math.exp(one.x[i]):.3g} {one.compared.unit} "
         f"(median {math.exp(one.center):.3g}), chance {one.p[i]:.2g}"
         for one in found
         for i in one.outliers
@@ -243,7 +243,7 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
     return section(
         "Without a result",
         Table("Turbines and reasons", FAILURE, cells, left=(0, 1, 2)),
-        Prose("Run the fleet again when they are mended: finished turbines are not done again."),
+        Prose("Correct the faults and run the fleet again: finished turbines are not repeated."),
     )
 
 
@@ -268,7 +268,7 @@ def _outliers(found: Sequence[Spread]) -> Block | None:
     head = ("turbine", "quantity", "value", "median", "deviation", "chance")
     return table_or(
         Table("Outliers", head, rows, left=(0, 1)) if rows else None,
-        "No turbine departs from the others by more than chance and its bounds explain.",
+        "No turbine differs from the others by more than chance and its bounds explain.",
     )
 
 
@@ -294,9 +294,9 @@ def _believed(done: Sequence[Row]) -> tuple[Block, ...]:
     note = f"The results of each turbine give the reasons.{more}"
     table = Table("Turbines whose numbers are in doubt", head, rows, left=(0, 1, 2), marked=marked, note=note)
     return section(
-        "Which numbers to believe",
+        "Which numbers are reliable",
         Prose(sentence(text)),
-        table_or(table if rows else None, "All of them are to be believed."),
+        table_or(table if rows else None, "All time constants are reliable."),
     )
 
 
@@ -461,7 +461,7 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
         f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
         f"not be "
-        "faulty: the turbine may stand, run or be built otherwise.",
+        "faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by hygrokf {fleet.version}; page written by hygrokf {__version__}.",
     )

@@ -26,7 +26,7 @@ from hygrokf.report.blocks import (
 )
 
 TEXT_WIDTH = 100
-KEY = "What to believe ({}), what with caution ({}), what not ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
+KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
 
 
 def page_text(page: Page, width: int = TEXT_WIDTH) -> str:
@@ -88,7 +88,7 @@ def _paragraph(text: str, width: int, indent: str = "") -> str:
 
 
 def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
-    """A table in fixed width."""
+    """A table in fixed width; names of rows that do not fit take several lines."""
     chosen = table.brief or tuple(range(len(table.columns)))
     head = [table.columns[i] for i in chosen]
     rows = [[one_line(row[i]) for i in chosen] for row in table.rows]
@@ -96,7 +96,7 @@ def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
     first = max(width - sum(widths[1:]) - 2 * (len(widths) - 1), 12)
     if widths[0] > first:
         widths[0] = first
-        rows = [[shortened(row[0], first), *row[1:]] for row in rows]
+        rows = [line for row in rows for line in _name_wrapped(row, first)]
     left = {place for place, i in enumerate(chosen) if i in table.left}
     lines = [table.heading] if table.heading else []
     if table.groups and not table.brief:
@@ -107,6 +107,14 @@ def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
     if table.note:
         lines += wrapped(table.note, width)
     return "\n".join(shortened(line, width) for line in lines)
+
+
+def _name_wrapped(row: list[str], width: int) -> list[list[str]]:
+    """A row whose first cell is wrapped to `width` columns; its first line has the other cells."""
+    text = row[0].lstrip()
+    indent = " " * (len(row[0]) - len(text))
+    first, *others = [indent + line for line in wrapped(text, width - len(indent), "  ")]
+    return [[first, *row[1:]], *([other, *[""] * (len(row) - 1)] for other in others)]
 
 
 def _group_line(groups: tuple[tuple[str, int], ...], widths: list[int]) -> str:

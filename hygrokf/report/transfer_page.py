@@ -168,7 +168,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
         brief += [heading, _groups_in_brief(one), *errors_tables(one), _notes(one)]
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
-    body += section("What the transfer rests on", handed)
+    body += section("Models used", handed)
     body += type_section(found.type)
     made_up = any(one.synthetic for one in found.records)
     return Page(
@@ -208,7 +208,7 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
     reasons = [Prose(sentence(line)) for line in one.reasons] if several else []
     own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
     return section(
-        f"{one.name}: what transfers" if several else "What transfers",
+        f"{one.name}: which parameters transfer" if several else "What transfers",
         *reasons,
         table_or(groups_table(one), "No group of parameters could be judged."),
         _notes(one),

@@ -1,4 +1,4 @@
-"""Fits side by side, and a fit on another turbine's record: what travels, what differs.
+"""Fits compared, and a fit on another turbine's record: which parameters carry over, which differ.
 
 Science only: pages are in `report`.
 """

@@ -145,7 +145,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
         )
     held = _unknowable(origin, base, early_run)
     if held:
-        statements.append(f"this record says nothing about {', '.join(held)}: kept as they were")
+        statements.append(f"this record holds no information about {', '.join(held)}: kept unchanged")
     statements += rated_power_mismatch(origin.design, record)
     return Baseline(
         origin, record, early, base, prepare_run(base, record), early_run, held, groups
@@ -177,8 +177,8 @@ def _kinship(origin: Origin, record: Record) -> list[str]:
     files = frozenset(digest for _, digest in record.provenance)
     if files and files == origin.files:
         return [
-            "this record was read from the files of the fit: if the columns are the same too, both estimates "
-            "come from the same readings, which is no test of the fit"
+            "this record was read from the files of the fit: if the columns are also the same, both "
+            "estimates come from the same readings, which does not test the fit"
         ]
     if record.name in origin.turbines:
         return [f"{record.name} is one of the turbines of the type: its record hardly tests the type"]

@@ -121,22 +121,22 @@ def groups_of(
     for group in dict.fromkeys(baseline.groups.values()):
         names = members(baseline.groups, group)
         if group in OF_THE_RECORD:
-            rows.append(GroupChange(group, names, "own", "belongs to the record: always estimated there"))
+            rows.append(GroupChange(group, names, "own", "always estimated on the record itself"))
             continue
         if group not in effects:
-            rows.append(GroupChange(group, names, "not judged", "this record cannot tell"))
+            rows.append(GroupChange(group, names, "not judged", "this record cannot show"))
             continue
         step = next(s for s in reversed(steps) if group in s.p)
         alone = apart.of(names)
         single, df = unexplained(alone, ()), len(alone.names)
         outcome: Outcome = "differs" if group in differing else "travels"
-        statement = "no difference that both uncertainties do not explain"
+        statement = "no difference beyond both uncertainties"
         if group in differing:
             statement = "differs by more than both uncertainties explain, and enough to matter"
         elif group in significant:
-            statement = "differs measurably, but by less than matters"
+            statement = "differs measurably, but too little to matter"
         elif _could_matter(group, alone, effects[group]):
-            statement += "; one that would matter cannot be excluded by this record"
+            statement += ", but this record cannot exclude a difference that would matter"
         rows.append(
             GroupChange(
                 group,
@@ -182,7 +182,7 @@ def ratios_of(
 
     rows = []
     for first, second, differ, label in (
-        (logger, adapted, True, "re-estimating what differs"),
+        (logger, adapted, True, "re-estimating the groups that differ"),
         (adapted, own, False, "re-estimating the rest"),
     ):
         names = tuple(n for n in baseline.cabinet if (baseline.groups[n] in differing) is differ)
@@ -220,8 +220,7 @@ def _of_the_model(found: TransferResult) -> list[str]:
     tried = {row.group for row in found.groups if row.outcome in ("travels", "differs")}
     if len(tried) > 1 and tried == set(differing):
         against.append(
-            f"nothing of the cabinet is the same, as {_list(differing)} all differ: identify this turbine on "
-            "its own"
+            f"all groups of the cabinet differ ({_list(differing)}): identify this turbine on its own"
         )
     if found.at_bounds:
         against.append(f"at a limit of its range after re-estimating: {', '.join(found.at_bounds)}")
@@ -245,7 +244,7 @@ def _against_the_rules(found: TransferResult) -> tuple[list[str], list[str]]:
         if math.isnan(over.upper) and over.gain < 0.0:
             doubts.append(
                 f"the simulated {name} errs by {size} more than the rule {rule}, and {found.n_readings} "
-                "readings are too few for bounds: take a longer record"
+                "readings are too few for bounds: use a longer record"
             )
         if over.upper < 0.0:
             against.append(
@@ -258,8 +257,8 @@ def _worse_than_before(found: TransferResult) -> list[str]:
     """Objections where re-estimating enlarges the error beyond its bounds."""
     return [
         f"re-estimating {_list(found.re_estimate)} makes the error of the simulated {name} larger by "
-        f"{-gain.gain:.2f} {unit}, beyond its bounds: what the identification period says does not hold "
-        "afterwards; take a longer one"
+        f"{-gain.gain:.2f} {unit}, beyond its bounds: the estimates of the identification period do not "
+        "hold afterwards; use a longer period"
         for _, (name, unit), gain in _gains(found, "over_as_is")
         if found.re_estimate and gain.upper < 0.0
     ]

@@ -76,7 +76,7 @@ def at_altitude(
             value = np.where(condensed, limit, dew_point(vapour))
             if condensed.any():
                 warnings.append(
-                    f"on the way to {altitude_m:g} m the air became saturated in "
+                    f"during the conversion to {altitude_m:g} m the air became saturated in "
                     f"{100 * np.mean(condensed):.1f} % of the hours"
                 )
             moved.append(dataclasses.replace(one, value=value))
@@ -84,7 +84,8 @@ def at_altitude(
             moved.append(one)
     warnings.insert(
         0,
-        f"moved from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic pressure, "
+        f"converted from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
+        "pressure, "
         "mixing ratio kept",
     )
     return dataclasses.replace(record, series=tuple(moved), site=site, warnings=(*record.warnings, *warnings))

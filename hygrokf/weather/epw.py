@@ -89,8 +89,8 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     warnings = []
     if year is None and len(years) > 1:
         raise TableFault(
-            f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
-            "year in which it is to stand, such as year = 2019"
+            f"is a typical year composed of months from {years[0]} … {years[-1]}; state the calendar year "
+            "to assign to it, such as year = 2019"
         )
     if year is not None:
         lines, said = _placed(lines, year)
@@ -98,9 +98,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     time = _local_seconds(lines.calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise TableFault(
-            f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"
-        )
+        raise TableFault(f"line {repeated + _HEADER + 1}: the hours must be consecutive, this hour is not")
     value = dict(lines.value)
     warnings += _dew_point_completed(value, faults)
     warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])

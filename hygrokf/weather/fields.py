@@ -379,6 +379,5 @@ def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str
     if share <= 0.01:
         return []
     return [
-        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two "
-        "exchanged?"
+        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two swapped?"
     ]

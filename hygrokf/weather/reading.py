@@ -66,12 +66,11 @@ def read_weather_file(
     if to_site_altitude:
         faults = []
         if wanted_m is None:
-            faults.append(
-                "to be moved to the site's altitude, the site needs one: state altitude_m in [site]"
-            )
+            faults.append("conversion to the site's altitude needs altitude_m in [site]")
         if station_m is None:
             faults.append(
-                "to be moved to the site's altitude, its own must be known: state altitude_m in this source "
+                "conversion to the site's altitude needs the altitude of the weather: state altitude_m "
+                "in this source "
                 "(of a reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
         if faults or wanted_m is None:

@@ -10,19 +10,20 @@ import numpy as np
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.expression import exp
-from hygrokf.physics.mechanisms import (
-    heat_disturbance,
-    heat_release,
-    humidity_sensor,
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.mechanisms.hygric import (
+    exchange_factor,
     hygric_diffusion,
     hygric_exchange,
-    linear_network,
-    temperature_sensor,
-    thermal_diffusion,
-    thermal_network,
     vapour_disturbance,
 )
-from hygrokf.physics.mechanisms.hygric import exchange_factor
+from hygrokf.physics.mechanisms.sensors import humidity_sensor, temperature_sensor
+from hygrokf.physics.mechanisms.thermal import (
+    heat_disturbance,
+    heat_release,
+    thermal_diffusion,
+    thermal_network,
+)
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import saturation_pressure_water

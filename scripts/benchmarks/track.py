@@ -18,7 +18,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from builders.brokers import Mosquitto, mosquitto
+from builders.brokers import authority, mosquitto
+from builders.ports import free_port
 
 from benchmarks import track_cases as cases
 from benchmarks.measure import Figure, Times, interleaved, timed
@@ -157,12 +158,13 @@ class Watched:
 
 
 @contextmanager
-def served(broker: Mosquitto, turbines: dict[str, Turbine], store: str) -> Iterator[tuple[Service, Watched]]:
-    """A service on the broker's messages that has taken in what its store holds."""
+def served(
+    port: int, turbines: dict[str, Turbine], store: str, ca: Path | None = None
+) -> Iterator[tuple[Service, Watched]]:
+    """A service on the broker's messages that has taken in what its store holds; with a `ca` over TLS."""
     watched = Watched()
-    stream = Mqtt(
-        Broker("127.0.0.1", broker.port, False, ("scada/#",), "tracker"), cases.mapping(list(turbines))
-    )
+    broker = Broker("127.0.0.1", port, ca is not None, ("scada/#",), "tracker", ca=ca)
+    stream = Mqtt(broker, cases.mapping(list(turbines)))
     service = Service(turbines, [stream], store, watched.settle)
     runner = threading.Thread(target=service.run)
     runner.start()
@@ -185,10 +187,10 @@ def filled(count: int, days: float, end_s: float) -> Iterator[tuple[Path, dict[s
         yield Path(folder), turbines, url
 
 
-def _published(folder: Path, broker: Mosquitto, lines: Iterable[str], rate: float) -> subprocess.Popen:
+def _published(folder: Path, port: int, lines: Iterable[str], rate: float) -> subprocess.Popen:
     file = folder / "lines"
     file.write_text("\n".join(lines))
-    command = [sys.executable, PUBLISHER, str(broker.port), file, str(rate)]
+    command = [sys.executable, PUBLISHER, str(port), file, str(rate)]
     return subprocess.Popen(command)
 
 
@@ -202,19 +204,29 @@ def _until(happened: Callable[[], object], seconds: float) -> None:
 
 def _through(
     turbines: dict[str, Turbine], folder: Path, url: str, begin_s: float, sweeps: int, rate: float,
-    seconds: float = math.inf
+    seconds: float = math.inf, tls: bool = False
 ) -> tuple[Watched, float]:  # fmt: skip
     """Stamps of all turbines, turbine by turbine, through a broker: what was seen, and the CPU time [s] that
-    it took."""
+    it took.
+
+    With `tls` the tracker reads from a listener of its own; the publisher's is plain in any case.
+    """
     stamps = [
         (begin_s + cases.STEP_S * (i + 1), values) for i, (_, values) in enumerate(cases.rows(0.0, sweeps))
     ]
     lines = [text for stamp in stamps for name in turbines for text in cases.messages(name, [stamp])]
     lines = lines[: int(min(len(lines), rate * seconds))] if rate else lines
     (folder / "broker").mkdir(exist_ok=True)
-    with mosquitto(folder / "broker", *QUIET) as broker, served(broker, turbines, url) as (_, watched):
+    (folder / "broker" / "mosquitto.db").unlink(missing_ok=True)
+    own, port = authority(folder / "broker"), free_port()
+    server, key = own.issue("server", "127.0.0.1")
+    secured = (f"listener {port} 127.0.0.1", f"cafile {own.file}", f"certfile {server}", f"keyfile {key}")
+    with (
+        mosquitto(folder / "broker", *QUIET, *secured) as broker,
+        served(port if tls else broker.port, turbines, url, own.file if tls else None) as (_, watched),
+    ):
         begin = time.process_time()
-        publisher = _published(folder, broker, lines, rate)
+        publisher = _published(folder, broker.port, lines, rate)
         try:
             _until(lambda: watched.count >= len(lines), 600.0)
             spent = time.process_time() - begin
@@ -250,6 +262,30 @@ def throughput(quick: bool) -> Iterator[Figure]:
                 note=f"{watched.count / spent:,.0f} a second of CPU time; load {os.getloadavg()[0]:.1f}; "
                 f"estimates {waits[0]:.2f} s after the arrival, 99 % within {waits[1]:.2f} s",
             )  # fmt: skip
+
+
+def tls(quick: bool) -> Iterator[Figure]:
+    """Messages a second over TLS and without it, taking turns in one run."""
+    count, turns = (20, 1) if quick else (200, 5)
+    sweeps = 3 if quick else 15
+    end_s = time.time() - cases.STEP_S * (2 * turns * sweeps + 1)
+    found: dict[bool, list[float]] = {False: [], True: []}
+    with forecasts(False), filled(count, 1.0, end_s) as (folder, turbines, url):
+        for turn in range(2 * turns):
+            over_tls = bool(turn % 2)
+            begin_s = end_s + cases.STEP_S * turn * sweeps
+            watched, _ = _through(turbines, folder, url, begin_s, sweeps, 0.0, tls=over_tls)
+            found[over_tls].append(watched.a_second)
+    plain, encrypted = np.array(found[False]), np.array(found[True])
+    section, load = f"over TLS, {count:,} turbines", f"load {os.getloadavg()[0]:.1f}"
+    low, middle, high = np.quantile(plain, [0.25, 0.5, 0.75])
+    yield Figure(section, "plain", "messages/s", float(middle), float(low), float(high), note=load)
+    low, middle, high = np.quantile(encrypted, [0.25, 0.5, 0.75])
+    yield Figure(
+        section, "over TLS", "messages/s", float(middle), float(low), float(high), at_least=1_000.0, note=load
+    )
+    low, middle, high = np.quantile(encrypted / plain, [0.25, 0.5, 0.75])
+    yield Figure(section, "TLS / plain", "", float(middle), float(low), float(high), at_least=0.6)
 
 
 def waits(quick: bool) -> Iterator[Figure]:
@@ -383,6 +419,7 @@ SECTIONS: dict[str, Section] = {
     "update": update,
     "step": step,
     "throughput": throughput,
+    "tls": tls,
     "waits": waits,
     "start": start,
     "memory": memory,

@@ -6,6 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from illustrations.causes import causes
 from illustrations.house_plan import house_plan
 from illustrations.live_page import live_page
 from illustrations.measured import attic, climate, clocks, uk
@@ -22,6 +23,7 @@ SYNTHETIC = {
     "transfer": transfer,
     "live_page": live_page,
     "house_plan": house_plan,
+    "causes": causes,
 }
 
 

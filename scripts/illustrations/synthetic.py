@@ -30,7 +30,7 @@ def fleet(directory: Path) -> None:
     from hygrokf.fleet.tasks import TASKS
     from hygrokf.report.figures.fleet import figure_spreads
 
-    text = (DOCS / "fleet.md").read_text(encoding="utf-8").partition("## Who departs")[0]
+    text = (DOCS / "fleet.md").read_text(encoding="utf-8").partition("## Outliers")[0]
     here = {}
     with contextlib.chdir(directory):
         for language, block in re.findall(r"^```(\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):

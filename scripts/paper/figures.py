@@ -68,7 +68,7 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
               "The model was identified in the UK with ERA5's air; nothing was fitted here.",
               course("sister", figure_temperature, SISTER_LABEL)),
         Drawn("sister_humidity", "Experiment 3: absolute humidity of the sister in France (as Fig. 10)",
-              "ERA5's humidity is lent from the UK: the files have none for this site.",
+              "ERA5 humidity is that of the UK: the files have none for this site.",
               course("sister", figure_humidity, SISTER_LABEL)),
     )  # fmt: skip
     return tuple(replace(one, draw=cache(one.draw)) for one in drawn)

@@ -14,7 +14,7 @@ from hygrokf.report.fit_tables import REGIMES
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 
 SIMULATED_NOTE = (
-    "Cabinet and local air are simulated; measured are only the drivers, ERA5's air and the turbine's power. "
+    "Cabinet and local air are simulated; only the drivers (ERA5 air and turbine power) are measured. "
     "The paper's cabinet was measured."
 )
 """Stands on every table and on the page."""
@@ -143,7 +143,7 @@ def sister_table(found: Mapping) -> Table:
         groups=GROUPS,
         note=(
             "The sister stands in France and has properties of its own (each 10 % about those of the type); "
-            f"ERA5's humidity there is lent from the UK. {SIMULATED_NOTE}"
+            f"ERA5 humidity there is that of the UK. {SIMULATED_NOTE}"
         ),
     )
 

@@ -99,7 +99,7 @@ def mosquitto(folder: Path, *settings: str) -> Iterator[Mosquitto]:
 
 # -- peers ---------------------------------------------------------------------------------------------------
 @contextmanager
-def peer(broker: Mosquitto, user: str = "", password: str = "") -> Iterator:
+def peer(broker: Mosquitto | int, user: str = "", password: str = "") -> Iterator:
     """A client of paho's own making that is connected: what publishes, and what looks over the shoulder."""
     from paho.mqtt.client import Client, MQTTv5
     from paho.mqtt.enums import CallbackAPIVersion
@@ -109,7 +109,7 @@ def peer(broker: Mosquitto, user: str = "", password: str = "") -> Iterator:
     client.max_inflight_messages_set(500)
     if user:
         client.username_pw_set(user, password)
-    client.connect("127.0.0.1", broker.port)
+    client.connect("127.0.0.1", broker if isinstance(broker, int) else broker.port)
     client.loop_start()
     try:
         eventually(client.is_connected)

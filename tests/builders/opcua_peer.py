@@ -60,8 +60,9 @@ class Peer:
     ) -> None:
         """Add nodes, with a value (None: nobody has measured yet).
 
-        Their history is "kept", "none" (there never is any), "refused" or "failing" (it is kept, and cannot
-        be read now). Without `filters` their changes are told as they are by default.
+        Their history is "kept", "none" (there never is any, which their access level says), "refused" or
+        "failing" (it is kept, and cannot be read now). Without `filters`
+        their changes are told as they are by default.
         """
         what = {"nodes": list(nodes), "history": history, "value": value, "filters": filters}
         self._ask({"do": "add", **what})
@@ -242,6 +243,9 @@ class Plant:
         if value is None:
             waiting = self._value(None, None, ua.StatusCodes.BadWaitingForInitialData)
             await self.server.write_attribute_value(node.nodeid, waiting)
+        if what["history"] != "none":
+            for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+                await node.set_attr_bit(attribute, ua.AccessLevel.HistoryRead)
         await self.server.iserver.history_manager.storage.new_historized_node(node_id, None, 0)
 
     async def _take(self, sample: list, current: bool) -> None:

@@ -74,8 +74,9 @@ def filled(
     cases: Sequence[Case],
     days: float = 3.0,
     settle: Callable[[object], None] = lambda batch: None,
+    url: str = "",
 ) -> Service:
-    """A service that has run over the records of turbines, up to now."""
+    """A service that has run over the records of turbines, up to now; without a `url` its store is a file."""
     end_s = 60.0 * (time.time() // 60.0)
     records: dict[int, Record] = {}
     turbines, streams = {}, []
@@ -88,7 +89,7 @@ def filled(
         if case.silent_h:
             kept = kept.window(kept.start_s, end_s - HOUR_S * case.silent_h)
         streams.append(played(kept, case.name))
-    service = Service(turbines, streams, f"sqlite:{folder / 'live.db'}", settle)
+    service = Service(turbines, streams, url or f"sqlite:{folder / 'live.db'}", settle)
     service.run(until_ended=True)
     return service
 

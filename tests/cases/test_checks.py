@@ -108,7 +108,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
         ),
         (
             changed(good(), "cabinet_temperature", good()["ambient_temperature"].value - 5.0),
-            ["5.0 K colder than outside", "exchanged"],
+            ["5.0 K colder than outside", "swapped"],
         ),
         (
             changed(good(), "cabinet_temperature", good()["ambient_temperature"].value),

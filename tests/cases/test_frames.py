@@ -150,7 +150,7 @@ def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     assert held.provenance == () and len(filed.provenance) == 4
     # and that they are equal is no wonder of two empty records
     said = " ".join(held.warnings)
-    for word in ("masked", "frozen sensor", "saturated", "duplicate stamps", "unsorted", "doubled hour"):
+    for word in ("masked", "frozen sensor", "saturated", "duplicate stamps", "unsorted", "repeated hour"):
         assert word in said, word
     assert held["cabinet_temperature"].resolution == pytest.approx(0.1)
     assert held["cabinet_temperature"].response_time_s == 90.0

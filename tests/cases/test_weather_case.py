@@ -77,7 +77,7 @@ def test_corrections_and_heights_of_a_weather_file(folder: Path) -> None:
     assert one.value == pytest.approx(other.value - 0.65)
     steep = case(folder, SITE, CABINET, ERA5, more, "lapse_rate_K_per_km = 10\n")
     assert steep["ambient_temperature"].value == pytest.approx(other.value - 1.0)
-    assert any("moved from 311 m to 411 m" in said for said in moved.warnings)
+    assert any("converted from 311 m to 411 m" in said for said in moved.warnings)
 
 
 def test_a_signal_of_both_is_taken_from_the_table_and_compared(folder: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_typical_year_in_a_case_is_a_stated_choice(folder: Path) -> None:
     (folder / "site.epw").write_text(made.epw_text((2006, *(2011,) * 11)))
     epw = '[[source]]\nfile = "site.epw"\nformat = "epw"\n'
     said = faults(folder, SITE, CABINET, epw)
-    assert said.startswith("site.epw: is a typical year put together from months of 2006 … 2011")
+    assert said.startswith("site.epw: is a typical year composed of months from 2006 … 2011")
     record = case(folder, SITE, CABINET, epw, "year = 2021\n")
     assert any("a typical year, not the weather of 2021" in one for one in record.warnings)
     assert any("its height is 250 m, the site's 411 m" in one for one in record.warnings)

@@ -195,8 +195,8 @@ def test_pre_heating_goes_with_its_power() -> None:
     )
     for other, words in (
         (power("2016-12-30T00:00:00"), "does not cover the weather's time"),
-        (power("2020-12-30T00:00:00", heated=False), "no record says when"),
-        (None, "no record says when"),
+        (power("2020-12-30T00:00:00", heated=False), "no record shows when"),
+        (None, "no record shows when"),
     ):
         record, said = driven(fit, weather, other)
         assert not record["preheating"].value.any()

@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders.climate_case import study_of
+from builders.documents import DOCS
 
+from hygrokf.climate import statistics
 from hygrokf.climate.bounds import bounded, bounded_array, held
 from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
@@ -21,6 +24,7 @@ from hygrokf.climate.statistics import (
     wetness_class,
 )
 from hygrokf.climate.years import TEMPERATURE_EDGES, curves
+from hygrokf.report import climate_tables
 
 LAW = Acceleration()
 
@@ -56,6 +60,28 @@ def test_rainflow_of_plain_courses() -> None:
     ranges, counts = rainflow(10 * np.sin(2 * np.pi * hours / 24))
     assert counts[ranges > 19.9].sum() == pytest.approx(100, abs=1)
     assert turning_points(np.array([1.0, 1.0, 2.0, 2.0, 1.0])).tolist() == [1.0, 2.0, 1.0]
+
+
+def test_the_number_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example of docs/climate.md, put into the module as the page says."""
+    page = (DOCS / "climate.md").read_text(encoding="utf-8")
+    _, _, text = page.partition("## Adding a number")
+    function, row = text.split("```text\n")[1].split("```")[0].split("\n\n\n")
+    space = dict(vars(statistics))
+    exec(function, space)
+    added = (*STATISTICS, *eval(f"({row})", space))
+    for module in (statistics, climate_tables):
+        monkeypatch.setattr(module, "STATISTICS", added)
+    percent = np.full(8766, 50.0)
+    percent[:40], percent[100:103] = 15.0, 20.0
+    year = year_of(np.full(8766, 20.0), percent)
+    assert scalars(year, LAW)["dry_h"][0] == 40.0
+    assert scalars(year, LAW, "operation")["dry_h"][0] == 20.0
+    without = replace(year, relative_humidity=None, absolute_humidity_g_m3=None)
+    assert "dry_h" not in scalars(without, LAW)
+    (region,) = study_of().regions
+    rows = climate_tables.year_table(region).rows
+    assert "dry_h" in region.year and "air below 20 % relative humidity" in [row[0] for row in rows]
 
 
 def test_hours_are_counted() -> None:

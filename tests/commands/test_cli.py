@@ -113,7 +113,7 @@ def test_fit_prints_the_tables_and_writes_three_files(fitted):
         "Readings inside the 95 % bands",
         "Parameters",
         "thermal_time_constant",
-        "What to believe (+)",
+        "Reliable (+)",
     ):
         assert words in said.out
     page = (folder / "result" / "report.html").read_text()
@@ -214,7 +214,7 @@ def test_simulate_without_power_says_that_no_row_counts(folder):
     said = run(SIMULATE)
     assert said.status == 0
     assert (
-        "note: no row has all inputs known (inputs_known is 0 throughout): the fit knows the power, "
+        "note: no row has all inputs known (inputs_known is 0 throughout): the fit uses the power, "
         in said.err
     )
     lines = (folder / "simulated.csv").read_text().splitlines()[1:]
@@ -296,7 +296,7 @@ MASKED = [
     ),
     pytest.param(
         column("RH_cab_pct", lambda row, cell: "100.0" if 300 <= row < 340 else cell),
-        ("saturated humidity, 40 readings of at least 99.5 % masked", "stay out of the likelihood"),
+        ("saturated humidity, 40 readings of at least 99.5 % masked", "excluded from the likelihood"),
         40,
         id="saturated",
     ),

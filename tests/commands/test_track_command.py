@@ -206,6 +206,15 @@ def test_logs_as_json_are_one_object_a_line(folder: Path) -> None:
     assert told["source"]["source"].endswith("live.csv") and told["done"]["deliveries"] == 12
 
 
+def test_what_keeps_it_from_starting_is_json_too(folder: Path) -> None:
+    for name in ("nowhere.toml", "track.toml"):
+        (folder / "track.toml").write_text("x = 1\n")
+        with tracker(folder, name, "--log", "json") as one:
+            assert one.ended() == 2, one.said()
+        (line,) = [json.loads(line) for line in one.said().splitlines()]
+        assert line["level"] == "error" and name in line["fault"]
+
+
 def test_a_file_that_is_not_there_is_waited_for_and_that_is_said(folder: Path) -> None:
     source = folder / "live.csv"
     text = source.read_text()

@@ -166,7 +166,7 @@ WRONG: dict[str, tuple] = {
     "simulate without ambient": (SIMULATE, leave_out("ambient_temperature"),
         ONE + "case.toml: no source names signals.ambient_temperature, the input that every model needs"),
     "simulate without ambient humidity": (SIMULATE, leave_out("ambient_relative_humidity"),
-        "hygrokf: case.toml: the model reads an ambient humidity (relative, absolute or dew point)",
+        "hygrokf: case.toml: the model needs an ambient humidity (relative, absolute or dew point)",
         "which the record does not have (it has cabinet_temperature,"),
     "evaluate without cabinet": (EVALUATE, NO_CABINET,
         ONE + "case.toml: nothing in the cabinet to identify; expected one of signals.cabinet_temperature"),
@@ -276,7 +276,7 @@ def test_what_the_system_refuses_is_told_without_a_traceback(folder, monkeypatch
 def test_an_interrupted_fit_leaves_nothing(folder, monkeypatch):
     before = content(folder)
     monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
-    assert run(FIT) == Said(130, "", "interrupted; nothing half-written is left\n")
+    assert run(FIT) == Said(130, "", "interrupted; no incomplete file is left\n")
     assert content(folder) == before
 
 

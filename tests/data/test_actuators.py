@@ -228,9 +228,9 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
     )
     made, said = driven(fit, weather, None)
     assert set(made["heater_duty"].value) == {0.0}
-    assert "heater_duty is off all year: no record says when it is on" in said
+    assert "heater_duty is off all year: no record shows when it is on" in said
     made, said = driven(fit, weather, replace(record, until_s=None))
-    assert "fan_duty is taken hour by hour from the record of the power" in said
+    assert "fan_duty follows the record of the power, hour by hour" in said
     assert made["fan_duty"] is record["fan_duty"]
     prepare_run(fit.design, made)
 

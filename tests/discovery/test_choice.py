@@ -35,7 +35,8 @@ from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.modelling.design import Design, extended, merged
 from hygrokf.modelling.inputs import prepare_run
-from hygrokf.physics.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
+from hygrokf.physics.mechanisms.moisture import condensation
+from hygrokf.physics.mechanisms.sensors import humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 

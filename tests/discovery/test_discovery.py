@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders.documents import DOCS
 from plants.as_record import to_record
+from plants.hidden import LIBRARY as HIDDEN
 from plants.hidden import hidden_plant
 
 from hygrokf.data.record import Record
@@ -25,8 +27,9 @@ from hygrokf.discovery.candidate import (
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.clocks import Shift, shift_gains, shifted, sources
 from hygrokf.discovery.grids import dates
-from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.library import LIBRARY, cause_table, named
 from hygrokf.discovery.model_selection import difference, select, verdict_on
+from hygrokf.discovery.plugin_validation import IDENTIFIER
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Probe, Scanned, scan, slow_scan
 from hygrokf.discovery.submodel import HYGRIC, THERMAL, free_run_error, rmse, search_likelihood
@@ -34,10 +37,6 @@ from hygrokf.report.discovery_page import discovery_text
 
 DAY_S = 86400.0
 DRIFT = Probe(THERMAL, ("release_drift", {"flag": "since"}), "heat_drift")
-IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange
-exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset sensor_response
-clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias unlogged_heater
-scheduled_heat cooling_switching""".split()
 
 
 def record_of(cause: str, seed: int, days: float, form: int = 0) -> Record:
@@ -59,10 +58,25 @@ def sorbing() -> Baseline:
     return baseline(record_of("moisture_sorption", 812, 50.0), starts=1)
 
 
-def test_the_library_has_every_identifier_with_words_for_it() -> None:
-    assert [cause.name for cause in LIBRARY] == IDENTIFIERS
+def test_every_cause_of_the_library_has_a_name_of_its_own_and_its_words() -> None:
+    assert len({cause.name for cause in LIBRARY}) == len(LIBRARY)
     for cause in LIBRARY:
-        assert cause.meaning and cause.remedy and cause.separate_by
+        assert IDENTIFIER.fullmatch(cause.name)
+        assert cause.meaning and cause.remedy and cause.separate_by and cause.forms
+        assert not cause.mechanisms and not cause.features, "register them in the package's tables"
+
+
+def test_plants_hide_causes_of_the_library() -> None:
+    assert {*HIDDEN} - {cause.name for cause in LIBRARY} == set()
+
+
+def test_the_page_has_the_causes_of_the_library() -> None:
+    """`scripts/pictures --only causes` writes the table."""
+    page = (DOCS / "discover.md").read_text(encoding="utf-8")
+    _, _, rest = page.partition("<!-- made by scripts/pictures: causes -->")
+    lines = rest[: rest.index("<!-- end -->")].strip().splitlines()
+    head, *rows = ["| " + " | ".join(row) + " |" for row in cause_table()]
+    assert lines == [head, "| --- | --- | --- |", *rows]
     with pytest.raises(KeyError, match="no cause 'stove'; the library has moisture_sorption, condensation"):
         named("stove")
 

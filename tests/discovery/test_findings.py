@@ -375,7 +375,7 @@ def test_unrest_knows_a_side_only_where_something_has_one() -> None:
     assert np.mean([z > warm and u > UNSTEADY for z, u in plumes]) >= 0.5
     clear = next(seed for seed, (z, _) in enumerate(plumes, 40) if z > warm)
     found = unlogged(restless(clear, 2.0))
-    assert found is not None and found.kind == "restless to one side"
+    assert found is not None and found.kind == "one-sided fluctuations"
     assert unlogged(restless(40, 0.0)) is None
 
 

@@ -22,16 +22,19 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
 from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.cause import cause_of
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
-from hygrokf.discovery.plugin_validation import trial_baseline, trial_record, variant_faults
-from hygrokf.discovery.submodel import THERMAL
+from hygrokf.discovery.own_causes import LibraryFault, adopt, load_library
+from hygrokf.discovery.plugin_validation import form_faults, trial_baseline, trial_record, variant_faults
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.identification.fit import LibraryAbsent, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
+from hygrokf.physics.mechanisms.heat import wind_loss
+from hygrokf.physics.mechanisms.moisture import wind_exchange
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "own_cause.md"
 WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
@@ -134,6 +137,37 @@ def test_a_design_with_an_own_mechanism_goes_to_json_and_back(file: Path) -> Non
     assert stored["origins"] == {"transformer_heat": {"file": "transformer.py", "sha256": sha256}}
     assert Design.from_json(stored).to_json() == wider.to_json()
     assert "origins" not in design(trial_record(), kind="thermal").to_json()
+
+
+def test_a_mechanism_brings_its_features(tmp_path: Path) -> None:
+    text = """
+def late(record, time):
+    return (time > record.start_s + 1e6).astype(float)
+
+def warm(p, x, u, q):
+    return {"heat_release": p.late_heat * u.late * u.standstill}
+
+brought = {"late": (late, "zero-order")}
+factory = made(warm, ("late_heat",), "late_warmth", ("late", "standstill"), features=brought)
+LATE = hygrokf.cause_of("late_warmth", thermal=factory, **WORDS)
+"""
+    (cause,) = load_library(written(tmp_path, text))
+    assert (list(cause.mechanisms), list(cause.features)) == (["late_warmth"], ["late"])
+    (variant,) = cause.variants(trial_baseline())
+    assert variant.features == {"standstill": {}, "late": {}}
+    base = design(trial_record(), kind="thermal")
+    assert extended(base, [("late_warmth", {})]).features == {"late": {}, "standstill": {}}
+    bare = replace(cause, name="bare", features={}, variants=lambda baseline: [])
+    (fault, *_) = form_faults(bare)
+    assert "late" in fault and "features=" in fault
+
+
+def test_a_cause_of_a_mechanism_of_the_package_brings_nothing_of_its_own() -> None:
+    cause = cause_of("windy", thermal=wind_loss, hygric=wind_exchange, needs=("wind_speed",), **WORDS)
+    assert (cause.mechanisms, cause.features, cause.needs) == ({}, {}, "wind_speed")
+    (variant,) = cause.variants(trial_baseline())
+    assert variant.additions == {THERMAL: (("wind_loss", {}),), HYGRIC: (("wind_exchange", {}),)}
+    assert variant.features == {"wind_tenth": {}} and variant_faults(cause) == []
 
 
 def test_every_signal_of_the_table_can_be_an_input() -> None:
@@ -458,7 +492,7 @@ def test_a_cause_of_a_session_has_its_module_for_an_origin() -> None:
     assert origins == {"transformer_heat": {"python": "notebook"}}
     assert additions.absent(origins) == []
     additions.withdraw(["transformer_heat"])
-    assert "adopt the cause there" in additions.absent(origins)[0]
+    assert "register the cause there" in additions.absent(origins)[0]
 
 
 def test_discover_refuses_before_the_work() -> None:
@@ -545,7 +579,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv")
     assert status == 2 and not (tmp_path / "course.csv").exists()
     assert "the model needs transformer_heat of transformer.py (SHA-256 " in said
-    assert "found none of that name; name the file as it was then: --library transformer.py" in said
+    assert "found none of that name; pass the file as it was then: --library transformer.py" in said
     status, said = told("simulate", out, case, "--out", tmp_path / "course.csv", "--library", file)
     assert status == 0 and "instants written" in said
     status, said = told("evaluate", out, case, "--library", file, "--json")

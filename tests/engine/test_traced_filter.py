@@ -27,13 +27,9 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.physics.expression import where
-from hygrokf.physics.mechanisms import (
-    heat_release,
-    linear_network,
-    temperature_sensor,
-    thermal_diffusion,
-    thermal_network,
-)
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.mechanisms.sensors import temperature_sensor
+from hygrokf.physics.mechanisms.thermal import heat_release, thermal_diffusion, thermal_network
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import (

@@ -24,14 +24,10 @@ from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import exp
-from hygrokf.physics.mechanisms import (
-    absolute_humidity_sensor,
-    hygric_diffusion,
-    hygric_exchange,
-    linear_network,
-    measured_air,
-    vapour_disturbance,
-)
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.mechanisms.hygric import hygric_diffusion, hygric_exchange, vapour_disturbance
+from hygrokf.physics.mechanisms.sensors import absolute_humidity_sensor
+from hygrokf.physics.mechanisms.thermal import measured_air
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
 

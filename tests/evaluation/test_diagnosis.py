@@ -262,7 +262,7 @@ def test_each_departure_is_found_and_reported(spoil, test: str) -> None:
 
 def test_white_innovations_are_called_so() -> None:
     found = _of(_white(18), power=_white(19))
-    assert found.statements == ("temperature innovations: none of 8 tests speaks against white noise",)
+    assert found.statements == ("temperature innovations: none of 8 tests rejects white noise",)
 
 
 # --- form --------------------------------------------------------------------------------------

@@ -277,7 +277,7 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
 def test_mismatches_of_fit_and_record_are_reported(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle).statements
-    assert "pre-heating" in sentence and "off throughout" in sentence
+    assert "pre-heating" in sentence and "counts as off" in sentence
     assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
     (sentence,) = simulation_summary(unfitted(idle), record).statements
     assert "pre-heating" in sentence and "left out" in sentence

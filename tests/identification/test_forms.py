@@ -34,8 +34,8 @@ from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MA
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.thermal_system import state_space
-from hygrokf.physics.mechanisms import LIBRARY, natural_convection
-from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms.thermal import STILL_K, natural_convection, small_signal
 from hygrokf.physics.model import compose
 
 Z = normal_quantile(0.95)

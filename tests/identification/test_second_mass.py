@@ -15,7 +15,7 @@ from hygrokf.estimation.optimiser import maximise
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import prepare_run
-from hygrokf.physics.mechanisms import wall_thermal_mass
+from hygrokf.physics.mechanisms.thermal import wall_thermal_mass
 from hygrokf.physics.model import extend
 
 DAYS = 45.0

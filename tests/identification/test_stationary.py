@@ -439,7 +439,7 @@ def test_hourly_readings() -> None:
     found = heat_release_regression(record, reference_K=REFERENCE_K, time_constant_h=0.2)
     fit = found.operation
     assert fit.window_h == pytest.approx(2.0)  # two steps, though three time constants are less than one
-    assert "the shortest that is taken" in fit.statement
+    assert "the shortest allowed" in fit.statement
     start = found.start()
     assert start["heat_release_operation_ambient"] == pytest.approx(OPERATION[3], abs=0.03)
     assert start["heat_release_standstill"] == pytest.approx(STANDSTILL[0], abs=0.3)

@@ -147,7 +147,7 @@ CASES = {
     "imprecise": (_put(f"{THERMAL}/upper_h", 3.0), CAUTION, "±52 % only"),
     "undetermined": (
         _all(_put(f"{THERMAL}/lower_h", 0.3), _put(f"{THERMAL}/upper_h", 4.8)), REJECT,
-        "reaches over a factor of 4.0",
+        "a factor of 4.0",
     ),
     "criteria_disagree": (
         _all(
@@ -159,17 +159,17 @@ CASES = {
     ),
     "free_run_silent": (SILENT, CAUTION, "(0.0200 h, without bounds)"),
     "worse_than_mean": (_errors(7.0, *BOTH), REJECT,
-        "errs by 7.00 K in validation, more than the readings vary"),
+        "7.00 K in validation, more than the standard deviation of the readings (6.00 K)"),
     "worse_than_rule": (
         _all(_errors(2.5, *BOTH), SILENT), REJECT,
         "errs by 2.50 K in validation, the rule “heat release without heat",
     ),
     "band_failed": (_put("bands/free_run/temperature_K/coverage", 0.31), CAUTION, "holds only 31 %"),
     "innovations_correlated": (_correlated(-0.4), CAUTION, "correlated with the power, by up to 0.40"),
-    "noise_not_as_modelled": (_put(f"{THERMAL}/factor", 3.2), CAUTION, "3.2 times as much"),
+    "noise_not_as_modelled": (_put(f"{THERMAL}/factor", 3.2), CAUTION, "3.2 times"),
     "ambient_coarse": (_put(f"{THERMAL}/sampling/shift_ln_when_halved", -0.3), CAUTION, "changes by −26 %"),
     "readings_coarse": (_put("innovations/outputs/temperature/step_h", 4.0), CAUTION,
-        "read every 240 min, when 93 %"),
+        "every 240 min; by then 93 %"),
     "few_readings": (_put("innovations/outputs/temperature/n", 39), CAUTION,
         "39 readings determine 2 parameters"),
     "record_short": (_put("period/until", "2020-01-02T00:00:00+00:00"), CAUTION, "is 16 time constants long"),
@@ -207,7 +207,7 @@ def decided(fit: dict) -> dict[str, Verdict]:
 def test_a_sound_fit_is_believed() -> None:
     found = decided(_sound())
     assert found == {"thermal": Verdict(), "hygric": Verdict()}
-    assert found["thermal"].sentence == "to be believed"
+    assert found["thermal"].sentence == "reliable"
 
 
 @pytest.mark.parametrize("code", CASES)
@@ -240,7 +240,7 @@ def test_the_worst_reason_decides_and_stands_first() -> None:
     found = decided(fit)["thermal"]
     assert found.verdict == REJECT
     assert [one.verdict for one in found.reasons] == [REJECT, CAUTION]
-    assert found.sentence == "not to be believed: the estimation did not converge (1 more reason)"
+    assert found.sentence == "not reliable: the estimation did not converge (1 more reason)"
 
 
 @pytest.mark.parametrize(
@@ -401,8 +401,8 @@ def test_an_inherited_verdict_is_one_line() -> None:
     handed = inherited(typed(fit))
     assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
     assert verdict_lines(handed) == [
-        "x thermal time constant not to be believed, 1.50 h (1.42 … 1.58): the estimation did not converge",
-        "+ hygric time constant 0.300 h (0.285 … 0.315): to be believed",
+        "x thermal time constant not reliable, 1.50 h (1.42 … 1.58): the estimation did not converge",
+        "+ hygric time constant 0.300 h (0.285 … 0.315): reliable",
     ]
     assert verdict_lines({}) == []
     open_ = Inherited(9.0, 0.0, math.nan, REJECT)
@@ -445,4 +445,4 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
     assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
     text = report_text(typed(_rejected()))
     first = text.split("\n\n")[1].splitlines()[0]
-    assert first.startswith("thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")
+    assert first.startswith("thermal not reliable, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

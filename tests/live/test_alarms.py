@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
+from builders.documents import DOCS
 
+from hygrokf.identification.verdict_terms import REJECT, Inherited
+from hygrokf.live import alarms
 from hygrokf.live.alarms import (
     CABINET_CHANGES,
     RULES,
@@ -13,6 +18,7 @@ from hygrokf.live.alarms import (
     Level,
     Standing,
     condensation_levels,
+    estimate_levels,
     judge,
     shift_levels,
 )
@@ -20,6 +26,7 @@ from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.properties import WATCHED, ParameterShift
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 MINUTE = 60.0
 
@@ -112,3 +119,32 @@ def test_shifts_name_cause_and_remedy() -> None:
 
 def test_rules_can_end_what_they_begin() -> None:
     assert all(rule.off < rule.on for rule in RULES.values())
+
+
+def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example of docs/live.md, put into the module as the page says."""
+    page = (DOCS / "live.md").read_text(encoding="utf-8")
+    _, _, text = page.partition("### Adding an alarm")
+    space = {**vars(alarms), "ZERO_CELSIUS_K": ZERO_CELSIUS_K}
+    exec(text.split("```text\n")[1].split("```")[0], space)
+    hot, heat_levels = space["HOT"], space["heat_levels"]
+    monkeypatch.setitem(alarms.RULES, hot.kind, hot)
+    monkeypatch.setitem(alarms.RESTS_ON, hot.kind, alarms.PARTS[:1])
+    monkeypatch.setattr(alarms, "ESTIMATE_LEVELS", (heat_levels,))
+    air = Quantity(np.array([300.0, 324.15]), np.array([0.1, 0.1]))
+    found = Condition(np.array([0.0, 600.0]), air, *[None] * 7)
+    rejected = {part: Inherited(verdict=REJECT) for part in alarms.PARTS}
+    (calm,), (level,) = (estimate_levels(Estimated(found, place, {}), rejected) for place in (0, 1))
+    assert calm.level < hot.off and "51.0 °C" in level.statement
+    assert "thermal" in level.statement and "hygric" not in level.statement
+    known, begun = judge("T1", {}, 0.0, [level], RULES)
+    assert begun == [] and [one.kind for one in judge("T1", known, 600.0, [level], RULES)[1]] == [hot.kind]
+
+
+def test_a_kind_may_begin_with_the_words_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    soon = replace(alarms.CONDENSATION, kind="condensation soon", remedy="look ahead")
+    monkeypatch.setitem(alarms.RULES, soon.kind, soon)
+    assert [one.remedy for one in course([(0, 0.6), (20, 0.6)], soon.kind)[1]] == ["look ahead"]
+    levels = [Level("condensation", 0.6, "now"), Level(soon.kind, 0.6, "later")]
+    known, _ = judge("T1", {}, 0.0, levels, RULES)
+    assert {one.kind for one in judge("T1", known, 1200.0, levels, RULES)[1]} == {"condensation", soon.kind}

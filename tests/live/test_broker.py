@@ -25,7 +25,8 @@ from hygrokf.live.sources.broker import (
     unreachable,
 )
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"

@@ -17,7 +17,7 @@ from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.clocks import MACHINE, Clocks, clock_levels
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
-from hygrokf.live.sources.payload import AHEAD_S
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading

@@ -38,7 +38,7 @@ def test_the_only_turbine_needs_no_name(models: list[Path]) -> None:
         "cabinet_relative_humidity": 50.0,
         "active_power": 800.0,
     }
-    readings = found.streams[0].mapping.read(content, 1.6e9)
+    (readings,) = found.streams[0].mapping.read(content, 1.6e9)
     assert readings.turbine == "T1"
     assert {r.signal: r.value for r in readings.readings} == {
         "cabinet_temperature": pytest.approx(293.15), "cabinet_relative_humidity": pytest.approx(0.5),
@@ -50,7 +50,8 @@ def test_several_are_told_apart_by_their_names(models: list[Path]) -> None:
     found = config(models, "stdin", "mqtt://user@127.0.0.1:1884/scada/+/#")
     assert set(found.turbines) == {"T1", "T2"}
     mapping = found.streams[0].mapping
-    assert mapping.read({"turbine": "T2", "time": 1.6e9, "rain": 0.1}, 1.6e9).turbine == "T2"
+    (readings,) = mapping.read({"turbine": "T2", "time": 1.6e9, "rain": 0.1}, 1.6e9)
+    assert readings.turbine == "T2"
     assert found.streams[1].url.startswith("mqtt://127.0.0.1:1884")
 
 
@@ -84,4 +85,4 @@ def test_every_signal_has_a_unit_and_the_hold_of_the_table() -> None:
     assert (
         mapping.fields["ambient_temperature"].unit == "degC" and mapping.fields["active_power"].unit == "kW"
     )
-    assert all(one.scale[0] > 0.0 for one in mapping.fields.values())
+    assert all(one.conversion.factor > 0.0 for one in mapping.fields.values())

@@ -238,7 +238,7 @@ def test_rows_that_give_no_reading_are_counted_with_the_reason(folder: Path) -> 
     with source.open("a") as file:
         file.write(row(now, "T99") + row(now, cabinet=500.0) + f"T07,yesterday,1,2\nT07,{iso(now)},,\n")
     found = said(looked(folder), "doubt", "37 of 40 last rows gave readings", "compare [mapping]").found
-    for words in ("1 unknown turbine (turbine 'T99'", "1 impossible value", "1 no time", "1 no known field"):
+    for words in ("1 unknown turbine (turbine 'T99'", "1 impossible value", "1 no time", "1 no value"):
         assert words in found
     write_rows(source, now, turbine="T99")
     said(looked(folder), "fault", "0 of 36 last rows gave readings")
@@ -786,6 +786,18 @@ def test_nodes_that_are_not_there_bad_old_or_without_history(
         "no history of 1 of 2 nodes: ns=2;s=b.bad (BadHistoryOperationUnsupported)",
         "enable history",
     )
+
+
+def test_history_is_kept_only_where_the_access_level_says_so(
+    at_broker: Callable[..., list[Check]], server
+) -> None:
+    nodes = {"ns=2;s=h.kept": "Tcab", "ns=2;s=h.never": "Tamb"}
+    server.add(["ns=2;s=h.kept"])
+    server.add(["ns=2;s=h.never"], history="none")
+    server.write([(id, time.time(), 20.0, 0) for id in nodes])
+    found = at_broker(opcua_source(server.url, nodes), 10.0)
+    words = "no history of 1 of 2 nodes: ns=2;s=h.never (the node's AccessLevel has no HistoryRead"
+    said(found, "doubt", words, "enable history")
 
 
 def test_opcua_servers_that_are_not_reached_or_refuse(

@@ -21,6 +21,7 @@ from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, fin
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.sources.local import form_of
+from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
@@ -149,6 +150,37 @@ def test_without_a_humidity_sensor_a_thermometer_that_drifts_is_like_heat(
     kept = [s for s in record.series if s.signal not in ("cabinet_temperature", "cabinet_relative_humidity")]
     found = asked(tracked, replace(record, series=(warm, *kept)))
     assert {found.cause, *found.alike} == {"temperature_sensor", "heat_release_change"}
+
+
+def test_a_stated_change_is_followed_at_once_and_is_the_reference(
+    tracked: Plan, record: Record, tmp_path: Path
+) -> None:
+    """After a day the stated change is mostly found; a week later nothing is left to be explained by it, and
+    a sensor that goes wrong then is."""
+    begin = record.start_s + FITTED * DAY_S
+    cabinet = changed(record, tmp_path, thermal_time_constant_h=2.5)
+    date_s = record.start_s + CHANGE * DAY_S
+    window = cabinet.window(begin, cabinet.end_s)
+    place = tracked.model.states.index("log_thermal_change")
+    followed = [offline_course(tracked, window, changes) for changes in ((), (date_s,))]
+    day, week = (int(np.searchsorted(followed[0].seconds, date_s + n * DAY_S)) for n in (1.0, 7.0))
+    without, stated = (course.trace.mean[day, place] for course in followed)
+    last = followed[1].trace.mean[-1, place]
+    assert stated > 0.5 * last > 2.0 * without > 0.0
+    reference = Point(float(followed[1].seconds[week]), followed[1].state(week))
+    since = reference.time - tracked.context_s
+    *_, found = isolate(tracked, cabinet.window(since, cabinet.end_s), reference)
+    assert found.cause == ""
+    air = cabinet["cabinet_relative_humidity"]
+    late = air.time >= reference.time + DAY_S
+    wrong = replace(air, value=np.where(late, air.value + 0.08, air.value))
+    kept = [one for one in cabinet.series if one.signal != air.signal]
+    *_, found = isolate(
+        tracked, replace(cabinet, series=(wrong, *kept)).window(since, cabinet.end_s), reference
+    )
+    assert found.cause == "humidity_sensor" and 0.02 < found.value < 0.11  # it drifts there within days
+    with pytest.raises(ValueError, match="since the stated change"):
+        list(isolate(tracked, window, replace(reference, time=cabinet.end_s)))
 
 
 def test_judgement_at_its_edges() -> None:

@@ -225,6 +225,22 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
     store.close()
 
 
+def test_data_are_stale_once_their_sender_has_left_for_five_minutes(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
+) -> None:
+    store = opened(tmp_path)
+    fleet = Fleet.from_store({"T1": turbine}, store)
+    store.commit(fleet.round(deliveries(record), mapping))
+    end, left = record.end_s, {"T1": "Farm/N1 has left"}
+    assert fleet.tick(end + 60.0, {}, left).empty or not fleet.open_alarms()
+    (alarm,) = fleet.tick(end + 400.0, {}, left).alarms
+    assert (alarm.kind, alarm.statement, alarm.ended) == ("data stale", "Farm/N1 has left", None)
+    fleet.tick(end + 500.0, {}, {})
+    (alarm,) = fleet.tick(end + 900.0, {}, {}).alarms
+    assert alarm.ended is not None
+    store.close()
+
+
 def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
     tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:

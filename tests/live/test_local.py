@@ -17,6 +17,7 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record, Series
 from hygrokf.live.service import take_from
 from hygrokf.live.sources import local
+from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import (
     Lines,
     Playback,
@@ -27,9 +28,13 @@ from hygrokf.live.sources.local import (
     record_mapping,
     record_messages,
 )
-from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.stream import Delivery
 
+NOW = 1_772_367_000.0
+"""[s] 2026-03-01T12:10:00Z."""
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 
 
@@ -58,6 +63,101 @@ def test_a_growing_file_delivers_whole_lines(grown) -> None:
     append(":00Z,31.7\n# a comment\n\n")
     assert got.wait(2)[1].content["time"] == "2026-03-01T12:10:00Z"
     assert stream.state[0] == "connected"
+
+
+@pytest.mark.parametrize(
+    ("line", "kind"),
+    [
+        (b"T1,2026-03-01T12:00:00Z,31\r.5\n", "malformed"), (b"T1,\x00,31.5\n", "malformed"),
+        (b"T1,2026-03-01T12:00:00Z\n", "malformed"), (b"T1,2026-03-01T12:00:00Z,31,5\n", "malformed"),
+        (b"T1,2026-03-01T12:00:00Z,31.5 \xb0C\n", "malformed"), (b'T1,"soon,1\n', "malformed"),
+        (b"T1," + b"9" * 200_000 + b",31.5\n", "too large"), (b'{"Tcab": \xff}\n', "malformed"),
+    ],
+)  # fmt: skip
+def test_a_damaged_row_is_counted_and_passed_by(grown, line: bytes, kind: str) -> None:
+    append, stream, got = grown
+    append("T1,2026-03-01T12:00:00Z,31.5\n")
+    with stream.path.open("ab") as file:
+        file.write(line)
+    append("T1,2026-03-01T12:10:00Z,31.6\n")
+    first, damaged, last = got.wait(3)
+    assert first.content["Tcab"] == "31.5" and last.content["Tcab"] == "31.6"
+    with pytest.raises(Refused) as refusal:
+        MAPPING.read(damaged.content, NOW)
+    assert refusal.value.kind == kind and stream.state.word == "connected"
+    assert last.place.endswith(f" {stream.path.stat().st_size}")
+
+
+def test_random_bytes_never_end_a_file(grown) -> None:
+    append, stream, got = grown
+    random = np.random.default_rng(5)
+    count = 0
+    for _ in range(300):
+        line = bytes(random.integers(0, 256, int(random.integers(1, 60)), dtype=np.uint8)).replace(b"\n", b"")
+        with stream.path.open("ab") as file:
+            file.write(line + b"\n")
+        append(f"T1,{NOW + count},31.5\n")
+        count += 1
+    eventually(lambda: sum(isinstance(one.content, dict) for one in got.found) >= count)
+    assert stream.state.word == "connected"
+
+
+def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
+    grown, monkeypatch: pytest.MonkeyPatch, caplog
+) -> None:
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.1))
+    append, stream, _ = grown
+    stream.stop()
+    append("".join(f"T1,{i},{i}.0\n" for i in range(1, 8)))
+    again, taken, states = TailedFile(stream.path, MAPPING), [], []
+
+    def put(one: Delivery) -> None:
+        if one.content["time"] in ("3", "6") and len(states) < 2 * int(one.content["time"]) // 3:
+            states.append(again.state)
+            raise ZeroDivisionError("the taker's fault")
+        taken.append(one.content["time"])
+
+    again.start(None, put)
+    eventually(lambda: len(states) == 2)
+    eventually(lambda: len(taken) == 7)
+    assert taken == [str(i) for i in range(1, 8)] and again.state.word == "connected"
+    (said,) = [one for one in caplog.records if one.message == "source lost"]
+    assert "ZeroDivisionError: the taker's fault" in said.reason and said.exc_info
+    again.stop()
+    assert again.state.word == "stopped"
+
+
+def test_a_source_is_connected_again_with_its_next_delivery(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.02, 0.04))
+    stream, got, failed = played(), Collected(), []
+
+    def put(one: Delivery) -> None:
+        if one.place == "50" and not failed:
+            failed.append(one.place)
+            raise KeyError("once")
+        if one.place == "52":
+            assert stream.state.word == "connected"
+        got(one)
+
+    stream.start(None, put)
+    assert [int(one.place) for one in got.wait(99)] == list(range(1, 100)) and failed
+    eventually(lambda: stream.state.word == "ended")
+
+
+def test_a_source_that_cannot_go_on_stays_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.02, 0.04))
+    calls = []
+
+    def broken(line: bytes) -> None:
+        calls.append(line)
+        raise MemoryError("no more")
+
+    stream = StandardInput(MAPPING, io.BytesIO(b"1\n" * 9))
+    monkeypatch.setattr(stream._lines, "content", broken)
+    stream.start(None, Collected())
+    eventually(lambda: len(calls) >= 3)
+    assert stream.state.word == "lost" and "MemoryError: no more" in stream.state.words
+    stream.stop()
 
 
 def test_it_goes_on_from_its_place(grown) -> None:
@@ -112,9 +212,10 @@ def test_a_file_that_is_read_once_ends(tmp_path: Path) -> None:
 
 def test_lines() -> None:
     lines = Lines()
-    rows = ["# made by hand", 'a\t"b c"', "1\t2\t3", 'a\t"b c"', "", "4", '{"x": 1}']
+    rows = ["# made by hand", 'a\t"b c"', "1\t2\t", 'a\t"b c"', "", "4\t", '{"x": 1}', '[{"x": 1}]']
     contents = [lines.content(row) for row in rows]
-    assert contents == [None, None, {"a": "1", "b c": "2"}, None, None, {"a": "4"}, '{"x": 1}']
+    row, last = {"a": "1", "b c": "2"}, {"a": "4", "b c": ""}
+    assert contents == [None, None, row, None, None, last, '{"x": 1}', '[{"x": 1}]']
 
 
 def test_standard_input() -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +33,7 @@ from builders.live_case import (
     live_record,
     without_preheating,
 )
+from builders.ports import free_port
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -41,7 +43,9 @@ from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import LARGEST, Field, PayloadMapping, Refused
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload_formats import LARGEST, Refused
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
@@ -595,6 +599,32 @@ def test_a_server_whose_certificate_does_not_hold(
         stream = stream_of(found, tls=True, ca=own.file)
         with running(stream, until="lost"):
             assert words in stream.state[1]
+
+
+def test_a_backlog_over_tls_is_taken_in_at_once(tmp_path: Path) -> None:
+    """The broker sends every message in a record of its own; all that have arrived are read in one turn."""
+    own, plain = authority(tmp_path), free_port()
+    server, key = own.issue("server", "127.0.0.1")
+    sealed = ("allow_anonymous true", f"cafile {own.file}", f"certfile {server}", f"keyfile {key}")
+    with mosquitto(tmp_path, *sealed, f"listener {plain} 127.0.0.1") as found:
+        stream = stream_of(found, tls=True, ca=own.file)
+        with running(stream):
+            pass  # the broker keeps the session
+        with peer(plain) as publisher:
+            publish(publisher, [(TOPIC, b"%d" % number) for number in range(2_000)])
+        stream, taken, began = stream_of(found, tls=True, ca=own.file), [], time.monotonic()
+
+        def put(one: Delivery) -> None:
+            taken.append(one)
+            stream.acknowledge([one])
+
+        stream.start(None, put)
+        try:
+            eventually(lambda: len(taken) == 2_000)
+            assert time.monotonic() - began < 12.0  # a record a turn takes 40 s and more
+        finally:
+            stream.stop()
+    assert [one.content for one in taken] == [b"%d" % number for number in range(2_000)]
 
 
 def test_tls_to_a_broker_without_it(broker: Mosquitto) -> None:

@@ -34,7 +34,8 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import User
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
-from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
@@ -261,7 +262,7 @@ def test_bad_values_are_counted_and_never_used(peer: Peer, named, started) -> No
         if one["time"] is None:
             counts["no time"] += 1
             continue
-        found = run.stream.mapping.read(one, time.time())
+        (found,) = run.stream.mapping.read(one, time.time())
         counts += found.counts
         used += [r.time - T0 for r in found.readings if r.signal == "cabinet_temperature"]
     assert counts == {"bad quality": 3, "no number": 1, "no time": 3} and used == [1, 5, 6]
@@ -311,7 +312,7 @@ def test_uncertain_values_are_used_where_that_is_stated() -> None:
     payload = {"turbine": "T07", "time": T0, "quality": "uncertain", "Tcab": 30.0}
     for stated, count in ((False, 0), (True, 1)):
         stream = made({**table, "uncertain": stated})
-        assert len(stream.mapping.read(payload, T0 + 9.0).readings) == count
+        assert sum(len(one.readings) for one in stream.mapping.read(payload, T0 + 9.0)) == count
 
 
 # -- what is missed ------------------------------------------------------------------------------------------
@@ -433,6 +434,23 @@ def test_without_history_it_says_so_and_goes_on(
     assert said in run.stream.state[1]
     assert [r.node for r in caplog.records if r.message == "no history"] == [tcab]
     assert run.place() == {tcab: T0 + 4, other: T0 + 2}
+
+
+def test_a_server_that_answers_for_history_and_keeps_none_is_told(
+    peer: Peer, named, started, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An empty answer is history only where the node's access level says so."""
+    tcab, other = named("Tcab"), named("other")
+    peer.add([tcab], history="none")
+    peer.add([other])
+    with caplog.at_level(logging.WARNING, "hygrokf.track"):
+        run = started(peer.url, {tcab: "Tcab", other: "T.env"}, place={tcab: T0, other: T0})
+        peer.write(at((4, 4.0), node=tcab))
+        run.wait(lambda: run.values() == [(4, 4.0)])
+    state = run.stream.state[1]
+    assert "missed samples are lost" in state and f"{tcab} (the node's AccessLevel has no" in state
+    assert other not in state.partition("no history")[2]
+    assert [r.node for r in caplog.records if r.message == "no history"] == [tcab]
 
 
 def test_history_that_fails_for_now_is_owed(

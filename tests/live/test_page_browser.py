@@ -98,7 +98,7 @@ class served:
 
     def __exit__(self, *fault: object) -> None:
         self.server.stop()
-        self.page.reader.close()
+        self.page.close()
 
 
 class Tab:
@@ -211,7 +211,7 @@ def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
             1
         )  # of the number that is believed nothing needs to be said
         expect(page.locator(".model li")).to_have_text(
-            f"✕ thermal time constant not to be believed: it ended at its limit {EVIL}"
+            f"✕ thermal time constant not reliable: it ended at its limit {EVIL}"
         )
         expect(page.locator("#now-temperature")).to_contain_text("by a rejected model")
         assert "by a model" not in page.locator("#now-absolute_humidity").inner_text()
@@ -433,7 +433,7 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(browser: Browser, tab: T
         assert store.rows("SELECT acknowledged_by FROM alarm") == [("Control room",)]
         store.close()
         assert page.evaluate("localStorage.getItem('hygrokf.by')") == "Control room"
-    page_of.reader.close()
+    page_of.close()
 
 
 def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], service: Service) -> None:

@@ -21,6 +21,7 @@ from builders.tracking_process import halt_after, killed_at, started
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import whole_microseconds
 from hygrokf.live import service as module
 from hygrokf.live.batch import Batch
 from hygrokf.live.service import Service
@@ -297,7 +298,7 @@ def test_every_bit_of_a_number_comes_back(store: Store) -> None:
         1.7976931348623157e308,
         0.1 + 0.2,
     ]
-    times = np.sort(T0 + random.uniform(0.0, 1e7, len(values))).tolist()
+    times = [whole_microseconds(t) for t in np.sort(T0 + random.uniform(0.0, 1e7, len(values))).tolist()]
     store.commit(Batch(observations=[observed("rain", t, v) for t, v in zip(times, values, strict=True)]))
     found = store.readings("T1", 0.0)
     assert [one.value for one in found] == values and [one.time for one in found] == times

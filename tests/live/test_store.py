@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from builders.store_case import T0, a_condition, a_state, everything, observed, 
 
 from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Notice, Observation, Shelf
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage import database, schema
+from hygrokf.live.storage import database, outbox, schema
 from hygrokf.live.storage.schema import MIGRATIONS, TABLES, VERSION
 from hygrokf.live.storage.store import Store, open_store, state_of, state_text
 from hygrokf.live.tracker import Reading
@@ -102,7 +103,7 @@ def test_a_restart_reads_each_signal_from_some_readings_before(store: Store) -> 
     found = [(one.signal, one.time - T0) for one in store.readings("T1", T0 + 270.0)]
     rain = [("rain", 100.0 * i) for i in range(3 - BEFORE, 5)]
     assert found == [("active_power", -1e6), *rain, ("wind_speed", 400.0)]
-    assert len(store.readings("T1", -1e18)) == 27 and store.readings("T9", 0.0) == []
+    assert len(store.readings("T1", -math.inf)) == 27 and store.readings("T9", 0.0) == []
 
 
 def test_provisional_estimates_are_overtaken(store: Store) -> None:
@@ -189,13 +190,13 @@ def test_events_of_a_turbine(store: Store) -> None:
 def test_a_notice_is_written_once_and_sent_once(store: Store) -> None:
     notices = [Notice(f"n{i}", "mail", '{"alarm": "a1"}', T0, T0 + i) for i in range(3)]
     store.commit(Batch(notices=notices))
-    assert store.notices_due(T0 + 1.0) == notices[:2]
-    store.mark_failed(["n0"], "connection refused", T0 + 60.0)
-    store.mark_sent(["n1"], T0 + 2.0)
+    assert outbox.due(store, "mail", T0 + 1.0, 100) == notices[:2]
+    outbox.mark_failed(store, ["n0"], "connection refused", T0 + 60.0)
+    outbox.mark_sent(store, ["n1"], T0 + 2.0)
     store.commit(Batch(notices=notices))  # the same batch once more, after a restart
-    assert store.notices_due(T0 + 10.0) == notices[2:]
+    assert outbox.due(store, "mail", T0 + 10.0, 100) == notices[2:]
     failed = replace(notices[0], due=T0 + 60.0, attempts=1, failure="connection refused")
-    assert store.notices_due(T0 + 60.0) == [notices[2], failed]
+    assert outbox.due(store, "mail", T0 + 60.0, 100) == [notices[2], failed]
 
 
 def test_a_store_is_opened_again_and_migrated_once(store_url: str) -> None:

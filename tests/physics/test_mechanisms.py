@@ -3,9 +3,11 @@ own."""
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import json
 import math
+import pkgutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +20,10 @@ from plants.cabinet import Cabinet
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.modelling.derived_inputs import FEATURES
+from hygrokf.physics import mechanisms
 from hygrokf.physics.expression import Graph, jacobian
+from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
@@ -69,6 +74,29 @@ def test_the_library_names_its_mechanisms() -> None:
         made = factory()
         assert isinstance(made, Mechanism) and made.name == name == factory.__name__
         assert factory.__doc__ and factory.__doc__[0] != " "
+
+
+def test_every_factory_of_the_folder_stands_in_the_library() -> None:
+    """A module lists its factories by group, and the package collects the groups of every module."""
+    for module in pkgutil.iter_modules(mechanisms.__path__, f"{mechanisms.__name__}."):
+        if module.name.endswith((".effects", ".network")):
+            continue  # patterns and networks that take arguments
+        functions = inspect.getmembers(importlib.import_module(module.name), inspect.isfunction)
+        made = {
+            name
+            for name, function in functions
+            if function.__module__ == module.name
+            and name[0] != "_"
+            and inspect.signature(function).return_annotation == "Mechanism"
+        }
+        assert made and made - set(LIBRARY) == set(), f"{module.name}: list them in its BASE, LOGGED, FURTHER"
+
+
+@every
+def test_a_mechanism_reads_the_features_that_it_brings(name: str, settings: dict) -> None:
+    for feature, (function, hold) in LIBRARY[name](**settings).features.items():
+        assert FEATURES[feature] == (function, hold) and hold in (LINEAR, ZERO_ORDER)
+        assert list(inspect.signature(function).parameters)[:2] == ["record", "time"]
 
 
 @every

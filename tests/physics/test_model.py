@@ -154,7 +154,7 @@ def test_a_sum_that_is_read_and_never_added_to_is_named() -> None:
     reads = Mechanism(name="deep", states=("deep",), drift=lambda p, x, u, q,
         s: {"deep": s.deep_heat - x.deep},
                       initial=lambda p, u: {"deep": (0.0, 1.0)})  # fmt: skip
-    with pytest.raises(AttributeError, match=r'reads the sum "deep_heat", to which none adds.*heat_release'):
+    with pytest.raises(AttributeError, match=r'"deep_heat", to which no mechanism adds.*heat_release'):
         traced(reads)
     # with a term the sum is the model's own, beside those that every model has, read or not
     made = traced(reads, source("rock", 2.0, of="deep_heat"), source("rain", 1.0, of="vapour_release"))

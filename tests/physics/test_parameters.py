@@ -88,8 +88,8 @@ def test_the_prior_of_a_positive_parameter_is_differentiated_in_its_coordinate()
         ({"lower": 5.0, "upper": 1.0}, "lower < upper"),
         ({"start": 11.0}, "start within"),
         ({"lower": 0.0, "positive": True}, "above 0"),
-        ({"physical": (0.6, 12.0)}, "within what is physical, 0.6 … 12.0, found 0.5"),
-        ({"physical": (0.0, 9.0)}, "within what is physical"),
+        ({"physical": (0.6, 12.0)}, "within the physical range, 0.6 … 12.0, found 0.5"),
+        ({"physical": (0.0, 9.0)}, "within the physical range"),
     ],
 )
 def test_impossible_parameters_are_refused(change: dict, message: str) -> None:

@@ -28,13 +28,13 @@ from hygrokf.report.blocks import (
 )
 from hygrokf.report.figures.drawing import NothingToShow, new_figure, styled
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import block_text, cells, page_text
+from hygrokf.report.terminal import block_text, cells, page_text, table_text
 
 EVIL = "<img src=x onerror=alert(1)>\"'&amp;\x00\u202e"
 BELIEVED = Card(
-    "thermal", "1.46 h", "thermal 1.46 h: to be believed", "believe", "1.37 … 1.55", symbol="R_AT·C"
+    "thermal", "1.46 h", "thermal 1.46 h: reliable", "believe", "1.37 … 1.55", symbol="R_AT·C"
 )
-REJECTED = Card("hygric", "0.3 h", "hygric not to be believed, 0.3 h", "reject", "0.2 … 0.4", "It drifts.")
+REJECTED = Card("hygric", "0.3 h", "hygric not reliable, 0.3 h", "reject", "0.2 … 0.4", "It drifts.")
 
 
 def drawing():
@@ -81,7 +81,7 @@ def test_a_rejected_number_is_struck_through_and_is_no_headline() -> None:
     )
     assert believed[0] == "believe" and '<p class="value">1.46\xa0h</p>' in believed[1]
     assert rejected[0] == "reject" and "<s>0.3\xa0h (0.2 … 0.4)</s>" in rejected[1]
-    assert "not to be believed" in re.findall(r'<p class="value words">(.*?)</p>', rejected[1], re.S)[0]
+    assert "not reliable" in re.findall(r'<p class="value words">(.*?)</p>', rejected[1], re.S)[0]
     assert "It drifts." in rejected[1]
 
 
@@ -117,7 +117,7 @@ def test_the_terminal_prints_the_name_the_warnings_and_what_is_brief() -> None:
     made = Page("Report", "T07", (), warnings, (Prose("long"),), (), brief)
     assert page_text(made) == (
         "T07 (SYNTHETIC: nothing measured)\n\nNOT CONVERGED: stopped.\n\n"
-        "thermal 1.46 h: to be believed\n\nT\na  c\n1  3"
+        "thermal 1.46 h: reliable\n\nT\na  c\n1  3"
     )
 
 
@@ -129,3 +129,10 @@ def test_sections_without_blocks_are_left_out() -> None:
 def test_a_table_with_a_cell_too_many_is_refused() -> None:
     with pytest.raises(ValueError, match="Parameters: expected a cell for each of 2 columns, found"):
         Table("Parameters", ("name", "value"), (("a", "1"), ("b", "group", "2")))
+
+
+def test_the_name_of_a_row_is_wrapped_and_never_cut() -> None:
+    table = Table("", ("", "value"), (("  a name that needs more than its room", "1.234567890123"),))
+    rows = table_text(table, 34).splitlines()[1:]
+    assert " ".join(row[:18].strip() for row in rows) == "a name that needs more than its room"
+    assert all(row.startswith("  ") for row in rows) and rows[0].endswith(" 1.234567890123")

@@ -99,8 +99,8 @@ def test_the_verdict_and_its_picture_come_first_and_what_was_tried_last(whole: s
         "Errors before and after",
         "The time constants without and with the cause",
         "Where the errors are",
-        "What is left unexplained",
-        "What was tried and left out",
+        "Unexplained errors",
+        "Causes tried and rejected",
         "Data and method",
     ]
     assert whole.index("Verdict") < whole.index('id="episodes-1-') < whole.index(headings[0])
@@ -129,7 +129,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
         ("solar_heat", "6.1", "5.5 … 6.9", "K/(kW/m²)", "heat of the sun"),
         ("solar_time", "0.690", "open … 1.01", "h", "lag"),
     )
-    believed = "to be believed"
+    believed = "reliable"
     assert constants_table(found).rows[0] == (
         "thermal", "1.36 h", "1.31 … 1.41", believed, "1.20 h", "1.15 … 1.25", believed, "−12 %",
     )  # fmt: skip
@@ -183,7 +183,7 @@ def test_an_event_is_shown_where_it_was_found() -> None:
 
 def test_nothing_found_names_no_cause_and_no_check() -> None:
     card = verdict(empty_case())
-    assert card.value == "Nothing is missing that this record shows" and card.tone == "plain"
+    assert card.value == "This record shows no missing cause" and card.tone == "plain"
     assert "none of 2 causes" in card.lines[0].lower()
     text = Page(discovery_page(typed(empty_case()), residuals_case())).text
     assert "→" not in text and "Check in the turbine" not in text and "The cause" not in text
@@ -192,7 +192,7 @@ def test_nothing_found_names_no_cause_and_no_check() -> None:
 
 def test_what_cannot_be_explained_is_a_warning_with_its_driver() -> None:
     card = verdict(unexplained_case())
-    assert card.value == "Something is missing; its cause is not known" and card.tone == "open"
+    assert card.value == "Something is missing; the cause is unknown" and card.tone == "open"
     assert "4.1 K too low" in card.lines[0] and "2 causes" in card.lines[1]
     for text in (words(unexplained_case()), " ".join(discovery_text(typed(unexplained_case())).split())):
         assert "the wind speed (correlation −0.31, 3.0 h later)" in text
@@ -329,9 +329,9 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
         gain_sentence(found.causes[0].gain)[2:],
         "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)",
         "To check: Shade or paint the wall",
-        "+ thermal time constant 1.36 h (1.31 … 1.41): to be believed",
-        "+ thermal time constant 1.20 h (1.15 … 1.25): to be believed",
-        "left out: 2 causes",
+        "+ thermal time constant 1.36 h (1.31 … 1.41): reliable",
+        "+ thermal time constant 1.20 h (1.15 … 1.25): reliable",
+        "rejected: 2 causes",
         "SYNTHETIC",
     ):
         assert part in joined, part

@@ -45,17 +45,17 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
     rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
     text = fleet_page(table("fit", rows, "P & Q"))
     assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
-    outliers = text.split("<h2>Turbines that depart from the others</h2>")[1].split("<h2>")[0]
+    outliers = text.split("<h2>Outliers</h2>")[1].split("<h2>")[0]
     assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
     assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
-    assert "depart from the others" not in fleet_page(table("fit", rows[-1:]))
+    assert "<h2>Outliers<" not in fleet_page(table("fit", rows[-1:]))
 
 
 def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
     text = fleet_text(table("fit", rows))
-    assert "W4 departs: thermal time constant 4.3" in text and text.count("departs:") == 1
-    assert "No turbine departs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
-    assert "depart" not in fleet_text(table("fit", rows[:3]))
+    assert "W4 is an outlier: thermal time constant 4.3" in text and text.count("is an outlier:") == 1
+    assert "No turbine differs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
+    assert "outlier:" not in fleet_text(table("fit", rows[:3]))

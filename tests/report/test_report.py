@@ -229,7 +229,7 @@ def test_without_validation_that_is_said(quick) -> None:
     fit["period"]["until"] = None
     text = _page(fit, series).text
     assert "No validation period: `until` is not stated" in text
-    assert "nothing validates it" in text and "identified on the part until" not in text
+    assert "no later data validate it" in text and "identified on the part until" not in text
     assert rmse_table(results(fit), "validation") is None
 
 
@@ -399,9 +399,9 @@ def test_a_free_run_that_fails_gets_no_good_mark() -> None:
     ("bounds", "words"),
     [
         ((0.6, 1.7), "both criteria agree"),
-        ((0.0, 7.0), "hardly says anything about it (1.00 h, without bounds)"),
-        ((0.5, 1.6), "hardly says anything about it (1.00 h, 0.500 … 1.60 h)"),
-        ((0.5, None), "hardly says anything about it (1.00 h, without bounds)"),
+        ((0.0, 7.0), "hardly determines it (1.00 h, without bounds)"),
+        ((0.5, 1.6), "hardly determines it (1.00 h, 0.500 … 1.60 h)"),
+        ((0.5, None), "hardly determines it (1.00 h, without bounds)"),
     ],
 )
 def test_the_criteria_agree_only_where_the_free_run_informs_something(bounds, words) -> None:
@@ -420,11 +420,11 @@ def test_tests_that_fail_are_named_by_kind() -> None:
     found = judgements(results(fit))[-1]
     count = len(fit["innovations"]["tests"])
     assert found.kind == "caution"
-    assert f"1 of {count} tests" in found.sentence and "(mean), none of them by a correl" in found.sentence
+    assert f"1 of {count} tests" in found.sentence and "(mean), but none finds a correl" in found.sentence
     for row in fit["innovations"]["tests"]:
         row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
     found = judgements(results(fit))[-1]
-    assert "tests speak against white innovations (mean, correlation with inputs), by corr" in found.sentence
+    assert "tests reject white innovations (mean, correlation with inputs), by corr" in found.sentence
 
 
 def test_numbers_in_words() -> None:

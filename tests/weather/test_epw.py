@@ -78,7 +78,7 @@ def test_a_missing_dew_point_comes_from_relative_humidity(tmp_path: Path) -> Non
 
 def test_a_typical_year_needs_a_year(tmp_path: Path) -> None:
     path = written(tmp_path, made.epw_text(TYPICAL))
-    assert "typical year put together from months of 2006 … 2018; state the calendar year" in faults(path)
+    assert "typical year composed of months from 2006 … 2018; state the calendar year" in faults(path)
     record = read_epw(path, 2019)
     warm = record["ambient_temperature"]
     assert len(warm) == 8760 and np.all(np.diff(warm.time) == 3600.0)
@@ -128,7 +128,7 @@ def test_faults_of_files(tmp_path: Path) -> None:
     assert "line 51: expected an hour 1 … 24, found 25" in faults(written(tmp_path, "\n".join(wrong)))
     wrong = list(lines)
     wrong[50], wrong[51] = wrong[51], wrong[50]
-    assert "line 52: the hours must follow each other" in faults(written(tmp_path, "\n".join(wrong)))
+    assert "line 52: the hours must be consecutive" in faults(written(tmp_path, "\n".join(wrong)))
     half = text.replace("DATA PERIODS,1,1,", "DATA PERIODS,1,4,")
     assert "expected 1 record an hour, found 4" in faults(written(tmp_path, half))
     hot = [

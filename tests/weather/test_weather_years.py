@@ -143,7 +143,7 @@ def test_heights(tmp_path: Path) -> None:
     with pytest.raises(TableFault, match=r"state altitude_m in \[site\]"):
         read_weather_file(path, site=Site(48.5, 5.5), to_site_altitude=True)
     grid = made.new_file(tmp_path / "era5.nc")
-    with pytest.raises(TableFault, match="its own must be known"):
+    with pytest.raises(TableFault, match="needs the altitude of the weather"):
         read_weather_file(grid, site=high, to_site_altitude=True)
     given = read_weather_file(grid, site=high, to_site_altitude=True, altitude_m=350.0)
     assert given["ambient_temperature"].value == pytest.approx(made.truth("t2m") - 3.25, abs=1e-4)

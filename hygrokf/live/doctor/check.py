@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from hygrokf.data.timestamps import HOUR_S, duration_text
-from hygrokf.live.sources.payload import AHEAD_S, PayloadStatistics
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.payload_values import AHEAD_S
 
 LEVELS = ("ok", "doubt", "fault")
 CLOSE_S = 60.0

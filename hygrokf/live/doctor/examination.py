@@ -20,6 +20,7 @@ from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
+from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
@@ -37,11 +38,17 @@ TRIED_H = 72
 
 
 def examine(
-    config: Config, file: Path | None = None, wait_s: float = 10.0, with_page: bool = True
+    config: Config,
+    file: Path | None = None,
+    wait_s: float = 10.0,
+    with_page: bool = True,
+    send_notices: bool = False,
 ) -> list[Check]:
-    """Check the clock, the files that the tracker's `file` names, its sources, store, models and page.
+    """Check the clock, the files that the tracker's `file` names, its sources, store, models, page and
+    channels.
 
-    Sources that send by themselves are observed for `wait_s` [s], all at the same time.
+    Sources that send by themselves are observed for `wait_s` [s], all at the same time.  `send_notices`: a
+    test message goes to every channel.
     """
     watch, contents = Watch(), StoreContents()
     # the strictest turbine decides what counts as late
@@ -60,6 +67,7 @@ def examine(
         *of_store,
         *model_checks(config.turbines, config.streams, came),
         *(page_checks(config.page) if with_page else ()),
+        *channel_checks(config.channels, send_notices),
     ]
 
 

@@ -23,7 +23,7 @@ _SET = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or ch
 SOON_S = 30.0 * DAY_S
 """Remaining validity [s] below which a certificate should be replaced."""
 CERTIFICATES = ("certificate", "ca", "server_certificate")
-SECRETS = ("key", "password_file", "token_file")
+SECRETS = ("key", "password_file", "token_file", "secret_file")
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ def file_checks(file: Path) -> Iterator[Check]:
 def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     if isinstance(content.get("page"), dict):
         yield "[page]", content["page"]
-    for number, table in enumerate(content.get("source", []), start=1):
-        yield f"[[source]] {number}", table
+    for name in ("source", "notify"):
+        for number, table in enumerate(content.get(name, []), start=1):
+            yield f"[[{name}]] {number}", table
 
 
 def _secret(about: str, path: Path) -> Check:

@@ -11,7 +11,7 @@ import queue
 import secrets
 import ssl
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -21,7 +21,8 @@ from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities,
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import LARGEST, PayloadStatistics
+from hygrokf.live.sources.payload_formats import Content
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
@@ -65,11 +66,25 @@ class Listener(Link):
                 self.messages.put((message, time.time()))
 
 
+def as_it_is(topic: str, payload: bytes, received: float) -> Sequence[Content]:
+    """The contents of a message that is one payload."""
+    return [payload]
+
+
 def mqtt_checks(
-    source: Mqtt, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+    source: Mqtt,
+    statistics: PayloadStatistics,
+    wait_s: float,
+    lateness_s: float,
+    contents: Callable[[str, bytes, float], Sequence[Content]] = as_it_is,
+    keep: str = "publish at QoS 1",
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
-    statistics."""
+    statistics.
+
+    contents: gives the payloads of a message (topic, payload, time of arrival [s]); `keep`: what to do where
+    the broker does not keep the messages.
+    """
     broker, mapping = source.broker, source.mapping
     about = f"source {broker.url}"
     for caution in broker.cautions():
@@ -83,7 +98,7 @@ def mqtt_checks(
             link.lose(str(error))
         except Exception as error:  # of any kind: it is reported
             link.lose(unreachable(error, broker.where))
-        _await_answer(link)
+        await_answer(link)
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
@@ -94,14 +109,20 @@ def mqtt_checks(
         )
         yield from _certificate(link, about)
         retained = PayloadStatistics(mapping)
-        heard = _count_messages(link, statistics, retained, wait_s)
+
+        def take(message: MQTTMessage, came: float) -> None:
+            payload = bytes(message.payload[: source.largest + 1])
+            for content in contents(message.topic, payload, came):
+                (retained if message.retain else statistics).take(content, came, message.topic)
+
+        heard = _count_messages(link, take, wait_s)
         if link.lost.is_set():
             yield fault(about, f"the connection was lost: {link.reason}", REACH)
         denied = link.denied
     finally:
         link.close()
     for topics, one in heard.items():
-        yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s)
+        yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
     if retained.payloads and not statistics.payloads:
         yield from payload_checks(f"{about} retained messages", retained)
     yield from payload_checks(about, statistics)
@@ -124,7 +145,7 @@ def plain_filter(topics: str) -> str:
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
-def _await_answer(link: Link) -> None:
+def await_answer(link: Link) -> None:
     """Wait until the broker has answered the subscription or the link is lost."""
     end = time.monotonic() + ANSWER_S
     while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
@@ -144,9 +165,10 @@ def _certificate(link: Link, about: str) -> Iterator[Check]:
 
 
 def _count_messages(
-    link: Listener, statistics: PayloadStatistics, retained: PayloadStatistics, wait_s: float
+    link: Listener, take: Callable[[MQTTMessage, float], None], wait_s: float
 ) -> dict[str, MessageCounts]:
-    """Take messages for `wait_s` [s]; returns their numbers under each filter."""
+    """Take messages with their times of arrival [s] for `wait_s` [s]; returns their numbers under each
+    filter."""
     from paho.mqtt.client import topic_matches_sub
 
     heard = {topics: MessageCounts() for topics in link.broker.topics}
@@ -162,13 +184,11 @@ def _count_messages(
                     one.retained += message.retain
                     one.live += not message.retain
                     one.unkept += not message.retain and message.qos == 0
-            (retained if message.retain else statistics).take(
-                bytes(message.payload[: LARGEST + 1]), came, message.topic
-            )
+            take(message, came)
     return heard
 
 
-def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: float) -> Check:
+def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: float, keep: str) -> Check:
     within = f"within {lasting(wait_s)}"
     if denied is not None:
         return fault(
@@ -181,7 +201,7 @@ def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: fl
             about,
             f"{one.live} messages {within}, {one.unkept} of them published at QoS 0, which the broker "
             "does not keep while the tracker is not running",
-            "publish at QoS 1",
+            keep,
         )
     if one.live:
         return ok(about, f"granted; {one.live} messages {within}")

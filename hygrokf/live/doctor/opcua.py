@@ -21,7 +21,7 @@ from hygrokf.live.doctor.check import (
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Sample
-from hygrokf.live.sources.payload import PayloadStatistics
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import PAUSE_S, several
 
 BACK_S = DAY_S
@@ -127,10 +127,12 @@ def _node_checks(
 
 async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
     """Whether the server keeps the history of nodes, without which samples during an outage are lost."""
-    asked, unread, now = list(nodes)[:ASKED], {}, time.time()
+    asked, now = list(nodes)[:ASKED], time.time()
+    unread = await connection.without_history(asked)
     for node in asked:
         try:
-            await anext(connection.history(node, now - BACK_S, now), None)
+            if await anext(connection.history(node, now - BACK_S, now), None) is not None:
+                unread.pop(node, None)  # whatever its access level says
         except HistoryFault as error:
             unread[node] = str(error)
     if unread:

@@ -13,10 +13,14 @@ from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.live.doctor.check import OLD_S, Check, doubt, fault, lasting, ok, payload_checks, stamp_check
 from hygrokf.live.doctor.mqtt import mqtt_checks
 from hygrokf.live.doctor.opcua import opcua_checks
-from hygrokf.live.sources.local import LONGEST_LINE, Lines, Playback, TailedFile
+from hygrokf.live.doctor.postgres import postgres_checks
+from hygrokf.live.doctor.sparkplug import sparkplug_checks
+from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.payload import PayloadStatistics
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.postgres import PostgresQuery
+from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import PAUSE_S, Stream
 
 TAIL = 4_000_000
@@ -152,14 +156,14 @@ def _growth(about: str, path: Path, size: int, written: float, wait_s: float) ->
 
 def read_rows(path: Path, statistics: PayloadStatistics) -> None:
     """Count the rows of a file in a statistics; of a long file only the last ones."""
-    lines, now = Lines(), time.time()
+    lines, now = Lines(statistics.mapping.form), time.time()
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > TAIL:
             lines.read_header(file)
             file.seek(size - TAIL)
             file.readline()
-        while (line := file.readline(LONGEST_LINE)).endswith(b"\n"):  # a line without its end is incomplete
+        while is_whole(line := next_line(file)):
             content = lines.content(line)
             if content is not None:
                 statistics.take(content, now)
@@ -168,7 +172,10 @@ def read_rows(path: Path, statistics: PayloadStatistics) -> None:
 KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
     TailedFile: file_checks,
     Playback: playback_checks,
+    Sparkplug: sparkplug_checks,
     Mqtt: mqtt_checks,
     OpcUa: opcua_checks,
+    PostgresQuery: postgres_checks,
 }
-"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s)."""
+"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s); a kind stands before
+the one that it extends."""

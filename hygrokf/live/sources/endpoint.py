@@ -29,21 +29,24 @@ def bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def password_of(file: Path | None, variable: str) -> str | None:
-    """The password in a file or an environment variable, None if neither is named.  Raises SourceFault."""
+def password_of(file: Path | None, variable: str, key: str = "password") -> str | None:
+    """The password (or other secret, by the name of its key) in a file or an environment variable.
+
+    None if neither is named.  Raises SourceFault.
+    """
     if variable:
         found = os.environ.get(variable, "")
         if not found:
-            raise SourceFault(f"password_env: the environment variable {variable} is not set or empty")
+            raise SourceFault(f"{key}_env: the environment variable {variable} is not set or empty")
         return found
     if file is None:
         return None
     try:
         found = file.read_text(encoding="utf-8").rstrip("\r\n")
     except OSError as fault:
-        raise SourceFault(f"password_file: {file}: {fault.strerror}") from None
+        raise SourceFault(f"{key}_file: {file}: {fault.strerror}") from None
     except UnicodeDecodeError:
-        raise SourceFault(f"password_file: {file}: expected text in UTF-8") from None
+        raise SourceFault(f"{key}_file: {file}: expected text in UTF-8") from None
     if not found or "\n" in found:
-        raise SourceFault(f"password_file: {file}: expected one line, the password, and nothing else")
+        raise SourceFault(f"{key}_file: {file}: expected one line, the {key}, and nothing else")
     return found

@@ -9,9 +9,10 @@ from typing import Protocol
 
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.sources.local import FileForm, InputForm
-from hygrokf.live.sources.mqtt import MqttForm
+from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.stream import Stream
 
 
@@ -30,6 +31,8 @@ KINDS: Mapping[str, type[SourceForm]] = {
     "mqtt": MqttForm,
     "mqtts": MqttForm,
     "opc.tcp": OpcUaForm,
+    "postgresql": PostgresForm,
+    "postgres": PostgresForm,
 }
 """Scheme of a URL -> form of the table."""
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any, AnyStr
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import Field, Payload, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
+from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
     WEATHER_HELP,
@@ -30,43 +34,82 @@ from hygrokf.live.sources.stream import (
     Threaded,
 )
 
-LONGEST_LINE = 65_536
-"""[bytes] read as one line at most."""
-Content = str | Payload
-"""A row of a source: JSON text, or cells by column name."""
+LONGEST_LINE = LARGEST
+"""[bytes] of the longest line that is read."""
+_JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 
 
 class Lines:
-    """Interprets lines of text: NDJSON as it is, CSV by its header; a repeated header is skipped."""
+    """Interprets lines of text: JSON as it is, CSV by its header; a repeated header is skipped.
 
-    def __init__(self) -> None:
+    form: of payloads that are neither, such as line protocol, which are passed on as they are.
+    """
+
+    def __init__(self, form: str = JSON) -> None:
         self.header: list[str] = []
+        self._form = form
         self._separator = ","
+        self._passing = False
 
-    def read_header(self, file: BinaryIO) -> None:
+    def read_header(self, file: IO[bytes]) -> None:
         """Read a file up to its header, which later rows need, or to its first content without one."""
         while not self.header:
-            line = file.readline(LONGEST_LINE)
-            if not line or self.content(line):
+            line = next_line(file)
+            if not line or self.content(line) is not None:
                 break
 
     def content(self, line: bytes | str) -> Content | None:
         """Content of a line; None for an empty line, a comment or a header."""
-        if isinstance(line, bytes):
-            line = line.decode("utf-8", "replace")
-        text = line.strip("\ufeff\r\n")
+        found = line.encode("utf-8", "replace") if isinstance(line, str) else line
+        passing = self._passing
+        self._passing = not found.endswith(b"\n") and (passing or len(found) > LONGEST_LINE)
+        if passing:  # the rest of a line that is too long
+            return None
+        if self._passing:
+            return Unreadable("too large", f"a line of more than {LONGEST_LINE} bytes")
+        try:
+            text = found.decode("utf-8")
+        except UnicodeDecodeError:
+            text = found.decode("utf-8", "replace")
+            if self._form != JSON or self.header or _is_json(text):  # other names of a header may be sound
+                return Unreadable("malformed", "a line that is not text in UTF-8")
+        text = text.strip("\ufeff\r\n")
         if not text.strip() or text.startswith("#"):
             return None
-        if text.lstrip().startswith("{"):
-            return text
+        return text if self._form != JSON or _is_json(text) else self._row(text)
+
+    def _row(self, text: str) -> Content | None:
+        """Cells by column name; None for a header."""
         if not self.header:
             self._separator = max(",;\t", key=text.count)
-        cells = [c.strip() for c in next(csv.reader([text], delimiter=self._separator), [])]
+        try:
+            if "\0" in text:
+                raise csv.Error("it holds a NUL")
+            cells = [c.strip() for c in next(csv.reader([text], delimiter=self._separator), [])]
+        except csv.Error as fault:
+            return Unreadable("malformed", f"a row that is no CSV: {fault}")
         if not self.header:
             self.header = cells
         if cells == self.header:
             return None
+        count = len(self.header)
+        if len(cells) < count or any(cells[count:]):  # separators at the end of a row are common
+            return Unreadable("malformed", f"a row of {len(cells)} cells below a header of {count}")
         return dict(zip(self.header, cells, strict=False))
+
+
+def _is_json(text: str) -> bool:
+    return _JSON_LINE.match(text) is not None
+
+
+def next_line(file: IO[AnyStr]) -> AnyStr:
+    """The next line, or a piece of one that is too long; empty at the end of the file."""
+    return file.readline(LONGEST_LINE + 1)
+
+
+def is_whole(line: bytes | str) -> bool:
+    """Whether a line will not grow: it has its end, or is a piece of one that is too long."""
+    return len(line) > LONGEST_LINE or line[-1:] in (b"\n", "\n")
 
 
 class TailedFile(Threaded):
@@ -107,17 +150,17 @@ class TailedFile(Threaded):
                 self._ended.wait(PAUSE_S)
             place = None
 
-    def _read(self, file: BinaryIO, identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
+    def _read(self, file: IO[bytes], identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
         """Deliver the file from an offset [bytes] on; True if nothing more will come, False if the file was
         replaced."""
         self._state = SourceState("connected", self.url)
-        lines = Lines()
+        lines = Lines(self.mapping.form)
         if offset:
             lines.read_header(file)
         file.seek(offset)
         while not self._ended.is_set():
-            line = file.readline(LONGEST_LINE)
-            whole = line.endswith(b"\n") or len(line) == LONGEST_LINE
+            line = next_line(file)
+            whole = is_whole(line)
             if whole or not self.follow:
                 offset += len(line)
                 content = lines.content(line)
@@ -137,7 +180,7 @@ class TailedFile(Threaded):
         return True
 
 
-def _identity(file: BinaryIO) -> str:
+def _identity(file: IO[bytes]) -> str:
     found = os.fstat(file.fileno())
     return f"{found.st_dev}.{found.st_ino}"
 
@@ -150,18 +193,19 @@ class StandardInput(Threaded):
     def __init__(
         self,
         mapping: PayloadMapping,
-        file: Iterable[str] | None = None,
+        file: IO[Any] | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         super().__init__(mapping, clock)
         self._file = file
+        self._lines = Lines(mapping.form)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        lines = Lines()
-        for line in self._file or sys.stdin:
+        file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
+        while line := next_line(file):
             if self._ended.is_set():
                 return
-            content = lines.content(line)
+            content = self._lines.content(line)
             if content is not None:
                 put(Delivery(content, self.clock()))
 
@@ -286,6 +330,11 @@ class FileForm:
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
         """The stream; None with a fault where a file to be played back has no rows."""
+        if RECEIVED in mapping.time:
+            place.fault(
+                f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
+                "state another time in its [source.mapping]"
+            )
         path = folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:
             return TailedFile(path, mapping, self.follow)
@@ -317,13 +366,11 @@ class InputForm:
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
     """(time [s], content) of a file's rows with a readable time, sorted by time."""
     found: list[tuple[float, Content]] = []
-    lines = Lines()
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for line in file:
+    lines = Lines(mapping.form)
+    with path.open("rb") as file:
+        while line := next_line(file):
             content = lines.content(line)
-            if content is None:
-                continue
-            at = mapping.stamp(content)
-            if at is not None:
+            at = None if content is None else mapping.stamp(content)
+            if content is not None and at is not None:
                 found.append((at, content))
     return sorted(found, key=lambda one: one[0])

@@ -2,7 +2,7 @@
 published retained.
 
 The broker keeps the session and repeats unacknowledged messages; the store recognises readings that it
-already has. Only alarms are ever published.
+already has. This source publishes nothing but alarms.
 """
 
 from __future__ import annotations
@@ -13,24 +13,22 @@ import queue
 import random
 import threading
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from hygrokf.data.toml_form import Place
+from hygrokf.data.structured import JsonObject
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreachable
-from hygrokf.live.sources.mqtt_link import Link, is_confirmed, paho_fault
+from hygrokf.live.sources.broker import Broker, alarm_topic, unreachable
+from hygrokf.live.sources.mqtt_link import Arrival, Link, is_confirmed
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Threaded
+from hygrokf.live.sources.payload_formats import LARGEST, Content
+from hygrokf.live.sources.stream import BACK_OFF_S, Delivery, SourceFault, SourceState, Threaded
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
 
 LOG = logging.getLogger("hygrokf.track")
-BACK_OFF_S = (1.0, 60.0)
-"""Shortest and longest pause [s] between attempts to connect; each pause is twice the one before."""
 AGAIN_S = 60.0
 """[s] after which a denied filter is requested again."""
 LINGER_S = 10.0
@@ -54,10 +52,14 @@ class Mqtt(Threaded):
     longer wanted.
     """
 
+    largest = LARGEST
+    """Largest payload [bytes]."""
+
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.broker = broker
         self.url = broker.url
+        self._place = "\n".join(broker.topics)
         self._link: Link | None = None
         self._known = False
         self._reason = ""
@@ -108,19 +110,20 @@ class Mqtt(Threaded):
     @property
     def state(self) -> SourceState:
         link = self._link
-        if link is None or self._state.word == "stopped":
+        if link is None or self._state.word in ("stopped", "lost"):
             return self._state
         found = link.state
         # while reconnecting, keep reporting the loss and its reason
         return SourceState("lost", self._reason) if found.word == "waiting" and self._reason else found
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
         pause, longest = BACK_OFF_S
         while not self._ended.is_set():
             began = time.monotonic()
-            link = self._link = Link(self.broker, former, self._ready)
+            link = self._link = Link(self.broker, former, self._ready, self.largest)
             try:
                 link.open()
                 self._hand_over(link, put)
@@ -139,7 +142,6 @@ class Mqtt(Threaded):
             # a random pause, so that trackers of one broker do not all reconnect at once
             self._ended.wait(pause * random.uniform(0.5, 1.0))
             pause = min(2.0 * pause, longest)
-        self._state = SourceState("stopped", "")
 
     def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.
@@ -147,7 +149,6 @@ class Mqtt(Threaded):
         Messages that arrived before the loss are handed over too, because the broker may have lost the
         session and with it its own copies.
         """
-        place = "\n".join(self.broker.topics)
         again = time.monotonic() + AGAIN_S
         while not self._ended.is_set():
             try:
@@ -157,10 +158,8 @@ class Mqtt(Threaded):
             else:
                 if found is None:
                     break
-                with self._lock:
-                    self._uncommitted += 1
-                receipt = MqttReceipt(link, found.identifier)
-                put(Delivery(found.payload, found.time, found.topic, place, token=receipt))
+                self._take(link, found, put)
+            self._look_after(link, put)
             if time.monotonic() > again:
                 link.ask_again()
                 again = time.monotonic() + AGAIN_S
@@ -170,6 +169,33 @@ class Mqtt(Threaded):
         ):
             if self._closing.wait(0.02):
                 break
+
+    def reader(self) -> Callable[[str, bytes, float], Sequence[Content]]:
+        """Gives the payloads of messages (topic, payload, time of arrival [s]) that another session hears."""
+        return lambda topic, payload, received: [payload]
+
+    def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
+        """Hand over what a message gives."""
+        self._put([found.payload], found.time, found.topic, MqttReceipt(link, found.identifier), put)
+
+    def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
+        """Does what is due without a message, at least every second: nothing here."""
+
+    def _put(
+        self,
+        contents: Sequence[Content],
+        received: float,
+        topic: str,
+        receipt: MqttReceipt,
+        put: Callable[[Delivery], None],
+        memories: JsonObject | None = None,
+    ) -> None:
+        """Put the deliveries of a message; its last one has its receipt and the data to keep."""
+        with self._lock:
+            self._uncommitted += len(contents)
+        for content in contents[:-1]:
+            put(Delivery(content, received, topic, self._place, token=MqttReceipt(receipt.link, None)))
+        put(Delivery(contents[-1], received, topic, self._place, memories or {}, receipt))
 
     def _open_ends(self) -> bool:
         """Whether a delivery is still unacknowledged or an alarm still unconfirmed."""
@@ -200,17 +226,3 @@ class Mqtt(Threaded):
                 self._alarms[topic] = (payload, link.publish(topic, payload))
             elif is_confirmed(info):
                 del self._alarms[topic]
-
-
-# -- from the tracker's file ---------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class MqttForm(BrokerForm):
-    """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS."""
-
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Mqtt | None:
-        """The stream, or None with faults."""
-        missing = paho_fault()
-        if missing is not None:
-            place.fault(missing)
-        broker = self.broker(folder, place)
-        return None if missing else Mqtt(broker, mapping)

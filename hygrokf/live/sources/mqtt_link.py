@@ -11,6 +11,7 @@ import importlib
 import logging
 import math
 import queue
+import ssl
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +20,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hygrokf.live.sources.broker import Broker, reason_words, tls_words
-from hygrokf.live.sources.payload import LARGEST
+from hygrokf.live.sources.payload_formats import LARGEST
 from hygrokf.live.sources.stream import SourceState
 
 if TYPE_CHECKING:
@@ -48,18 +49,21 @@ CLOSING_S = 3.0
 """[s] a closing link may still send its pending packets."""
 AT_ONCE = 65_536
 """[bytes] requested per system call."""
+RECORD = 16_384
+"""[bytes] that one TLS record carries at most; a read from a TLS socket returns one record."""
 MOST = 500
 """Packets processed before sending and keep-alive get their turn."""
 
 
 class Arrival(NamedTuple):
     """A received message, its arrival `time` [s] and its packet `identifier`, None if it needs no
-    acknowledgement (QoS 0)."""
+    acknowledgement (QoS 0); `repeated`: the broker may have sent it before."""
 
     payload: bytes
     topic: str
     time: float
     identifier: int | None
+    repeated: bool = False
 
 
 class Link:
@@ -68,10 +72,16 @@ class Link:
     Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
     tracker reads them from `arrived`, which ends with None once the link is lost.  `dropped`: filters of
     former runs from which the session is unsubscribed; `ready` is called when the broker has accepted the
-    connection.
+    connection; `largest`: payload [bytes] from which the rest is cut off.
     """
 
-    def __init__(self, broker: Broker, dropped: Sequence[str], ready: Callable[[Link], None]) -> None:
+    def __init__(
+        self,
+        broker: Broker,
+        dropped: Sequence[str],
+        ready: Callable[[Link], None],
+        largest: int = LARGEST,
+    ) -> None:
         self.broker = broker
         self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
         self.lost = threading.Event()
@@ -81,6 +91,7 @@ class Link:
         self.overrun = 0
         self._dropped = tuple(dropped)
         self._ready = ready
+        self._largest = largest
         self._asked: tuple[str, ...] = broker.topics
         self._granted = False
         self._denied: dict[str, str] = {}
@@ -147,6 +158,10 @@ class Link:
     def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
         """Publish a retained message; see `is_confirmed`.  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
+
+    def request(self, topic: str, payload: bytes) -> None:
+        """Publish a message at QoS 0 that is not retained.  Callable from any thread."""
+        self.client.publish(topic, payload)
 
     @property
     def answered(self) -> bool:
@@ -281,7 +296,8 @@ class Link:
         else:
             self._heard = True
             # an oversized payload keeps one byte too many, so that it is refused and counted with the others
-            self.arrived.put(Arrival(bytes(message.payload[: LARGEST + 1]), topic, time.time(), identifier))
+            payload = bytes(message.payload[: self._largest + 1])
+            self.arrived.put(Arrival(payload, topic, time.time(), identifier, message.dup))
 
     def _on_publish(
         self,
@@ -376,9 +392,26 @@ def piecewise_client() -> type[Any]:
 
         def _sock_recv(self, bufsize: int) -> bytes:
             if self._place == len(self._held):
-                self._held, self._place = super()._sock_recv(max(bufsize, AT_ONCE)), 0
+                read = self._records if isinstance(self._sock, ssl.SSLSocket) else super()._sock_recv
+                self._held, self._place = read(max(bufsize, AT_ONCE)), 0
             found = self._held[self._place : self._place + bufsize]
             self._place += len(found)
             return found
+
+        def _records(self, wanted: int) -> bytes:
+            """Read TLS records until they amount to `wanted` bytes or none is left.
+
+            A broker often sends each packet in a record of its own, so that a single read would yield a
+            single packet per turn of the network thread.
+            """
+            found = [super()._sock_recv(RECORD)]
+            size = len(found[0])
+            while found[-1] and size < wanted:
+                try:
+                    found.append(super()._sock_recv(RECORD))
+                except OSError:
+                    break  # no record is left; the next read meets a lost connection again
+                size += len(found[-1])
+            return b"".join(found)
 
     return PiecewiseClient

@@ -19,7 +19,8 @@ from dataclasses import replace
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.live.sources.opcua_client import Connection, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
-from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, PayloadMapping
+from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Threaded, several
 
 LOG = logging.getLogger("hygrokf.track")
@@ -67,6 +68,7 @@ class OpcUa(Threaded):
         self._refused: dict[Node, str] = {}
         self._bad: dict[Node, str] = {}
         self._unread: dict[Node, str] = {}
+        self._without_history: dict[Node, str] = {}
         self._overflows = {"in the server": 0, "here": 0}
         self._reading = self._changes_only = False
 
@@ -149,7 +151,7 @@ class OpcUa(Threaded):
 
     async def _serve(self, connection: Connection) -> None:
         """Deliver the samples of one connection until it is lost or the stream is stopped."""
-        self._refused, self._unread, self._bad = {}, {}, {}
+        self._refused, self._unread, self._bad, self._without_history = {}, {}, {}, {}
         self._owed = set()
         await self._begin(connection, self.nodes)
         again = time.monotonic() + AGAIN_S
@@ -186,6 +188,7 @@ class OpcUa(Threaded):
             samples += came
             for one in came:
                 first.setdefault(one.node, one.time)
+        self._without_history |= await connection.without_history(tuple(awaited))
         await self._read_back(connection, {node: first.get(node) for node in awaited})
         await self._hand_over(samples)
 
@@ -219,21 +222,28 @@ class OpcUa(Threaded):
         until_s = time.time() + AHEAD_S if until_s is None else until_s
         if self._ended.is_set():
             return
+        came = False
         try:
             if since_s < until_s:
                 async for sample in connection.history(node, since_s, until_s):
+                    came = True
                     yield sample
-            self._unread.pop(node, None)
+            if not came and node in self._without_history:  # the server answers, but keeps nothing
+                self._note_unread(node, self._without_history[node], final=True)
+            else:
+                self._unread.pop(node, None)
             self._owed.discard(node)
         except HistoryFault as fault:
-            if node not in self._unread:
-                LOG.warning(
-                    "no history",
-                    extra={"source": self.url, "node": node.id, "fault": str(fault), "final": fault.final},
-                )
-            self._unread[node] = str(fault)
+            self._note_unread(node, str(fault), fault.final)
             if fault.final:
                 self._owed.discard(node)
+
+    def _note_unread(self, node: Node, words: str, final: bool) -> None:
+        """Note that a node's history cannot be read, and log it the first time."""
+        if node not in self._unread:
+            said = {"source": self.url, "node": node.id, "fault": words, "final": final}
+            LOG.warning("no history", extra=said)
+        self._unread[node] = words
 
     # -- deliveries ------------------------------------------------------------------------------------------
     async def _hand_over(self, samples: Sequence[Sample], from_history: bool = False) -> None:

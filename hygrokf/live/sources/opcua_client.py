@@ -324,6 +324,35 @@ class Connection:
         return [sample_of(*one) for one in held]
 
     # -- history ---------------------------------------------------------------------------------------------
+    async def without_history(self, nodes: Sequence[Node]) -> dict[Node, str]:
+        """Subscribed nodes whose access level excludes reading their history, with the reason.
+
+        A server that keeps no history may still answer a request for it, with nothing.  Nodes whose access
+        level the server does not tell are left out.  Raises ConnectionFault.
+        """
+        ua, found = self._ua, dict[Node, str]()
+        kinds = {
+            "AccessLevel": "the node's AccessLevel has no HistoryRead: the server keeps no history of it",
+            "UserAccessLevel": "this user's access level has no HistoryRead",
+        }
+        try:
+            for name, words in kinds.items():
+                asked = [node for node in nodes if node in self._ids and node not in found]
+                for start in range(0, len(asked), AT_ONCE):
+                    part = asked[start : start + AT_ONCE]
+                    levels = await self._open_client.uaclient.read_attributes(
+                        [self._ids[node] for node in part], ua.AttributeIds[name]
+                    )
+                    for node, level in zip(part, levels, strict=True):
+                        value = level.Value.Value if level.Value is not None else None
+                        if isinstance(value, int) and not value & (1 << ua.AccessLevel.HistoryRead):
+                            found[node] = words
+        except ua.UaStatusCodeError:  # this server refuses to tell
+            return found
+        except Exception as fault:
+            raise ConnectionFault(words_of(fault)) from None
+        return found
+
     async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
         """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
         ConnectionFault."""

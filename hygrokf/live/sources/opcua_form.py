@@ -6,7 +6,7 @@ Certificates and keys are read once, together with the tracker's file, which nev
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 from urllib.parse import urlsplit
@@ -134,16 +134,8 @@ class OpcUaForm(SecurityForm, ServerForm):
         except ConnectionFault as fault:
             place.fault(str(fault))
         nodes = [Node(id, one.turbine, one.field) for id, one in self.nodes.items()]
-        own = replace(
-            mapping,
-            turbine="turbine",
-            time="time",
-            quality="quality",
-            tag="",
-            value="",
-            good=("good", "uncertain") if self.uncertain else ("good",),
-            turbines={one.turbine: one.turbine for one in nodes},
-        )
+        good = ("good", "uncertain") if self.uncertain else ("good",)
+        own = mapping.of_own_payloads(good, {one.turbine: one.turbine for one in nodes})
         rates = Rates(self.sampling_s, self.publishing_s, self.queue)
         return OpcUa(url, nodes, own, rates, self.look_back_s, security, user)
 

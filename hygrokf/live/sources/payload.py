@@ -1,117 +1,101 @@
 """Converts payloads to readings: names, units, times, quality.  Impossible values are counted, never
 corrected.
 
-A payload is one JSON object or a row of a table.  A `PayloadMapping` states which of its fields hold
-turbine, time and values:
+A payload has one or more records (`payload_formats`).  A `PayloadMapping` states where in them turbine, time
+and values stand (`payload_paths`), and how these are written (`payload_values`):
 
     {"turbine": "T07", "time": "2026-03-01T12:10:00Z", "quality": "good", "Tcab": 31.2, "RHcab": 41.0}
 
-or, with `tag` and `value`, one reading per payload: {"turbine": "T07", "time": …, "tag": "Tcab", "value":
-31.2}.
+or, with `tag` and `value`, one reading per record:
+
+    {"time": …, "values": [{"tag": "T07.Tcab", "value": 31.2}, …]}
 """
 
 from __future__ import annotations
 
-import json
-import math
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from typing import NamedTuple
 
-import numpy as np
-
-from hygrokf.data.signals import signal_named, to_si
-from hygrokf.data.structured import Json, JsonObject
+from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.plan import Form
+from hygrokf.live.sources.payload_fields import Conversion, Field
+from hygrokf.live.sources.payload_formats import JSON, Content, Record, Refused, Scopes, records
+from hygrokf.live.sources.payload_paths import (
+    LONGEST,
+    NAME,
+    RECEIVED,
+    Reader,
+    Tag,
+    alternatives,
+    at,
+    has,
+    reader,
+    tag_reader,
+)
+from hygrokf.live.sources.payload_values import (
+    STATED_OFFSETS,
+    Clock,
+    measured,
+    number,
+    quoted,
+    seconds,
+)
 from hygrokf.live.tracker import Reading
 
-Payload = Mapping[str, Json]
-"""A parsed payload: names with plain values."""
-LARGEST = 65_536
-"""Largest payload [bytes]."""
-DEEPEST = 6
-"""Largest nesting depth of a payload."""
-LONGEST = 200
-"""Longest name or time [characters]."""
 EARLIEST_S = 631_152_000.0
 """1990 [s since 1970]: earlier stamps are not times of a turbine."""
-AHEAD_S = 900.0
-"""[s] a stamp may be ahead of this machine's clock; readings that are further ahead are held back."""
 LATEST_S = 4_102_444_800.0
 """2100 [s since 1970]: later stamps are not times of a turbine."""
 FORECAST_S = 20 * DAY_S
 """[s] a weather forecast's stamp may be ahead of this machine's clock."""
 EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
+NOBODY = ""
+"""Turbine name of what is rejected before its turbine is known."""
 GOOD = ("good", "ok", "valid", "true", "0", "192")
 """Default quality marks of a good reading; 192 is OPC's."""
 
 
-class Refused(Exception):
-    """A payload that is not used; `kind` is the name under which it is counted."""
+class Rejection(NamedTuple):
+    """Something in a payload that is not used: the `kind` under which it is counted, and why."""
 
-    def __init__(self, kind: str, words: str) -> None:
-        super().__init__(words)
-        self.kind = kind
-
-
-@dataclass(frozen=True)
-class Field:
-    """A value in a payload: its signal, its unit, the form of its readings, and what its stamp marks.
-
-    `stamp`: "instant", or "start", "middle" or "end" of the averaging interval.
-    """
-
-    signal: str
-    unit: str
-    form: Form = field(default_factory=Form)
-    stamp: str = "instant"
-
-    @property
-    def scale(self) -> tuple[float, float]:
-        """(factor, offset) of the conversion to the SI unit."""
-        zero, one = to_si(np.array([0.0, 1.0]), self.unit, self.signal).tolist()
-        return one - zero, zero
-
-    @property
-    def shift_s(self) -> float:
-        """[s] from the stamp to the end of the interval."""
-        return {"start": 1.0, "middle": 0.5}.get(self.stamp, 0.0) * self.form.interval_s
-
-
-class Conversion(NamedTuple):
-    """Converts a field to a reading: value = factor * number + offset [SI unit], valid within `low` … `high`.
-
-    `shift_s` [s] is added to the stamp.
-    """
-
-    signal: str
-    factor: float
-    offset: float
-    shift_s: float
-    low: float
-    high: float
+    kind: str
+    words: str
 
 
 class TurbineReadings(NamedTuple):
-    """Readings of one turbine from a payload, and counts of its rejected values by kind."""
+    """What a payload says of one turbine (`NOBODY`: of none that is known)."""
 
     turbine: str
-    readings: tuple[Reading, ...]
-    counts: Counter[str]
+    readings: list[Reading]
+    rejections: list[Rejection]
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Number of rejections by kind."""
+        return Counter(one.kind for one in self.rejections)
+
+
+class Found(dict[str, TurbineReadings]):
+    """What a payload says, by turbine."""
+
+    def __missing__(self, turbine: str) -> TurbineReadings:
+        made = self[turbine] = TurbineReadings(turbine, [], [])
+        return made
 
 
 @dataclass(frozen=True)
 class PayloadMapping:
     """Describes the layout of payloads.
 
-    `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: names of fields ("a.b" descends one
-    level, "{1}" is the second level of the topic); `good`: accepted quality marks; `turbines`: name in the
-    payload → turbine.  If `turbine` is "", all payloads belong to the only turbine.  With `weather` the
-    payloads are weather forecasts, which apply to all turbines unless they name one.
+    `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: where these stand (`payload_paths`);
+    `good`: accepted quality marks; `turbines`: name in the payload → turbine.  If `turbine` is "", all
+    payloads belong to the only turbine.  With `weather` the payloads are weather forecasts, which apply to
+    all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
+    records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
+    `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields.
     """
 
     fields: Mapping[str, Field]
@@ -123,231 +107,273 @@ class PayloadMapping:
     good: Collection[str] = GOOD
     turbines: Mapping[str, str] = field(default_factory=dict)
     weather: bool = False
-    conversions: Mapping[str, Conversion] = field(init=False, repr=False, compare=False)
-    """Name of a field → its conversion, derived from `fields`."""
+    form: str = JSON
+    records: str = ""
+    tag_pattern: str = ""
+    clock: Clock = STATED_OFFSETS
+    comma: bool = False
+    names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    layout: Layout = field(init=False, repr=False, compare=False)
+    """The same, prepared for reading."""
 
     def __post_init__(self) -> None:
-        rows = {}
-        for name, one in self.fields.items():
-            factor, offset = one.scale
-            row = signal_named(one.signal)
-            slack = 1e-9 * (row.high - row.low)
-            rows[name] = Conversion(
-                one.signal, factor, offset, one.shift_s, row.low - slack, row.high + slack
-            )
-        object.__setattr__(self, "conversions", rows)
+        object.__setattr__(self, "layout", _layout(self))
 
-    def read(self, content: bytes | str | Payload, received: float, topic: str = "") -> TurbineReadings:
-        """The readings of a payload received at a time [s].  Raises Refused if none of it can be used.
+    def of_own_payloads(self, good: Collection[str], turbines: Mapping[str, str]) -> PayloadMapping:
+        """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
+        `quality`, and the fields by their common names."""
+        return PayloadMapping(
+            self.fields, quality="quality", good=good, turbines=turbines, weather=self.weather
+        )
 
+    @property
+    def needs_topic(self) -> bool:
+        """Whether a level of the topic is read."""
+        return any("{" in text.replace(NAME, "") for text in (self.turbine, self.quality, self.tag)) or any(
+            one.startswith("{") and one not in (NAME, RECEIVED) for one in alternatives(self.time)
+        )
+
+    def read(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
+        """The readings of a payload received at a time [s], by turbine.
+
+        Raises Refused if the payload cannot be read, or if it has one record and none of that can be used.
         Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
         ahead of the arrival by more than `FORECAST_S`.
         """
-        payload = parse_payload(content)
-        turbine = self._turbine(payload, topic)
-        stamp = _value_at(payload, self.time, topic)
-        time = seconds(stamp)
-        if time is None:
-            raise Refused(
-                "no time",
-                f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_quoted(stamp)}",
-            )
-        if not EARLIEST_S <= time <= (received + FORECAST_S if self.weather else LATEST_S):
-            raise Refused(
-                "impossible time", f"time {_quoted(stamp)} is before 1990, after 2100, or too far ahead"
-            )
-        if self.quality:
-            mark = _value_at(payload, self.quality, topic)
-            if mark is not None and str(mark).strip().lower() not in self.good:
-                return TurbineReadings(turbine, (), Counter({"bad quality": 1}))
-        counts: Counter[str] = Counter()
-        readings = []
-        for name, raw in self._values(payload, topic, counts):
+        found, fault = Found(), None
+        for record in records(content, self.form, self.layout.steps, topic, received):
+            try:
+                self._read_record(record, found)
+            except Refused as refusal:
+                fault = refusal
+                found[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
+        if fault is not None and len(found) == 1:
+            ((_, readings, rejections),) = found.values()
+            if not readings and len(rejections) == 1:
+                raise fault
+        return list(found.values())
+
+    def stamp(self, content: Content) -> float | None:
+        """The first time [s] that a payload states; None if it states none that can be read."""
+        try:
+            for record in records(content, self.form, self.layout.steps):
+                found = seconds(self.layout.time(record), self.clock) if record.scopes else None
+                if found is not None:
+                    return found
+        except Refused:
+            pass
+        return None
+
+    # -- one record ------------------------------------------------------------------------------------------
+    def _read_record(self, record: Record, found: Found) -> None:
+        """Add what a record says to what is found.  Raises Refused if none of it can be used."""
+        if not record.scopes:
+            raise Refused("malformed", "expected an object as a record, found something else")
+        if self.tag:
+            self._read_tag(record, found)
+        elif self.layout.split is not None:
+            self._read_names(record, self.layout.split, found)
+        else:
+            self._read_fields(record, found)
+
+    def _read_fields(self, record: Record, found: Found) -> None:
+        """Read every field that a record of one turbine has."""
+        layout = self.layout
+        turbine = self._turbine(layout.turbine(record))
+        time, own = 0.0 if layout.own_time else self._time(record), layout.own
+        of = found[turbine]
+        _, readings, rejections = of
+        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
+            rejections.append(Rejection("bad quality", f"quality {quoted(mark)}"))
+            return
+        before = len(readings) + len(rejections)
+        scopes, table = record.scopes, layout.table(turbine)
+        for name, conversion in table.items():
+            raw = at(scopes, name)
             if raw is None or raw == "":
                 continue
-            signal, factor, offset, shift, low, high = self.conversions[name]
-            number = _number(raw)
-            if number is None:
-                counts["no number"] += 1
-                continue
-            value = factor * number + offset
-            if not low <= value <= high:
-                counts["impossible value"] += 1
-                continue
-            readings.append(Reading(signal, time + shift, value))
-        return TurbineReadings(turbine, tuple(readings), counts)
+            of_value = self._own_time(record, name, time, rejections) if own else time
+            if of_value is not None:
+                self._convert(name, raw, conversion, of_value, of)
+        if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
+            rejections.append(Rejection("no known field", f"no field is among {_names(scopes)}"))
 
-    def stamp(self, content: bytes | str | Payload) -> float | None:
-        """The time [s] stated by a payload; None if it has no readable time."""
-        try:
-            return seconds(_value_at(parse_payload(content), self.time, ""))
-        except Refused:
-            return None
+    def _read_names(self, record: Record, split: Callable[[str], Tag | None], found: Found) -> None:
+        """Read every value of a record whose names say field and perhaps turbine."""
+        layout = self.layout
+        spoken, own = layout.turbine(record), layout.own
+        time = 0.0 if layout.own_time else self._time(record)
+        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
+            raise Refused("bad quality", f"quality {quoted(mark)}")
+        seen = False
+        for name, raw in record.scopes[0].items():
+            tag = split(name)
+            if tag is None or not tag.known:
+                continue
+            turbine = self._turbine(spoken if tag.turbine is None else tag.turbine)
+            conversion = layout.table(turbine).get(tag.field)
+            if conversion is None:
+                continue
+            seen = True
+            if raw is None or raw == "":
+                continue
+            of = found[turbine]
+            of_value = self._own_time(record, name, time, of.rejections) if own else time
+            if of_value is not None:
+                self._convert(name, raw, conversion, of_value, of)
+        if not seen:
+            said = f"no field like {self.tag_pattern} is among {_names(record.scopes)}"
+            raise Refused("no known field", said)
 
-    def _turbine(self, payload: Payload, topic: str) -> str:
-        name = _value_at(payload, self.turbine, topic) if self.turbine else None
+    def _read_tag(self, record: Record, found: Found) -> None:
+        """Read the only value of a record, whose field a tag names."""
+        layout = self.layout
+        # tag and value belong together: those of the objects around it are not this record's
+        inner = record if len(record.scopes) == 1 else record._replace(scopes=record.scopes[:1])
+        stated, spoken = layout.tag(inner), layout.turbine(record)
+        name = str(stated)[: LONGEST + 1]
+        if layout.split is not None:
+            tag = layout.split(name)
+            if tag is None:
+                raise Refused("unknown tag", f"tag {quoted(stated)} is not like {self.tag_pattern}")
+            name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
+        turbine = self._turbine(spoken)
+        time, of = self._time(record), found[turbine]
+        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
+            of.rejections.append(Rejection("bad quality", f"{quoted(stated)}: quality {quoted(mark)}"))
+            return
+        conversion = layout.table(turbine).get(name)
+        if conversion is None:
+            of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
+            return
+        raw = layout.value(inner)
+        if raw is not None and raw != "":
+            self._convert(name, raw, conversion, time, of)
+        elif raw is None and not has(inner.scopes, self.value):
+            said = f"no {self.value} is among {_names(record.scopes)}"
+            of.rejections.append(Rejection("no known field", said))
+
+    # -- parts of a record -----------------------------------------------------------------------------------
+    def _convert(
+        self, name: str, raw: Json, conversion: Conversion, time: float, of: TurbineReadings
+    ) -> None:
+        """Add the reading of a value, or why it is none."""
+        found = number(raw, self.comma)
+        if found is None:
+            try:
+                found = measured(raw, conversion.unit, conversion.is_flag, self.comma)
+            except Refused as refusal:
+                of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
+                return
+        signal, factor, offset, shift_s, low, high, _, _ = conversion
+        value = factor * found + offset
+        if low <= value <= high:
+            of.readings.append(Reading(signal, time + shift_s, value))
+        else:
+            said = f"{name}: {quoted(raw)} is outside the range of {signal}"
+            of.rejections.append(Rejection("impossible value", said))
+
+    def _turbine(self, name: Json) -> str:
         if name is None and self.weather:
             return EVERYONE
-        if not self.turbine and len(set(self.turbines.values())) == 1:
-            return next(iter(self.turbines.values()))
-        turbine = self.turbines.get(str(name)[:LONGEST]) if name is not None else None
+        if not self.turbine and self.layout.only is not None:
+            return self.layout.only
+        turbine = self.turbines.get(str(name)[: LONGEST + 1]) if name is not None else None
         if turbine is None:
-            raise Refused("unknown turbine", f"turbine {_quoted(name)} is not tracked")
+            raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
-    def _values(self, payload: Payload, topic: str, counts: Counter[str]) -> list[tuple[str, Json]]:
-        """(field, value) of every field, or of the only one that a payload with a tag holds."""
-        if not self.tag:
-            return [(name, _value_at(payload, name, topic)) for name in self.conversions]
-        tag = str(_value_at(payload, self.tag, topic))
-        if tag in self.conversions:
-            return [(tag, _value_at(payload, self.value, topic))]
-        counts["unknown tag"] += 1
-        return []
+    def _time(self, record: Record) -> float:
+        stamp = self.layout.time(record)
+        if stamp is None and self.layout.on_receipt:
+            return record.received
+        time = seconds(stamp, self.clock, record.received)
+        if time is None:
+            raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
+        if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
+            raise Refused(
+                "impossible time", f"time {quoted(stamp)} is before 1990 or ahead of this machine's clock"
+            )
+        return time
 
-
-def parse_payload(text: bytes | str | Payload) -> Payload:
-    """A payload that may still be text: a JSON object of limited size and depth.  Raises Refused."""
-    if isinstance(text, Mapping):
-        return text
-    if len(text) > LARGEST:
-        raise Refused("too large", f"a payload of {len(text)} bytes; at most {LARGEST} are read")
-    if isinstance(text, str):
-        text = text.encode("utf-8", "replace")
-    if _depth(text) > DEEPEST:
-        raise Refused("too deep", f"a payload nested deeper than {DEEPEST} levels")
-    try:
-        found = _DECODER.decode(text.decode(json.detect_encoding(text)))
-    except (ValueError, RecursionError) as fault:
-        raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
-    if not isinstance(found, dict):
-        raise Refused("malformed", f"expected a JSON object, found {type(found).__name__}")
-    return found
-
-
-def _object(pairs: list[tuple[str, Json]]) -> JsonObject:
-    """A JSON object with unique keys; a repeated key is an error, because its value is ambiguous."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("a key occurs twice")
-    return found
-
-
-_DECODER = json.JSONDecoder(object_pairs_hook=_object)
-
-
-def _depth(text: bytes) -> int:
-    """Largest number of simultaneously open brackets; brackets within strings count too, which is
-    harmless."""
-    deepest = level = 0
-    if text.count(b"{") + text.count(b"[") <= DEEPEST:
-        return 0  # most payloads are flat
-    for byte in text:
-        if byte in b"{[":
-            level += 1
-            deepest = max(deepest, level)
-            if deepest > DEEPEST:
-                break
-        elif byte in b"}]":
-            level -= 1
-    return deepest
-
-
-def _value_at(content: Payload, path: str, topic: str) -> Json:
-    """The value at a path of names or at a level of the topic; None if there is none."""
-    if path.startswith("{") and path.endswith("}"):
-        levels = topic.split("/")
-        place = int(path[1:-1])
-        return levels[place] if 0 <= place < len(levels) else None
-    if path in content or "." not in path:
-        return content.get(path)
-    value: Json = content
-    for name in path.split("."):
-        if not isinstance(value, Mapping) or name not in value:
-            return None
-        value = value[name]
-    return value
-
-
-def _number(raw: Json) -> float | None:
-    """A finite number, which may be written as text; None for anything else, including booleans."""
-    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
-        return None
-    if isinstance(raw, str) and len(raw) > LONGEST:
-        return None
-    try:
-        number = float(raw)
-    except (ValueError, OverflowError):
-        return None
-    return number if math.isfinite(number) else None
-
-
-def seconds(stamp: Json) -> float | None:
-    """Seconds since 1970 of a stamp in ISO 8601 with an offset, in seconds or in milliseconds; None for
-    anything else."""
-    if isinstance(stamp, str) and len(stamp) <= LONGEST and _number(stamp) is None:
+    def _own_time(self, record: Record, name: str, time: float, rejections: list[Rejection]) -> float | None:
+        """The time of one value, the common one or its own; None if its own time or quality is refused."""
+        own = record._replace(name=name)
         try:
-            at = datetime.fromisoformat(stamp.strip())
-            return at.astimezone(UTC).timestamp() if at.tzinfo is not None else None
-        except (ValueError, OverflowError):
+            time = self._time(own) if self.layout.own_time else time
+        except Refused as refusal:
+            rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return None
-    number = _number(stamp)
-    if number is None:
-        return None
-    return number / 1e3 if number > 1e11 else number
+        quality = self.layout.own_quality
+        if quality is not None and not self._is_good(mark := quality(own)):
+            rejections.append(Rejection("bad quality", f"{name}: quality {quoted(mark)}"))
+            return None
+        return time
+
+    def _is_good(self, mark: Json) -> bool:
+        return mark is None or str(mark).strip().lower() in self.good
 
 
-def _quoted(value: Json) -> str:
-    """An external value for a message: shortened and quoted."""
-    return repr(str(value)[:40])
+def _names(scopes: Scopes) -> str:
+    """The first names of a record for a message."""
+    return ", ".join(quoted(name) for name in list(scopes[0])[:3]) or "nothing"
 
 
-# -- statistics ----------------------------------------------------------------------------------------------
-class PayloadStatistics:
-    """Counts payloads that are read by a mapping.
+# -- prepared for reading ------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Layout:
+    """A mapping prepared for reading: readers of its paths, and conversions by turbine.
 
-    `payloads`: number received; `used`: number that gave readings; `newest`: (turbine, signal) -> time [s] of
-    the newest reading; `counts`: rejected items by kind, with one example of each in `reasons`; `lag_s`:
-    smallest delay [s] from stamp to arrival, negative if the stamp is ahead, NaN without payloads.
+    `steps`: of the path to the records; `on_receipt`: whether the time of arrival stands in for a missing
+    one; `quality`: of all values of a record, `own_quality`: of each; `own_time`: whether each has its own
+    time; `own`: one of the two; `split`: reads tags by their pattern; `only`: the only turbine.
     """
 
-    def __init__(self, mapping: PayloadMapping) -> None:
-        self.mapping = mapping
-        self.payloads = self.used = 0
-        self.newest: dict[tuple[str, str], float] = {}
-        self.counts: Counter[str] = Counter()
-        self.reasons: dict[str, str] = {}
-        self.lag_s = math.nan
+    steps: tuple[str, ...]
+    turbine: Reader
+    time: Reader
+    quality: Reader | None
+    tag: Reader
+    value: Reader
+    on_receipt: bool
+    own_time: bool
+    own_quality: Reader | None
+    own: bool
+    split: Callable[[str], Tag | None] | None
+    only: str | None
+    conversions: Mapping[str, Conversion]
+    of_turbines: Mapping[str, Mapping[str, Conversion]]
 
-    def take(self, content: bytes | str | Payload, received: float, topic: str = "") -> None:
-        """Count a payload received at a time [s]."""
-        self.payloads += 1
-        try:
-            found = self.mapping.read(content, received, topic)
-        except Refused as fault:
-            self.counts[fault.kind] += 1
-            self.reasons.setdefault(fault.kind, str(fault))
-            stamp = self.mapping.stamp(content) if fault.kind == "impossible time" else None
-            self._note(stamp, received)
-            return
-        self.counts += found.counts
-        self.used += bool(found.readings)
-        for one in found.readings:
-            key = (found.turbine, one.signal)
-            self.newest[key] = max(one.time, self.newest.get(key, -math.inf))
-            self._note(one.time, received)
-        if not found.readings and not found.counts:
-            self.counts["no known field"] += 1
+    def table(self, turbine: str) -> Mapping[str, Conversion]:
+        """Name in the payloads of a turbine → conversion."""
+        return self.of_turbines.get(turbine, self.conversions)
 
-    def _note(self, time: float | None, received: float) -> None:
-        if time is not None:
-            self.lag_s = min(received - time, self.lag_s) if self.lag_s == self.lag_s else received - time
 
-    @property
-    def rejected(self) -> str:
-        """Text about the rejected items; empty if there are none."""
-        said = (f"{n} {kind}" + self._example(kind) for kind, n in self.counts.most_common())
-        return ", ".join(said)
-
-    def _example(self, kind: str) -> str:
-        return f" ({self.reasons[kind]})" if kind in self.reasons else ""
+def _layout(mapping: PayloadMapping) -> Layout:
+    conversions = {name: one.conversion for name, one in mapping.fields.items()}
+    of_turbines = {}
+    for turbine, own in mapping.names.items():
+        kept = {name: one for name, one in conversions.items() if name not in own.values()}
+        renamed = {name: conversions[common] for name, common in own.items() if common in conversions}
+        of_turbines[turbine] = kept | renamed
+    turbines = set(mapping.turbines.values())
+    known = {name for table in (conversions, *of_turbines.values()) for name in table}
+    pattern = mapping.tag_pattern
+    own_time, own_quality = (NAME in path and not mapping.tag for path in (mapping.time, mapping.quality))
+    quality = reader(mapping.quality) if mapping.quality else None
+    return Layout(
+        steps=tuple(mapping.records.split(".")) if mapping.records else (),
+        turbine=reader(mapping.turbine),
+        time=reader(mapping.time),
+        quality=None if own_quality else quality,
+        tag=reader(mapping.tag),
+        value=reader(mapping.value),
+        on_receipt=RECEIVED in alternatives(mapping.time),
+        own_time=own_time,
+        own_quality=quality if own_quality else None,
+        own=own_time or own_quality,
+        split=tag_reader(pattern, mapping.turbines, known) if pattern else None,
+        only=next(iter(turbines)) if len(turbines) == 1 else None,
+        conversions=conversions,
+        of_turbines=of_turbines,
+    )

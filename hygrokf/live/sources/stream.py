@@ -6,6 +6,8 @@ store has committed.
 
 from __future__ import annotations
 
+import logging
+import random
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -15,12 +17,16 @@ from typing import NamedTuple, Protocol
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.payload import Payload, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Content
 
+LOG = logging.getLogger("hygrokf.track")
 WEATHER_HELP = "whether it brings weather forecasts, not readings"
 """Help of the key `weather`, which every source has."""
 PAUSE_S = 0.2
 """[s] between two looks at a source that has nothing new."""
+BACK_OFF_S = (1.0, 60.0)
+"""Shortest and longest pause [s] between attempts to read a source; each pause is twice the one before."""
 NAMED = 5
 """Names of a list that are shown; further names are only counted."""
 
@@ -41,7 +47,7 @@ class Delivery:
     acknowledge.
     """
 
-    content: bytes | str | Payload
+    content: Content
     received: float
     topic: str = ""
     place: str = ""
@@ -70,7 +76,8 @@ class Stream(Protocol):
     `place` (None: from the beginning, or from the position that the source itself keeps); `end_when_read`
     lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
     source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
-    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver.
+    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver; `left`
+    says of turbines that their sender has left (turbine -> text).
     """
 
     url: str
@@ -96,10 +103,16 @@ class Stream(Protocol):
 
     def signals(self, turbine: str) -> set[str]: ...
 
+    def left(self) -> dict[str, str]: ...
+
 
 class Threaded:
     """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set, and
-    this machine's `clock` [s]."""
+    this machine's `clock` [s].
+
+    Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
+    from the place of the last delivery.
+    """
 
     url = ""
     played_back = False
@@ -116,15 +129,34 @@ class Threaded:
         self._thread.start()
 
     def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        try:
-            self._state = SourceState("connected", self.url)
-            self._deliver(place, put)
-            ended = SourceState("ended", "read to its end")
-            self._state = SourceState("stopped", "") if self._ended.is_set() else ended
-        except SourceFault as fault:
-            self._state = SourceState("lost", str(fault))
-        except OSError as fault:
-            self._state = SourceState("lost", f"{self.url}: {fault.strerror or fault}")
+        pause, longest = BACK_OFF_S
+        reached, reason = place, ""
+
+        def reach(one: Delivery) -> None:
+            nonlocal reached, pause
+            put(one)
+            reached, pause = one.place or reached, BACK_OFF_S[0]
+            if self._state.word == "lost":
+                self._state = SourceState("connected", self.url)
+
+        self._state = SourceState("connected", self.url)
+        while not self._ended.is_set():
+            try:
+                self._deliver(reached, reach)
+                ended = SourceState("ended", "read to its end")
+                self._state = SourceState("stopped", "") if self._ended.is_set() else ended
+                break
+            except Exception as fault:  # of any kind: a source must never end without a word
+                words = _reason(fault, self.url)
+                self._state = SourceState("lost", words)
+                if words != reason:  # log once, not at every attempt
+                    foreseen = isinstance(fault, SourceFault | OSError)
+                    said = {"source": self.url, "reason": words}
+                    LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
+                reason = words
+            # a random pause, so that several sources do not come back all at once
+            self._ended.wait(pause * random.uniform(0.5, 1.0))
+            pause = min(2.0 * pause, longest)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError
@@ -154,11 +186,24 @@ class Threaded:
     def state(self) -> SourceState:
         return self._state
 
+    def left(self) -> dict[str, str]:
+        """Turbine -> text about its sender that has left: none, because these senders do not say so."""
+        return {}
+
     def signals(self, turbine: str) -> set[str]:
         """Signals of a turbine that this source can deliver as readings."""
         if self.mapping.weather or turbine not in self.mapping.turbines.values():
             return set()
         return {field.signal for field in self.mapping.fields.values()}
+
+
+def _reason(fault: Exception, url: str) -> str:
+    """Why a source is lost."""
+    if isinstance(fault, SourceFault):
+        return str(fault)
+    if isinstance(fault, OSError):
+        return f"{url}: {fault.strerror or fault}"
+    return f"{url}: unforeseen fault, {type(fault).__name__}: {fault}; please report it with the log"
 
 
 def several(names: Iterable[str]) -> str:

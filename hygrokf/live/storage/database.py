@@ -8,19 +8,28 @@ be.
 from __future__ import annotations
 
 import os
+import re
 import socket
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from typing import Any, Protocol, TypeAlias
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.storage.schema import VERSION, created_views, dropped_views, migration
+from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, created_views, dropped_views, migration
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
+REPLACED = (
+    "it was replaced while the tracker ran; the tracker goes on with the store that is there now. Restart "
+    "the tracker, so that its sources go on from the places of that store"
+)
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
+
+_COMPARED = re.compile(r"(\b(?:time|received)\s*[<>=]+\s*)\?")
+"""A parameter that is compared with a column of `schema.TIMESTAMPS`."""
 
 SqlValue: TypeAlias = str | float | None
 Row = tuple[Any, ...]
@@ -70,19 +79,22 @@ class StoreUnready(StoreFault):
         self.version = version
 
 
+class StoreReplaced(StoreFault):
+    """The store is another one than the one that was opened: a copy was put in its place."""
+
+
 class Database:
     """One connection in autocommit mode: a statement takes effect at once unless it is part of a
     `transaction`.
 
     `connection` follows PEP 249.  `mark`: its parameter placeholder; `begin`: the statement that opens a
-    writing transaction; `errors`: base class of the driver's exceptions; `words`: its SQL dialect (see
-    `schema`).
+    writing transaction; `errors`: base class of the driver's exceptions; `dialect`: its SQL (see `schema`).
     """
 
     mark = "?"
     begin = "BEGIN"
     errors: type[Exception] = Exception
-    words: Mapping[str, str]
+    dialect: Dialect = SQLITE
 
     def __init__(self, connection: Connection, url: str) -> None:
         self.connection = connection
@@ -121,19 +133,31 @@ class Database:
         """Whether this user may write into the store."""
         raise NotImplementedError
 
+    def is_replaced(self) -> bool:
+        """Whether the store's place holds another store than the one that was opened."""
+        return False
+
     def size(self) -> int:
         """Size of the store [bytes]."""
         raise NotImplementedError
 
+    def cursor(self) -> Cursor:
+        """A cursor, which gives all times as seconds since 1970."""
+        return self.connection.cursor()
+
     # -- what all databases share ----------------------------------------------------------------------------
     def text(self, statement: str) -> str:
-        """A statement with this database's parameter placeholders; callers write them as question marks."""
-        return statement if self.mark == "?" else statement.replace("%", "%%").replace("?", self.mark)
+        """A statement in this database's SQL; callers write parameters as question marks, times in seconds.
+
+        Where the database keeps timestamps, a parameter that is compared with `time` or `received` becomes
+        one, as does a parameter marked as TIME(?).
+        """
+        return _in_sql(statement, self.mark, self.dialect.time)
 
     def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
         """The rows that a query returns."""
         with self._translated():
-            cursor = self.connection.cursor()
+            cursor = self.cursor()
             try:
                 cursor.execute(self.text(statement), tuple(parameters))
                 return cursor.fetchall()
@@ -145,7 +169,7 @@ class Database:
     def transaction(self) -> Iterator[Cursor]:
         """A cursor whose statements take effect together at the end of the block, or not at all."""
         with self._translated():
-            cursor = self.connection.cursor()
+            cursor = self.cursor()
             try:
                 cursor.execute(self.begin)
                 yield cursor
@@ -160,7 +184,10 @@ class Database:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Raise StoreFault in place of a driver's exception with an external cause."""
+        """Raise StoreFault in place of a driver's exception with an external cause, StoreReplaced in place of
+        using a store that is gone."""
+        if self.is_replaced():
+            raise StoreReplaced(f"{self.url}: {REPLACED}")
         try:
             yield
         except self.errors as error:
@@ -211,21 +238,21 @@ class Database:
         for statement in dropped_views():
             cursor.execute(statement)
         for version in range(found + 1, VERSION + 1):
-            for statement in migration(version, self.words):
+            for statement in migration(version, self.dialect):
                 cursor.execute(statement)
             cursor.execute(
                 self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
                 (version, time.time()),
             )
-        for statement in created_views(self.words):
+        for statement in created_views(self.dialect):
             cursor.execute(statement)
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
-        """Claim turbines or sources for this process alone, until the connection is closed or the process
-        dies.
+        """Claim turbines, sources or channels for this process alone, until the connection is closed or the
+        process dies.
 
-        kind: "turbine" or "source".  Raises StoreFault, naming the holder, if another process has claimed one
-            of them.
+        kind: "turbine", "source" or "channel".  Raises StoreFault, naming the holder, if another process has
+            claimed one of them.
         """
         wanted = sorted({(kind, name) for name in names} - self._held)
         if not wanted:
@@ -244,6 +271,12 @@ class Database:
     def close(self) -> None:
         with suppress(Exception):
             self.connection.close()
+
+
+@cache
+def _in_sql(statement: str, mark: str, time: str) -> str:
+    statement = _COMPARED.sub(r"\1TIME(?)", statement).replace("TIME(?)", time)
+    return statement if mark == "?" else statement.replace("%", "%%").replace("?", mark)
 
 
 def one_line(error: BaseException) -> str:

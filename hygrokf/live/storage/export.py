@@ -39,8 +39,9 @@ class ExportFault(HygrokfError):
 class Column:
     """A column of an exported file.
 
-    `name`: in the file; `source`: column of the store; `kind`: "text", "number", "time" [s], "flag", or
-    "unit", which is the SI unit of the signal named in the store's column.
+    `name`: in the file; `source`: column of the store; `kind`: "text", "free" (text that people type on the
+    page), "number", "time" [s], "flag", or "unit", which is the SI unit of the signal named in the store's
+    column.
     """
 
     name: str
@@ -98,7 +99,8 @@ TABLES = (
         _columns(
             "id text", "turbine text", "kind text", "severity text", "began_utc began time",
             "ended_utc ended time",
-            "acknowledged_utc acknowledged time", "acknowledged_by text", "statement text", "remedy text",
+            "acknowledged_utc acknowledged time", "acknowledged_by free", "cause text", "note free",
+            "look_again_utc look_again time", "statement text", "remedy text",
         ),
         ("turbine", "began", "id"),
         ("(ended IS NULL OR ended >= ?)", "began < ?"),
@@ -140,15 +142,26 @@ def export(
             counts[table.name] = 0
             write, close = writer(file, table.columns)
             for rows in chunks(store, table, turbine, since, until):
-                write(
-                    [
-                        _values(c.kind, column)
-                        for c, column in zip(table.columns, zip(*rows, strict=True), strict=True)
-                    ]
-                )
+                write(_by_column(table, rows))
                 counts[table.name] += len(rows)
             close()
     return counts
+
+
+def alarms_csv(store: Store) -> bytes:
+    """All alarms of the store as CSV, with the columns of the exported file."""
+    table = next(one for one in TABLES if one.name == "alarm")
+    file = io.BytesIO()
+    write, close = _csv_writer(file, table.columns)
+    for rows in chunks(store, table, None, -math.inf, math.inf):
+        write(_by_column(table, rows))
+    close()
+    return file.getvalue()
+
+
+def _by_column(table: Table, rows: Sequence[Row]) -> list[Values]:
+    columns = zip(table.columns, zip(*rows, strict=True), strict=True)
+    return [_values(one.kind, column) for one, column in columns]
 
 
 def chunks(
@@ -171,9 +184,10 @@ def chunks(
         values.append(turbine)
     names = ", ".join([*table.key, *(column.source for column in table.columns)])
     order, width = ", ".join(table.key), len(table.key)
+    marks = ", ".join("TIME(?)" if name == "time" else "?" for name in table.key)
     after: Row = ()
     while True:
-        following = [f"({order}) > ({', '.join('?' * width)})"] if after else []
+        following = [f"({order}) > ({marks})"] if after else []
         where = " AND ".join([*conditions, *following]) or "1 = 1"
         rows = store.rows(
             f"SELECT {names} FROM {table.source} WHERE {where} ORDER BY {order} LIMIT {CHUNK}",
@@ -212,6 +226,8 @@ def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Calla
             return [
                 "" if one == "NaT" else f"{one}Z" for one in np.datetime_as_string(values, unit="ms").tolist()
             ]
+        if kind == "free":  # a spreadsheet would take it for a formula
+            return [f"'{v}" if v and v[0] in "=+-@\t\r" else v for v in values]
         return [("false", "true")[v] for v in values] if kind == "flag" else values
 
     def write(values: list[Values]) -> None:

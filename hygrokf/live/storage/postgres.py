@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import struct
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -37,9 +38,12 @@ SESSION = (
     "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = "
     "'off'",
 )
+EPOCH_US = 946_684_800_000_000
+"""2000, from which the server counts [µs since 1970]."""
+_MICROSECONDS = struct.Struct("!q")
 SECRETS = ("password", "sslpassword")
 NO_SECRET = (
-    "the password does not belong in the store's URL, where it can be read by others: leave it out (and "
+    "the password does not belong in the URL, where it can be read by others: leave it out (and "
     "write @ and : in names as %40 and %3A); libpq takes it from ~/.pgpass, from the file that PGPASSFILE "
     "names, or from PGPASSWORD"
 )
@@ -60,7 +64,7 @@ class PostgresDatabase(Database):
     """A session on a PostgreSQL server."""
 
     mark = "%s"
-    words = POSTGRESQL
+    dialect = POSTGRESQL
     connection: psycopg.Connection[Row]
 
     def __init__(self, connection: psycopg.Connection[Row], url: str) -> None:
@@ -69,6 +73,9 @@ class PostgresDatabase(Database):
         super().__init__(connection, url)
         self.errors = psycopg.Error
         self._key: int | None = None
+
+    def cursor(self) -> Cursor:
+        return self.connection.cursor(binary=True)  # as `_times_as_seconds` needs it
 
     def is_trouble(self, error: Exception) -> bool:
         import psycopg
@@ -124,12 +131,64 @@ class PostgresDatabase(Database):
         return int(self.rows("SELECT pg_database_size(current_database())")[0][0])
 
 
+def _times_as_seconds(connection: psycopg.Connection[Row]) -> None:
+    """Let the cursors of a connection give timestamps as seconds since 1970.
+
+    A timestamp is a whole number of microseconds; the seconds are the double precision number nearest to it.
+    """
+    from psycopg.adapt import Buffer, Loader
+    from psycopg.pq import Format
+
+    class Seconds(Loader):
+        format = Format.BINARY
+
+        def load(self, data: Buffer) -> float:
+            return (_MICROSECONDS.unpack(data)[0] + EPOCH_US) / 1e6
+
+    connection.adapters.register_loader("timestamptz", Seconds)
+
+
 def url_fault(url: str) -> str | None:
-    """An error message if a store's URL contains a secret, else None.  The message does not repeat the
+    """An error message if a database's URL contains a secret, else None.  The message does not repeat the
     secret."""
     rest = url.partition("://")[2]
     keys = {part.partition("=")[0] for part in rest.partition("?")[2].split("&")}
     return NO_SECRET if ":" in rest.rpartition("@")[0] or keys & set(SECRETS) else None
+
+
+def import_psycopg(wanted_by: str) -> None:
+    """Raises StoreFault, naming the extra, where psycopg is not installed."""
+    try:
+        import psycopg  # noqa: F401
+    except ImportError:
+        raise StoreFault(f"{wanted_by} needs psycopg: pip install 'hygrokf[postgres]'") from None
+
+
+def connected(url: str, password: str | None = None) -> psycopg.Connection[Row]:
+    """A session in autocommit mode, with a password or with the one that libpq finds.  Raises StoreFault."""
+    import psycopg
+    from psycopg.conninfo import conninfo_to_dict
+
+    if (fault := url_fault(url)) is not None:
+        raise StoreFault(fault)
+    try:
+        said = conninfo_to_dict(url)
+    except psycopg.Error as error:
+        raise StoreFault(f"the database's URL cannot be read: {one_line(error)}") from None
+    if set(SECRETS) & set(said):
+        raise StoreFault(NO_SECRET)
+    settings: dict[str, Any] = {**DEFAULTS, **said}  # libpq's parameters, which are text or numbers
+    if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
+        del settings["connect_timeout"]
+    if password is not None:
+        settings["password"] = password
+    try:
+        return psycopg.connect(**settings, autocommit=True)
+    except psycopg.Error as error:
+        raise StoreFault(
+            f"{url}: cannot be reached ({one_line(error)}); check the server, its host and "
+            "port, the database, the user, and the password in ~/.pgpass or PGPASSWORD"
+        ) from None
 
 
 def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
@@ -138,30 +197,12 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
 
     Raises StoreFault if the database cannot be reached or used as a store.
     """
-    if (fault := url_fault(url)) is not None:
-        raise StoreFault(fault)
-    try:
-        import psycopg
-        from psycopg.conninfo import conninfo_to_dict
-    except ImportError:
-        raise StoreFault("a PostgreSQL store needs psycopg: pip install 'hygrokf[postgres]'") from None
-    try:
-        said = conninfo_to_dict(url)
-    except psycopg.Error as error:
-        raise StoreFault(f"the store's URL cannot be read: {one_line(error)}") from None
-    if set(SECRETS) & set(said):
-        raise StoreFault(NO_SECRET)
-    settings: dict[str, Any] = {**DEFAULTS, **said}  # libpq's parameters, which are text or numbers
-    if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
-        del settings["connect_timeout"]
-    try:
-        connection = psycopg.connect(**settings, autocommit=True)
-    except psycopg.Error as error:
-        raise StoreFault(
-            f"{url}: cannot be reached ({one_line(error)}); check the server, its host and "
-            "port, the database, the user, and the password in ~/.pgpass or PGPASSWORD"
-        ) from None
+    import_psycopg("a PostgreSQL store")
+    import psycopg
+
+    connection = connected(url)
     database = PostgresDatabase(connection, url)
+    _times_as_seconds(connection)
     try:
         for statement in SESSION:
             connection.execute(statement)

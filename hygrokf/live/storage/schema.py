@@ -1,6 +1,7 @@
 """The store's tables and views, as numbered migrations.
 
-Times are seconds since 1970, UTC, as double precision; values are in SI units, absolute humidity in g/m³.
+Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of the large tables (`TIMESTAMPS`)
+are `timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
 The views are for people and plotting tools: timestamps, °C and %, lower-case names.
 """
 
@@ -8,18 +9,83 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from hygrokf.live.condition import QUANTITIES, Z95
 
-SQLITE = {
-    "UTC": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
-    "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
+TIMESTAMPS: Mapping[str, tuple[str, ...]] = {
+    "observation": ("time", "received"),
+    "held": ("time", "received"),
+    "weather": ("time", "received"),
+    "estimate": ("time",),
+    "forecast": ("time", "made"),
+    "property": ("time",),
+    "event": ("time",),
 }
-POSTGRESQL = {"UTC": "to_timestamp({})", "HOUR": "FLOOR({} / 3600) * 3600"}
-"""SQL templates that differ between databases, used in statements as UTC(column) and HOUR(column): a time [s]
-as the database's own timestamp (ISO 8601 text where it has no such type), and the time [s] at which its hour
-began.
-"""
+"""Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
+_KEYS = {
+    "observation": ("turbine", "signal"),
+    "held": ("turbine", "signal"),
+    "weather": ("turbine", "signal"),
+    "estimate": ("turbine",),
+    "forecast": ("turbine",),
+    "property": ("turbine", "name"),
+}
+"""Table -> the columns of its key beside `time`."""
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The SQL of one database.
+
+    `words`: templates that the views use as WORD(column).  UTC: a time [s] as the database's own timestamp,
+    or ISO 8601 text where it has no such type; STAMP: the same of a column of `TIMESTAMPS`; HOUR: the
+    beginning of the hour of such a column.  `time`: the template of a parameter [s] that stands for such a
+    column.  `migrations`: version -> statements that only this database needs.
+    """
+
+    words: Mapping[str, str]
+    time: str = "?"
+    migrations: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+
+def _as_timestamps() -> tuple[str, ...]:
+    """Statements that make timestamps, with microseconds, of seconds as double precision.
+
+    Of rows whose times are the same to the microsecond, the first is kept: the filter merges readings within
+    a millisecond.
+    """
+    merged = (
+        f"DELETE FROM {table} a USING {table} b WHERE {' AND '.join(f'a.{name} = b.{name}' for name in key)} "
+        "AND to_timestamp(a.time) = to_timestamp(b.time) AND a.time > b.time"
+        for table, key in _KEYS.items()
+    )
+    changed = (
+        f"ALTER TABLE {table} "
+        + ", ".join(f"ALTER {name} TYPE TIMESTAMPTZ USING to_timestamp({name})" for name in columns)
+        for table, columns in TIMESTAMPS.items()
+    )
+    return *merged, *changed
+
+
+SQLITE = Dialect(
+    {
+        "UTC": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
+        "STAMP": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
+        "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
+    },
+    migrations={
+        4: (
+            "UPDATE OR REPLACE observation SET time = round(time * 1e6) / 1e6 "
+            "WHERE time <> round(time * 1e6) / 1e6",
+        )
+    },
+)
+POSTGRESQL = Dialect(
+    {"UTC": "to_timestamp({})", "STAMP": "{}", "HOUR": "date_trunc('hour', {}, 'UTC')"},
+    "to_timestamp(?)",
+    {4: _as_timestamps()},
+)
 
 
 def _readable() -> dict[str, str]:
@@ -177,31 +243,33 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             sent DOUBLE PRECISION)""",
         "CREATE INDEX outbox_by_due ON outbox (sent, due)",
     ),
+    (),
 )
 """One tuple of statements per version that create and change tables, from 1 on; a released version is never
-changed, only followed by another.  Version 2 added the
-views; version 3 states, held readings, shelves, events and notices.
+changed, only followed by another.  Version 2 added the views; version 3 states, held readings, shelves,
+events and notices; version 4 rounds times to microseconds, and makes timestamps of them where the database
+has them (`Dialect.migrations`).
 
 A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and an ALTER TABLE here.
 """
 VERSION = len(MIGRATIONS)
 VIEWS = {
-    "estimate_readable": f"""SELECT turbine, time, UTC(time) AS time_utc, final, {_CONDITION}
+    "estimate_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, final, {_CONDITION}
         FROM estimate""",
-    "forecast_readable": f"""SELECT turbine, time, UTC(time) AS time_utc, UTC(made) AS made_utc, {_CONDITION},
-        100.0 * above_limit AS above_limit_percent FROM forecast""",
+    "forecast_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, STAMP(made) AS made_utc,
+        {_CONDITION}, 100.0 * above_limit AS above_limit_percent FROM forecast""",
     "alarm_open": f"""SELECT id, turbine, kind, severity, {_RANK} AS severity_rank,
         began, UTC(began) AS began_utc,
         UTC(acknowledged) AS acknowledged_utc, acknowledged_by, cause, note, statement, remedy
         FROM alarm WHERE ended IS NULL""",
     # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
     # every row
-    "property_now": """SELECT p.turbine, p.name, p.unit, p.time, UTC(p.time) AS time_utc, p.value,
+    "property_now": """SELECT p.turbine, p.name, p.unit, p.time, STAMP(p.time) AS time_utc, p.value,
         p.lower_bound, p.upper_bound, p.reference, p.observable
         FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
         FROM turbine) t
         CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
-    "turbine_now": """SELECT t.name AS turbine, h.heard, UTC(h.heard) AS heard_utc, e.time, e.time_utc,
+    "turbine_now": """SELECT t.name AS turbine, h.heard, STAMP(h.heard) AS heard_utc, e.time, e.time_utc,
         e.temperature_celsius, e.temperature_lower_celsius, e.temperature_upper_celsius,
         e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
         e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
@@ -215,8 +283,8 @@ VIEWS = {
         LEFT JOIN estimate_readable e ON e.turbine = t.name
         AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)
         LEFT JOIN assessment s ON s.turbine = t.name""",
-    "observation_hourly": """SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean,
-        MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
+    "observation_hourly": """SELECT turbine, signal, hour AS time, STAMP(hour) AS time_utc,
+        AVG(value) AS mean, MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
         FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
         WHERE contradicted = 0) o
         GROUP BY turbine, signal, hour""",
@@ -229,11 +297,11 @@ TABLES = (
 """All tables except the one that records the schema's version."""
 
 
-def migration(version: int, words: Mapping[str, str]) -> list[str]:
+def migration(version: int, dialect: Dialect) -> list[str]:
     """Statements of a version in one database's SQL dialect; the first migration also creates
     `schema_version`."""
     own = ["CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"]
-    return [_in_dialect(one, words) for one in (own if version == 1 else []) + list(MIGRATIONS[version - 1])]
+    return [*(own if version == 1 else []), *MIGRATIONS[version - 1], *dialect.migrations.get(version, ())]
 
 
 def dropped_views() -> list[str]:
@@ -241,10 +309,12 @@ def dropped_views() -> list[str]:
     return [f"DROP VIEW IF EXISTS {name}" for name in reversed(VIEWS)]
 
 
-def created_views(words: Mapping[str, str]) -> list[str]:
+def created_views(dialect: Dialect) -> list[str]:
     """Statements that create all views in one database's SQL dialect."""
-    return [_in_dialect(f"CREATE VIEW {name} AS {query}", words) for name, query in VIEWS.items()]
+    return [_in_dialect(f"CREATE VIEW {name} AS {query}", dialect) for name, query in VIEWS.items()]
 
 
-def _in_dialect(statement: str, words: Mapping[str, str]) -> str:
-    return re.sub(r"\b(UTC|HOUR)\(([\w.]+)\)", lambda found: words[found[1]].format(found[2]), statement)
+def _in_dialect(statement: str, dialect: Dialect) -> str:
+    return re.sub(
+        r"\b(UTC|STAMP|HOUR)\(([\w.]+)\)", lambda found: dialect.words[found[1]].format(found[2]), statement
+    )

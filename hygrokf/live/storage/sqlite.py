@@ -31,13 +31,17 @@ class SqliteDatabase(Database):
 
     begin = "BEGIN IMMEDIATE"
     errors = sqlite3.Error
-    words = SQLITE
+    dialect = SQLITE
     connection: sqlite3.Connection
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         super().__init__(connection, f"sqlite:{path}")
         self._path = path
         self._lock: IO[bytes] | None = None
+        self.identity: tuple[int, int] | None = None
+
+    def is_replaced(self) -> bool:
+        return self.identity is not None and identity_of(self._path) != self.identity
 
     def is_trouble(self, error: Exception) -> bool:
         code = getattr(error, "sqlite_errorcode", None)
@@ -90,9 +94,23 @@ class SqliteDatabase(Database):
             self._lock = None
 
 
+def identity_of(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file, which another file of its name does not have; None without a file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 def lock_path(path: Path) -> Path:
     """Path of the lock file beside a store's file."""
     return Path(f"{os.path.realpath(path)}.lock")
+
+
+def unfinished(path: Path) -> Path:
+    """Path of a copy that waits to take a store's place; without it no restore was interrupted."""
+    return Path(f"{os.path.realpath(path)}.restoring")
 
 
 def is_locked(path: Path) -> bool:
@@ -141,15 +159,18 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
         raise StoreFault(f"{path}: the folder {path.parent} does not exist; make it, or name another place")
     if read_only and not path.is_file():
         raise StoreUnready(f"{path}: there is no such store; check the name")
+    if unfinished(path).exists():
+        raise StoreFault(f"{path}: restoring it was interrupted; run hygrokf restore again")
     database = None
     try:
         if path.exists():
-            _refuse_damaged(path, thoroughly=not read_only)
-        database = SqliteDatabase(_connect(path, "ro" if read_only else "rwc"), path)
+            refuse_damaged(path, thoroughly=not read_only)
+        database = SqliteDatabase(connect(path, "ro" if read_only else "rwc"), path)
         database.connection.execute("PRAGMA synchronous=FULL")
         database.migrate(read_only)
         if not read_only:
             _write_ahead(database.connection)
+        database.identity = identity_of(path)
         return database
     except (sqlite3.Error, StoreFault) as fault:
         if database is not None:
@@ -162,26 +183,26 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
         ) from fault
 
 
-def _connect(path: Path, mode: str) -> sqlite3.Connection:
+def connect(path: Path, mode: str) -> sqlite3.Connection:
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
         uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False,
     )  # fmt: skip
 
 
-def _refuse_damaged(path: Path, thoroughly: bool) -> None:
+def refuse_damaged(path: Path, thoroughly: bool) -> None:
     """Refuse a damaged file or a foreign database; an empty file may become a store.
 
     The connection is read-only because closing a writable one would move pages of the log into the file.
     """
-    with closing(_connect(path, "ro")) as connection:
+    with closing(connect(path, "ro")) as connection:
         try:
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
             # a process died while creating the tables: SQLite rolls that back once a connection may write
-            with closing(_connect(path, "rw")) as other:
+            with closing(connect(path, "rw")) as other:
                 pages = other.execute("PRAGMA page_count").fetchone()[0]
         if pages == 0:
             return

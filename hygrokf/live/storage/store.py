@@ -9,6 +9,7 @@ that batch.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +29,7 @@ from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
-from hygrokf.live.storage.schema import TABLES
+from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite
 from hygrokf.live.tracker import Point, Reading
 
@@ -47,7 +48,8 @@ _READINGS = f"""{_SIGNALS}
 SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
 WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
     (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
-    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
+    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
+    (SELECT MIN(m.time) FROM observation m WHERE m.turbine = ? AND m.signal = known.signal))
 ORDER BY o.signal, o.time
 """
 """Query of `Store.readings`: one index lookup per signal, however long the history is."""
@@ -175,8 +177,16 @@ class Store:
         )
         self._many(
             cursor,
+            "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?",
+            [(alarm.id,) for alarm in batch.reopened],
+        )
+        self._write_notices(cursor, batch.notices)
+
+    def _write_notices(self, cursor: Cursor, notices: Iterable[Notice]) -> None:
+        self._many(
+            cursor,
             inserting("outbox", NOTICE_COLUMNS) + " ON CONFLICT (id) DO NOTHING",
-            [astuple(one) for one in batch.notices],
+            [astuple(one) for one in notices],
         )
 
     def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
@@ -251,18 +261,25 @@ class Store:
         cause: str = "unexplained",
         note: str = "",
         look_again: float | None = None,
+        notices: Iterable[Notice] = (),
     ) -> bool:
         """Acknowledge an alarm at a time [s] with its cause (one of `batch.CAUSES`), to be looked at again at
-        `look_again` [s].
+        `look_again` [s]; write its notices.
 
         Returns False if there is no such alarm or it was acknowledged before.
         """
-        changed = self._execute(
-            f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
-            "WHERE id = ? AND acknowledged IS NULL",
-            (at, by, cause, note, look_again, alarm),
-        )
-        return changed == 1
+        with self.transaction() as cursor:
+            cursor.execute(
+                self._text(
+                    f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
+                    "WHERE id = ? AND acknowledged IS NULL"
+                ),
+                (at, by, cause, note, look_again, alarm),
+            )
+            changed = cursor.rowcount == 1
+            if changed:
+                self._write_notices(cursor, notices)
+        return changed
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
@@ -275,36 +292,6 @@ class Store:
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
         self._execute(replacing("event", EVENT_COLUMNS, key=("id",)), astuple(event))
-
-    # -- notices ---------------------------------------------------------------------------------------------
-    def notices_due(self, now: float, most: int = 100) -> list[Notice]:
-        """Notices that are not sent and due at `now` [s], the earliest first."""
-        return [
-            Notice(*row)
-            for row in self.rows(
-                f"SELECT {', '.join(NOTICE_COLUMNS)} FROM outbox WHERE sent IS NULL AND due <= ? "
-                "ORDER BY due, id LIMIT ?",
-                (now, most),
-            )
-        ]
-
-    def mark_sent(self, notices: Iterable[str], at: float) -> None:
-        """State that notices (by id) were sent at a time [s]."""
-        with self.transaction() as cursor:
-            self._many(
-                cursor,
-                "UPDATE outbox SET sent = ?, attempts = attempts + 1, failure = '' WHERE id = ?",
-                [(at, one) for one in notices],
-            )
-
-    def mark_failed(self, notices: Iterable[str], failure: str, due: float) -> None:
-        """State why notices (by id) could not be sent, and when they are due again [s]."""
-        with self.transaction() as cursor:
-            self._many(
-                cursor,
-                "UPDATE outbox SET attempts = attempts + 1, failure = ?, due = ? WHERE id = ?",
-                [(failure, due, one) for one in notices],
-            )
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
         """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
@@ -323,7 +310,7 @@ class Store:
 
         The value is NaN where two readings contradict each other.
         """
-        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
+        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
 
     def held(self, turbine: str | None = None, until: float = 1e18) -> list[Observation]:
@@ -372,7 +359,12 @@ class Store:
         )
         return [Shelf(*row) for row in found]
 
-    def events(self, turbine: str, since: float = -1e18) -> list[Event]:
+    def all_events(self) -> list[Event]:
+        """Events at all turbines, by the time at which they were stated."""
+        found = self.rows(f"SELECT {', '.join(EVENT_COLUMNS)} FROM event ORDER BY made, id")
+        return [Event(*row) for row in found]
+
+    def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
         found = self.rows(
             f"SELECT {', '.join(EVENT_COLUMNS)} FROM event WHERE turbine = ? AND time >= ? ORDER BY time, id",
@@ -436,7 +428,9 @@ class Store:
 
 def inserting(table: str, columns: Sequence[str]) -> str:
     """The statement that inserts a row."""
-    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
+    times = TIMESTAMPS.get(table, ())
+    marks = ", ".join("TIME(?)" if name in times else "?" for name in columns)
+    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
 
 
 def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequence[str] = ()) -> str:

@@ -1,4 +1,4 @@
-"""Access control of the page: host names, token and session, origin of a POST, limit on wrong tokens.
+"""Access control of the page: host names, token and session, origin of a POST, count of wrong tokens.
 
 `Access` decides; `guard` wraps the whole page, so that every response, including errors, carries the
 security headers.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import logging
 import secrets
 import time
 from collections import OrderedDict, deque
@@ -23,15 +24,19 @@ from hygrokf.live.web.page_settings import PageSettings
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+LOG = logging.getLogger("hygrokf.page")
 SESSION_S = 7 * DAY_S
 """[s] a browser stays logged in."""
 GUESSES = 10
 GUESSES_S = 300.0
-"""Wrong tokens from one address within `GUESSES_S` [s], after which it has to wait."""
+"""Wrong tokens from one address within `GUESSES_S` [s], after which further wrong ones are refused without a
+look."""
 ADDRESSES = 1000
 """Number of addresses whose wrong tokens are remembered."""
 OPEN = ("/", "/healthz", "/api/login")
 """Paths that need no token, because they reveal nothing about a turbine."""
+READING = ("GET", "HEAD")
+"""Methods that change nothing."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'",
@@ -40,6 +45,9 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+
+FIXED = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
+"""`HEADERS` as ASGI has them."""
 
 
 class Attempts:
@@ -127,7 +135,7 @@ class Access:
                 "the page does not answer to this name; add it to hosts in [page] of the tracker's file",
                 {},
             )
-        if scope["method"] == "POST" and not own_page(headers):
+        if scope["method"] not in READING and not own_page(headers):
             return Refusal(
                 403,
                 "expected JSON from the page itself, found a request from another site or of another kind",
@@ -145,15 +153,22 @@ class Access:
         return self.check_token(client_of(scope), given.strip())
 
     def check_token(self, client: str, given: str) -> Refusal | None:
-        """None for the right token, else the refusal; wrong tokens are counted."""
+        """None for the right token, else the refusal.
+
+        Wrong tokens are counted by address.  The right token passes whatever came from its address before:
+        behind a proxy, somebody else's mistakes must not lock it out, and a token is too long to be guessed.
+        """
+        # the comparison takes the same time for every input; JSON may contain lone surrogates
+        found = given.encode(errors="surrogatepass")
+        if self.settings.token and hmac.compare_digest(found, self.settings.token.encode()):
+            return None
         wait_s = self.attempts.wait_s(client)
         if wait_s > 0.0:
             words = f"too many wrong tokens; try again in {wait_s / 60.0:.0f} min"
             return Refusal(429, words, {"Retry-After": f"{wait_s:.0f}"})
-        # the comparison takes the same time for every input
-        if self.settings.token and hmac.compare_digest(given.encode(), self.settings.token.encode()):
-            return None
         self.attempts.note(client)
+        if self.attempts.wait_s(client) > 0.0:
+            LOG.warning("too many wrong tokens", extra={"address": client})
         return Refusal(401, "wrong token", {"WWW-Authenticate": "Bearer"})
 
     def _addressed(self, scope: Scope, host: str) -> bool:
@@ -168,28 +183,31 @@ class Access:
 
 def guard(app: ASGIApp, access: Access) -> ASGIApp:
     """Wrap an ASGI application: refuse a request, or pass it on and add `HEADERS` to the response."""
-    fixed = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
 
     async def guard(scope: Scope, receive: Receive, send: Send) -> None:
-        async def headed(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                given = list(message.get("headers", []))
-                kept = any(name.lower() == b"cache-control" for name, _ in given)
-                message = {
-                    **message,
-                    "headers": given + fixed + ([] if kept else [(b"cache-control", b"no-store")]),
-                }
-            await send(message)
-
         if scope["type"] != "http":
             raise RuntimeError(f"the page speaks http alone, found {scope['type']}")
         refused = access.refusal_of(scope)
         if refused is None:
-            await app(scope, receive, headed)
+            await app(scope, receive, headed(send))
         else:
-            await answer(headed, *refused)
+            await answer(headed(send), *refused)
 
     return guard
+
+
+def headed(send: Send) -> Send:
+    """`send` that adds `HEADERS` to a response."""
+
+    async def headed(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            given = list(message.get("headers", []))
+            kept = any(name.lower() == b"cache-control" for name, _ in given)
+            more = [] if kept else [(b"cache-control", b"no-store")]
+            message = {**message, "headers": [*given, *FIXED, *more]}
+        await send(message)
+
+    return headed
 
 
 def own_page(headers: Mapping[str, str]) -> bool:
@@ -199,7 +217,10 @@ def own_page(headers: Mapping[str, str]) -> bool:
     if headers.get("sec-fetch-site", "same-origin") != "same-origin":
         return False
     origin = headers.get("origin")
-    return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+    try:
+        return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+    except ValueError:  # no URL, such as http://[
+        return False
 
 
 def host_name(host: str) -> str:

@@ -5,25 +5,25 @@ The page reads the store over its own connection, so that the tracker never wait
 
 from __future__ import annotations
 
-import json
 import logging
+import math
 import os
-import sqlite3
-import threading
-from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
-from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
-from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.storage.outbox import ChannelState, channel_states
+from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
-from hygrokf.live.web.metrics import exposition
+from hygrokf.live.web.exchange import posted_json, refusal, reply
+from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
+from hygrokf.live.web.statements import Statements
 from hygrokf.live.web.views import (
     FleetRow,
     alarms_view,
@@ -45,62 +45,6 @@ DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
 KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
-LARGEST = 4096
-"""Largest body of a POST [bytes]."""
-LONGEST_NAME, LONGEST_ID = 60, 300
-"""Longest name of a person who acknowledges, and longest id of an alarm [characters]."""
-T = TypeVar("T")
-
-
-class Reader:
-    """The page's own connection to the store, used by one thread at a time and reopened after a failure.
-
-    The tracker opens the store first, so that only the tracker creates its tables.
-    """
-
-    def __init__(self, service: Service) -> None:
-        self._service = service
-        self._lock = threading.Lock()
-        self._store: Store | None = None
-        self._failed = False
-
-    def read(self, view: Callable[[Store], T]) -> T:
-        """Apply `view` to the store and return its result.  Raises StoreFault if the store cannot be
-        reached."""
-        with self._lock:
-            if self._service.store is None:
-                raise StoreFault("the tracker has not opened its store yet")
-            try:
-                if self._store is None:
-                    self._store = open_store(self._service.store_url)
-                found = view(self._store)
-            except Exception as fault:
-                self._close()
-                if not is_store_error(fault):
-                    raise
-                if not self._failed:
-                    LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
-                self._failed = True
-                raise StoreFault("the store cannot be reached; the tracker's log says why") from fault
-            self._failed = False
-            return found
-
-    def close(self) -> None:
-        """Close the connection; the next read opens a new one."""
-        with self._lock:
-            self._close()
-
-    def _close(self) -> None:
-        if self._store is not None:
-            self._store.close()
-            self._store = None
-
-
-def is_store_error(fault: Exception) -> bool:
-    """Whether an exception comes from the database, of either kind, and not from a bug in the program."""
-    return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
-        "psycopg"
-    )
 
 
 class Page:
@@ -111,6 +55,7 @@ class Page:
         self.hub = hub
         self.access = Access(settings)
         self.reader = Reader(service)
+        self.answers = StoreAnswers(service)
         self._fleet: tuple[int, float, list[FleetRow]] = (-1, 0.0, [])
 
     def app(self) -> ASGIApp:
@@ -148,7 +93,7 @@ class Page:
             Route("/api/fleet", self.fleet),
             Route("/api/turbine/{name:path}", self.turbine),
             Route("/api/alarms", self.alarms),
-            Route("/api/alarms/acknowledge", self.acknowledge, methods=["POST"]),
+            *Statements(self.service, self.hub, self.reader).routes(),
             Route("/api/health", self.health),
             Route("/api/login", self.login, methods=["POST"]),
             Route("/api/logout", self.logout, methods=["POST"]),
@@ -164,6 +109,11 @@ class Page:
             },
         )
         return guard(made, self.access)
+
+    def close(self) -> None:
+        """Close the page's connections to the store."""
+        self.reader.close()
+        self.answers.close()
 
     # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
@@ -185,7 +135,7 @@ class Page:
         name, days = request.path_params["name"], request.query_params.get("days", "3")
         if name not in self.service.turbines:
             return refusal(404, "no such turbine is tracked")
-        if not days.isdecimal() or int(days) not in DAYS:
+        if days not in map(str, DAYS):
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
         verdicts, needs = self.service.turbines[name].verdicts, self.service.turbines[name].plan.needs
@@ -199,40 +149,26 @@ class Page:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        counters, open_ = self.reader.read(lambda store: (store.counters(), open_alarms(store)))
+        counters, open_, told = self.reader.read(
+            lambda store: (store.counters(), open_alarms(store), channel_states(store))
+        )
         own = {
             "now": self.service.now,
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
             "open_alarms": open_,
+            "channels": [
+                {"name": one.name, **asdict(told.get(one.name, ChannelState()))}
+                for one in self.service.channels
+            ],
         }
         return reply({**own, **health_view(self._sources(), self.service.health, counters)})
 
     def _sources(self) -> dict[str, SourceState]:
         return {url: one.state for url, one in self.service.streams.items()}
 
-    # -- what is changed -------------------------------------------------------------------------------------
-    async def acknowledge(self, request: Request) -> Response:
-        from starlette.concurrency import run_in_threadpool
-
-        given = await posted_json(request)
-        alarm, by = given.get("id"), given.get("by")
-        by = by.strip() if isinstance(by, str) else ""
-        if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID:
-            return refusal(400, "expected the id of an alarm")
-        if not 0 < len(by) <= LONGEST_NAME or not by.isprintable():
-            return refusal(400, f"expected a name of 1 to {LONGEST_NAME} characters")
-        done = await run_in_threadpool(
-            self.reader.read,
-            lambda store: store.acknowledge(alarm, by, self.service.now) and alarm_turbine(store, alarm),
-        )
-        if done is False:
-            return refusal(409, "there is no such alarm, or it is already acknowledged")
-        LOG.info("an alarm was acknowledged", extra={"alarm": alarm, "by": by})
-        self.hub.changed([done])
-        return reply({"turbine": done})
-
+    # -- who is let in ---------------------------------------------------------------------------------------
     async def login(self, request: Request) -> Response:
         token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
@@ -253,15 +189,22 @@ class Page:
 
         now = self.service.now
         try:
-            rows, counters = self.rows(now), self.reader.read(Store.counters)
+            rows: list[FleetRow] | None = self.rows(now)
+            counters, alarms = self.reader.read(
+                lambda store: (store.counters(), alarms_view(store, since=math.inf))
+            )
         except StoreFault:
-            rows, counters = None, {}
-        text, kind = exposition(now, self.service.health, self._sources(), len(self.hub), rows, counters)
+            rows, counters, alarms = None, {}, []
+        sources, clients = self._sources(), len(self.hub)
+        text, kind = exposition(Snapshot(now, self.service.health, sources, clients, rows, alarms, counters))
         return Response(text, headers={"Content-Type": kind})
 
-    def healthz(self, request: Request) -> Response:
+    async def healthz(self, request: Request) -> Response:
         """200 while readings can become estimates, else 503 with a reason that reveals no location and no
-        turbine."""
+        turbine.
+
+        It waits neither for other requests nor for the threads that answer them.
+        """
         fault = ""
         states = [state for state, _ in self._sources().values()]
         if self.service.ending.is_set():
@@ -271,47 +214,10 @@ class Page:
         elif states and all(state == "lost" for state in states):
             fault = "every source is lost"
         else:
-            try:
-                self.reader.read(lambda store: store.rows("SELECT 1"))
-            except StoreFault as found:
-                fault = str(found)
+            fault = await self.answers.fault()
         return refusal(503, fault) if fault else reply({"ok": True})
 
 
 def open_alarms(store: Store) -> int:
     """Number of open alarms."""
     return int(store.rows("SELECT COUNT(*) FROM alarm WHERE ended IS NULL")[0][0])
-
-
-def alarm_turbine(store: Store, alarm: str) -> str:
-    """The turbine of an alarm."""
-    return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
-
-
-async def posted_json(request: Request) -> JsonObject:
-    """The posted JSON object; empty if the body is no object or too large."""
-    body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > LARGEST:
-            return {}
-    try:
-        found = json.loads(body)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def reply(
-    content: Mapping[str, Any], headers: Mapping[str, str] | None = None, status: int = 200
-) -> Response:
-    """A JSON response."""
-    from starlette.responses import Response
-
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=asdict)
-    return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
-
-
-def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:
-    """A JSON response that says why a request is refused."""
-    return reply({"fault": words}, headers, status)

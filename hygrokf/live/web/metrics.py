@@ -6,83 +6,121 @@ seconds old at most.
 
 from __future__ import annotations
 
+import math
+import platform
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
+from hygrokf.live.alarms import CLOCK, LOST, RULES
 from hygrokf.live.batch import STATES as TURBINE_STATES
-from hygrokf.live.service import Health
+from hygrokf.live.batch import Alarm
+from hygrokf.live.service import WAITS_S, Health
 from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.page_settings import NEEDED, PageFault
 from hygrokf.live.web.views import FleetRow
+from hygrokf.version import __version__
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
 
-QUANTILES = (0.5, 0.9, 0.99)
-STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
+SOURCE_STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
 
 
-def exposition(
-    now: float,
-    health: Health,
-    sources: Mapping[str, SourceState],
-    clients: int,
-    fleet: Sequence[FleetRow] | None,
-    counters: Mapping[tuple[str, str], int],
-) -> tuple[bytes, str]:
-    """The metrics as text, and its media type.
+@dataclass(frozen=True)
+class Snapshot:
+    """What is measured at one instant.
 
-    `now` [s]; `fleet`: rows of `fleet_view`, None if the store cannot be reached; `counters`: (turbine, kind)
-    → count. Raises PageFault if prometheus_client is missing.
+    `now` [s]; `clients`: number of pages that are notified of changes; `fleet`: rows of `fleet_view`, None if
+    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count.
     """
+
+    now: float
+    health: Health
+    sources: Mapping[str, SourceState]
+    clients: int
+    fleet: Sequence[FleetRow] | None
+    alarms: Sequence[Alarm]
+    counters: Mapping[tuple[str, str], int]
+
+
+def exposition(found: Snapshot) -> tuple[bytes, str]:
+    """The metrics as text, and its media type.  Raises PageFault if prometheus_client is missing."""
     try:
-        from prometheus_client import CollectorRegistry
+        from prometheus_client import CollectorRegistry, ProcessCollector
     except ImportError:
         raise PageFault(NEEDED) from None
     from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
     class Now:
         def collect(self) -> Iterator[Metric]:
-            yield from _tracker(now, health, sources, clients, fleet is not None)
-            yield from _set_aside(counters)
-            yield from _turbines(now, fleet or ())
+            yield from _tracker(found)
+            yield from _sources(found)
+            yield from _set_aside(found.counters)
+            yield from _turbines(found)
 
     registry = CollectorRegistry()
     registry.register(Now())
+    ProcessCollector(registry=registry)
     return generate_latest(registry), CONTENT_TYPE_LATEST
 
 
-def _tracker(
-    now: float, health: Health, sources: Mapping[str, SourceState], clients: int, reached: bool
-) -> Iterator[Metric]:
-    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+def _tracker(found: Snapshot) -> Iterator[Metric]:
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 
+    health = found.health
+    build = GaugeMetricFamily(
+        "hygrokf_build_info", "1, with the version of the tracker and of Python", labels=["version", "python"]
+    )
+    build.add_metric([__version__, platform.python_version()], 1)
+    yield build
     yield CounterMetricFamily("hygrokf_deliveries", "Deliveries that were committed", health.deliveries)
     yield CounterMetricFamily("hygrokf_store_failures", "Commits that the store refused", health.failures)
-    wait = GaugeMetricFamily(
-        "hygrokf_commit_wait_seconds", "Time from delivery to commit, of the last 10,000", labels=["quantile"]
+    classes = [*(f"{bound:g}" for bound in WAITS_S), "+Inf"]
+    yield HistogramMetricFamily(
+        "hygrokf_commit_wait_seconds",
+        "Time from delivery to commit",
+        buckets=list(zip(classes, accumulate(health.wait_counts), strict=True)),
+        sum_value=health.wait_sum_s,
     )
-    for share in QUANTILES:
-        if (seconds := health.wait_s(share)) is not None:
-            wait.add_metric([f"{share:g}"], seconds)
-    yield wait
     age = GaugeMetricFamily("hygrokf_last_commit_age_seconds", "Time since the last commit")
     if health.committed_s:
         age.add_metric([], time.time() - health.committed_s)
     yield age
-    yield GaugeMetricFamily(
-        "hygrokf_store_reached", "1 if tracker and page reach the store", int(reached and not health.store)
-    )
+    reached = int(found.fleet is not None and not health.store)
+    yield GaugeMetricFamily("hygrokf_store_reached", "1 if tracker and page reach the store", reached)
+    yield GaugeMetricFamily("hygrokf_page_clients", "Pages that are notified of changes", found.clients)
+
+
+def _sources(found: Snapshot) -> Iterator[Metric]:
+    from prometheus_client.core import GaugeMetricFamily
+
     state = GaugeMetricFamily(
         "hygrokf_source_state", "1 for the state that a source is in", labels=["source", "state"]
     )
-    for url, (word, _) in sources.items():
-        for one in dict.fromkeys((*STATES, word)):
+    last = GaugeMetricFamily(
+        "hygrokf_source_last_message_timestamp_seconds",
+        "When a source last delivered something, since 1970",
+        labels=["source"],
+    )
+    lag = GaugeMetricFamily(
+        "hygrokf_source_lag_seconds",
+        "Time from a source's newest reading to its arrival, of the last delivery with readings",
+        labels=["source"],
+    )
+    for url, (word, _) in found.sources.items():
+        for one in dict.fromkeys((*SOURCE_STATES, word)):
             state.add_metric([url, one], int(one == word))
-    yield state
-    yield GaugeMetricFamily("hygrokf_page_clients", "Pages that are notified of changes", clients)
+        times = found.health.sources.get(url)
+        if times is not None:
+            last.add_metric([url], times.committed)
+            if times.lag_s is not None:
+                lag.add_metric([url], times.lag_s)
+    yield from (state, last, lag)
 
 
 def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
@@ -102,7 +140,7 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     yield from (refused, aside)
 
 
-def _turbines(now: float, fleet: Sequence[FleetRow]) -> Iterator[Metric]:
+def _turbines(found: Snapshot) -> Iterator[Metric]:
     from prometheus_client.core import GaugeMetricFamily
 
     heard = GaugeMetricFamily(
@@ -116,25 +154,40 @@ def _turbines(now: float, fleet: Sequence[FleetRow]) -> Iterator[Metric]:
     margin = GaugeMetricFamily(
         "hygrokf_dew_point_margin_kelvin", "Coldest surface above the dew point", labels=["turbine"]
     )
-    for row in fleet:
+    state = GaugeMetricFamily(
+        "hygrokf_turbine_state", "1 for the state that a turbine is in", labels=["turbine", "state"]
+    )
+    for row in found.fleet or ():
+        name = row["turbine"]
         for family, value in (
-            (heard, None if row["heard"] is None else now - row["heard"]),
+            (heard, None if row["heard"] is None else found.now - row["heard"]),
             (chance, row["condensation"]),
             (margin, row["margin"]),
         ):
             if value is not None:
-                family.add_metric([row["turbine"]], value)
-    yield from (heard, chance, margin)
-    state = GaugeMetricFamily(
-        "hygrokf_turbine_state", "1 for the state that a turbine is in", labels=["turbine", "state"]
-    )
-    for row in fleet:
+                family.add_metric([name], value)
         for one in TURBINE_STATES:
-            state.add_metric([row["turbine"], one], int(one == row["state"]))
-    yield state
-    alarms = GaugeMetricFamily("hygrokf_open_alarms", "Open alarms", labels=["kind", "severity"])
-    for (kind, severity), count in sorted(
-        Counter((a.kind, a.severity) for row in fleet for a in row["alarms"]).items()
-    ):
-        alarms.add_metric([kind, severity], count)
-    yield alarms
+            state.add_metric([name, one], int(one == row["state"]))
+    yield from (heard, chance, margin, state, _open_alarms(found))
+
+
+def _open_alarms(found: Snapshot) -> Metric:
+    """Open alarms of every turbine and kind, zeros included, so that a rule sees an alarm begin and end.
+
+    Alarms that belong to no turbine have an empty label `turbine`.
+    """
+    from prometheus_client.core import GaugeMetricFamily
+
+    counts: Counter[tuple[str, str, str]] = Counter()
+    names = [SOURCE, *(row["turbine"] for row in found.fleet or ())]
+    for name in names if found.fleet is not None else ():
+        for rule in RULES.values():
+            if (name == SOURCE and rule in (LOST, CLOCK)) or (name != SOURCE and rule != LOST):
+                counts[name, rule.kind, rule.severity] = 0
+                if math.isfinite(rule.severe):
+                    counts[name, rule.kind, "alarm"] = 0
+    counts.update((one.turbine, one.kind, one.severity) for one in found.alarms if one.turbine in names)
+    alarms = GaugeMetricFamily("hygrokf_open_alarms", "Open alarms", labels=["turbine", "kind", "severity"])
+    for labels, count in sorted(counts.items()):
+        alarms.add_metric(labels, count)
+    return alarms

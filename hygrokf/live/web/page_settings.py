@@ -14,7 +14,7 @@ from hygrokf.live.sources.endpoint import is_loopback
 
 PAGE = "127.0.0.1:8080"
 SHORTEST = 16
-"""Shortest token [characters]; an attacker gets ten attempts in five minutes."""
+"""Shortest token [characters]; the tokens made as the message below says have 43."""
 
 NEEDED = "the live page needs further packages: pip install 'hygrokf[live]'"
 

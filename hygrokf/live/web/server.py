@@ -11,6 +11,7 @@ import asyncio
 import errno
 import json
 import logging
+import re
 import socket
 import threading
 import time
@@ -22,6 +23,7 @@ from hygrokf.data.structured import Json
 from hygrokf.live.batch import Batch
 from hygrokf.live.sources.endpoint import bracketed
 from hygrokf.live.web.access import answer
+from hygrokf.live.web.connections import WAITING, WAITING_OF_ADDRESS, Connections, watched
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 
 if TYPE_CHECKING:
@@ -33,8 +35,6 @@ STOP_S = 5.0
 """[s] allowed for starting and for stopping."""
 GRACE_S = 2
 """[s] for responses in progress when the server stops."""
-REQUESTS = 500
-"""Largest number of connections; more are told to retry."""
 REASONS = {
     errno.EADDRINUSE: "the port is in use by another program; end that one, or give another port",
     errno.EACCES: "this port is reserved for the system; give one above 1023",
@@ -98,7 +98,8 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
         import uvicorn
     except ImportError:
         raise PageFault(NEEDED) from None
-    listening = listening_socket(settings)
+    connections = Connections(WAITING if settings.behind_proxy else WAITING_OF_ADDRESS)
+    listening = watched(listening_socket(settings), connections)
     server = uvicorn.Server(
         uvicorn.Config(
             app,
@@ -108,12 +109,11 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
             lifespan="off",
             interface="asgi3",
             log_config=None,
-            log_level="warning",
+            log_level="error",  # a client's mistakes do not fill the log
             access_log=False,
             server_header=False,
             proxy_headers=settings.behind_proxy,
             timeout_graceful_shutdown=GRACE_S,
-            limit_concurrency=REQUESTS,
             ssl_certfile=settings.certificate or None,
             ssl_keyfile=settings.key or None,
         )
@@ -123,6 +123,10 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
     except OSError as fault:  # TLS errors are OSErrors, too
         listening.close()
         raise PageFault(f"the page's certificate cannot be used: {fault.strerror or fault}") from None
+    for name in ("uvicorn.error", "asyncio"):
+        logging.getLogger(name).addFilter(is_own_mistake)
+    # outside of what puts a proxy's clients in the place of the connections' own addresses
+    server.config.loaded_app = connections.limited(server.config.loaded_app)
     thread = threading.Thread(target=server.run, args=([listening],), name="page", daemon=True)
     thread.start()
     end = time.monotonic() + START_S
@@ -134,6 +138,20 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
         listening.close()
         raise PageFault(f"the page did not start within {START_S:g} s; the log says why")
     return made
+
+
+def is_own_mistake(record: logging.LogRecord) -> bool:
+    """Whether an error that uvicorn or asyncio logs is one of the program.
+
+    It is not where a request turned out to be malformed while it was being answered: uvicorn has refused it
+    then, and the answer comes too late.  It is not either where uvicorn fails to refuse a malformed HEAD or
+    CONNECT, whose answers have no body; the connection is closed.
+    """
+    fault = record.exc_info[1] if record.exc_info else None
+    if type(fault).__name__ != "LocalProtocolError":
+        return True
+    too_late = re.search(r"our state is|role=SERVER and state=", str(fault))
+    return record.name != "asyncio" and too_late is None
 
 
 def listening_socket(settings: PageSettings) -> socket.socket:
@@ -152,7 +170,8 @@ def listening_socket(settings: PageSettings) -> socket.socket:
 # -- events --------------------------------------------------------------------------------------------------
 def changed_turbines(batch: Batch) -> set[str]:
     """Turbines for which a batch changes the page."""
-    named = {o.turbine for o in batch.observations} | {a.turbine for a in batch.alarms} | set(batch.estimates)
+    named = {o.turbine for o in batch.observations} | {a.turbine for a in (*batch.alarms, *batch.reopened)}
+    named |= set(batch.estimates)
     named |= {name for name, *_ in batch.properties}
     named |= {name for name, _ in (*batch.memories, *batch.counters)}
     return named - {""}

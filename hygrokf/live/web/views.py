@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
 from hygrokf.live.assessment import NOT_ASSESSED
-from hygrokf.live.batch import STATES, Alarm, Assessment
+from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
@@ -34,6 +34,8 @@ DECIMALS = 4
 """Decimal places of numbers sent to the page; rounding halves the size of the response."""
 FRESH_S = HOUR_S
 """[s] since the last reading after which a turbine's data are no longer fresh."""
+RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
+"""Causes of acknowledgements that say that an alarm was right, or wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
 COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
 _COLUMNS = ", ".join(f"{q.column}, {q.sd_column}" for q in COURSES.values())
@@ -183,6 +185,17 @@ class TurbineView(TypedDict):
     signals: list[SignalRow]
     counts: dict[str, int]
     held: int
+
+
+class KindLabels(TypedDict):
+    """Alarms of one kind in the store: how many, how many with each cause of an acknowledgement, and how many
+    of those were right (something had changed) or wrong; the others are not known."""
+
+    kind: str
+    alarms: int
+    causes: dict[str, int]
+    right: int
+    wrong: int
 
 
 class SourceRow(TypedDict):
@@ -479,6 +492,21 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     rows = store.rows(f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm {where} ORDER BY began DESC", parameters)
     found = [Alarm(**dict(zip(ALARM_COLUMNS, row, strict=True))) for row in rows]
     return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
+
+
+def labels_view(store: Store) -> list[KindLabels]:
+    """How often each kind of alarm was right, as those say who acknowledged it; by kind."""
+    found: dict[str, KindLabels] = {}
+    for kind, cause, count in store.rows("SELECT kind, cause, COUNT(*) FROM alarm GROUP BY kind, cause"):
+        row = found.setdefault(
+            kind, {"kind": kind, "alarms": 0, "causes": dict.fromkeys(CAUSES, 0), "right": 0, "wrong": 0}
+        )
+        row["alarms"] += int(count)
+        if cause in row["causes"]:
+            row["causes"][cause] += int(count)
+            row["right"] += int(count) * (cause in RIGHT)
+            row["wrong"] += int(count) * (cause in WRONG)
+    return [found[kind] for kind in sorted(found)]
 
 
 def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hygrokf.physics.expression import Value
-from hygrokf.physics.model import Mechanism, Space, Values
+from hygrokf.physics.model import Feature, Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
@@ -26,6 +26,7 @@ def effect(
     *factors: Factor,
     negative: bool = False,
     inputs: tuple[str, ...] | None = None,
+    features: Mapping[str, Feature] | None = None,
     settings: Mapping[str, Any] | None = None,
     meaning: str,
     leaves: str,
@@ -33,7 +34,8 @@ def effect(
 ) -> Mechanism:
     """One amplitude a, with the null value 0, that scales inputs: target += ± a · factor · factor …
 
-    `inputs` are those that the factors read; by default the factors that are names.
+    `inputs` are those that the factors read; by default the factors that are names.  `features` are those of
+    them that the mechanism brings with it.
     """
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
@@ -49,6 +51,7 @@ def effect(
         parameters=(amplitude,),
         inputs=named if inputs is None else inputs,
         contributions=contributions,
+        features=features or {},
         settings=settings or {},
         meaning=meaning,
         leaves=leaves,

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hygrokf.physics.expression import Given, Value
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
 from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
+
+if TYPE_CHECKING:
+    from hygrokf.data.record import Record
 
 
 def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
@@ -114,6 +120,11 @@ def drying_heat() -> Mechanism:
     )  # fmt: skip
 
 
+def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then approaching 1 with the time constant `days`."""
+    return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * 86400.0))
+
+
 def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed") -> Mechanism:
     """Heat release that drifts with time: f += a · flag · f₀ [K], f₀ the base model's own heat release in
     operation.
@@ -142,6 +153,7 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
         ),
         inputs=(flag, *(("operating", *powers) if operation else ())),
         contributions=lambda p, x, u, q: {"heat_release": p.heat_drift * getattr(u, flag) * own(p, u)},
+        features={"since": (since, LINEAR)},
         settings={"order": order, "operation": operation, "flag": flag},
         meaning="heat release that drifts with the calendar",
         leaves="a temperature error that grows with the calendar, in operation",
@@ -292,3 +304,12 @@ def leading_ambient() -> Mechanism:
         leaves="a temperature error that follows the rate of the ambient temperature",
         source="inverse of a first-order lag",
     )  # fmt: skip
+
+
+# fmt: off
+LOGGED = (logged_heater, dehumidifier_heat, fan_loss, pump_loss, open_loss)
+FURTHER = (
+    solar_gain, unreported_heater, drying_heat, scheduled_heat, release_drift, wind_loss, stepped_loss,
+    cooling_loss, vent_loss, lagged_ambient, leading_ambient,
+)
+# fmt: on

@@ -125,3 +125,8 @@ def hygric_diffusion() -> Mechanism:
         meaning="intensity of the white disturbance of the vapour concentration",
     )  # fmt: skip
     return white_noise("hygric_diffusion", "vapour", intensity, "white disturbance of the vapour flow")
+
+
+# fmt: off
+BASE = (hygric_exchange, vapour_disturbance, second_vapour_disturbance, hygric_diffusion)
+# fmt: on

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hygrokf.physics.expression import Value, exp, sqrt
+from hygrokf.physics.holds import ZERO_ORDER
 from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
 from hygrokf.physics.mechanisms.hygric import (
     cabinet_humidity,
@@ -17,6 +20,9 @@ from hygrokf.physics.mechanisms.hygric import (
 )
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
+
+if TYPE_CHECKING:
+    from hygrokf.data.record import Record
 
 REFERENCE_K = 293.15
 """[K] reference temperature of the sorption time constant."""
@@ -185,6 +191,11 @@ def condensation(sky: bool = False) -> Mechanism:
     )  # fmt: skip
 
 
+def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then 1, decaying with the time constant `days`."""
+    return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * 86400.0)), 0.0)
+
+
 def internal_moisture_source(when: str = "always") -> Mechanism:
     """A vapour source in the cabinet [g/(m³ h)].
 
@@ -197,6 +208,7 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
             meaning="vapour released per volume of cabinet air",
         ),
         *(() if when == "always" else (when,)),
+        features={"fading": (fading, ZERO_ORDER)},
         settings={"when": when},
         meaning="water that evaporates inside",
         leaves="absolute humidity above the ambient's, the more the slower the exchange",
@@ -488,3 +500,13 @@ def breathed_lead() -> Mechanism:
         leaves="an error that follows the rate of the ambient humidity",
         source="inverse of a first-order lag",
     )  # fmt: skip
+
+
+# fmt: off
+LOGGED = (fan_exchange, open_exchange, dehumidifier_drying)
+FURTHER = (
+    moisture_sorption, condensation, internal_moisture_source, wet_surface, rain_ingress, dehumidifier,
+    switched_drying, wind_exchange, stepped_exchange, cooled_exchange, vent_exchange, breathed_air,
+    breathed_lag, breathed_lead,
+)
+# fmt: on

@@ -80,7 +80,7 @@ def _sensor(
     if estimated:
         time = Parameter(
             response, "h", 0.1, SHORTEST_RESPONSE_H, longest_h, positive=True,
-            meaning="time in which the sensor follows a step by all but 1/e",
+            meaning="time time in which the sensor covers 63 % of a step",
         )  # fmt: skip
         parameters.append(time)
     return Mechanism(
@@ -274,3 +274,9 @@ def thermometer_offset() -> Mechanism:
         leaves="humidity that is off by 6 to 7 % of itself for each kelvin",
         source=OWN_ERROR,
     )  # fmt: skip
+
+
+# fmt: off
+BASE = (temperature_sensor, humidity_sensor, absolute_humidity_sensor)
+FURTHER = (humidity_drift, humidity_scale, humidity_ceiling, temperature_step, thermometer_offset)
+# fmt: on

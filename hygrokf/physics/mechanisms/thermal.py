@@ -348,3 +348,12 @@ def small_signal(time_constant: float, exponent: float, difference_K: float, at_
     `time_constant` [h] applies at `difference_K` [K]; `exponent` is n.
     """
     return time_constant * (difference_K / at_K) ** exponent
+
+
+# fmt: off
+BASE = (
+    thermal_network, measured_air, heat_release, natural_convection, heat_disturbance,
+    second_heat_disturbance, thermal_diffusion,
+)
+FURTHER = (wall_thermal_mass,)
+# fmt: on

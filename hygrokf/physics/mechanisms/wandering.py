@@ -118,3 +118,11 @@ def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
         leaves="a humidity reading that is too flat or too steep for days",
         source=OWN_ERROR,
     )  # fmt: skip
+
+
+# fmt: off
+WANDERING = (
+    wandering_time_constant, wandering_exchange, wandering_release, wandering_temperature_reading,
+    wandering_humidity_reading, wandering_humidity_scale,
+)
+# fmt: on

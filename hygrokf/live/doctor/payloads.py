@@ -1,0 +1,246 @@
+"""Payloads tried on the mappings of a tracker's file: what each gives, or why not.
+
+They come from a file or, for some seconds, from a topic of a broker.  Nothing is written, and at the broker a
+temporary session of its own is used, so that the tracker's session keeps its messages.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import queue
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import IO, cast
+
+from hygrokf.data.signals import from_si, signal_named
+from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.errors import HygrokfError
+from hygrokf.live.doctor.mqtt import Listener, await_answer, doctor_session
+from hygrokf.live.sources.broker import filter_fault, unreachable
+from hygrokf.live.sources.local import Lines, TailedFile, next_line
+from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable
+from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.stream import SourceFault, Stream
+from hygrokf.live.tracker import Reading
+
+MOST = 20
+"""Payloads that are shown; further ones are only counted."""
+MOST_READ = 10_000
+"""Payloads that are read."""
+MOST_VALUES = 40
+"""Readings and rejections of a payload that are shown."""
+WIDTH = 100
+"""Characters of a payload that are shown."""
+
+
+class TrialFault(HygrokfError):
+    """Nothing can be tried; the message says why."""
+
+
+@dataclass(frozen=True)
+class TriedReading:
+    """A reading of a payload: `value` in `unit`, `time` in ISO 8601."""
+
+    turbine: str
+    signal: str
+    time: str
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.turbine or 'all'}  {self.signal}  {self.time}  {self.value:.6g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class TriedRejection:
+    """Something in a payload that is not used: the `kind` under which it is counted, and why."""
+
+    turbine: str
+    kind: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"not used: {self.kind}: {self.why}"
+
+
+@dataclass(frozen=True)
+class TriedPayload:
+    """A payload, shortened, and what it gave."""
+
+    payload: str
+    readings: tuple[TriedReading, ...]
+    rejections: tuple[TriedRejection, ...]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What the payloads gave by the mapping of some `sources`; `payloads` holds the first ones."""
+
+    sources: tuple[str, ...]
+    payloads: tuple[TriedPayload, ...]
+    count: int
+    used: int
+    rejected: str
+
+
+# -- where the payloads come from ----------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Arrived:
+    """A payload to be tried, and when it was `received` [s]."""
+
+    content: Content
+    received: float
+    topic: str = ""
+
+
+def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Trial]:
+    """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
+
+    A file is read by the mapping of the source whose file it is, otherwise by each mapping.  Raises
+    TrialFault.
+    """
+    path = Path(what)
+    if path.exists() or not any(isinstance(one, Mqtt) for one in streams):
+        return _try_file(streams, path)
+    if (wrong := filter_fault(what)) is not None:
+        raise TrialFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
+    brokers = [one for one in streams if isinstance(one, Mqtt)]
+    return [trial((one.url,), one.mapping, heard(one, what, wait_s)) for one in brokers]
+
+
+def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
+    own = [one for one in streams if isinstance(one, TailedFile) and one.path.absolute() == path.absolute()]
+    found: list[tuple[PayloadMapping, list[str]]] = []
+    for stream in own or streams:
+        known = next((urls for mapping, urls in found if mapping == stream.mapping), None)
+        if known is None:
+            found.append((stream.mapping, [stream.url]))
+        else:
+            known.append(stream.url)
+    try:
+        return [trial(tuple(urls), mapping, filed(path, mapping)) for mapping, urls in found]
+    except FileNotFoundError:
+        raise TrialFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
+    except (OSError, EOFError, zlib.error) as fault:
+        raise TrialFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
+
+
+def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
+    """The payloads of a file, perhaps packed: one JSON text, or one payload or row a line.
+
+    Where the mapping reads levels of the topic, each line is `TOPIC PAYLOAD`, as `mosquitto_sub -v` prints
+    it.
+    """
+    now = time.time()
+    with path.open("rb") as plain:
+        packed = plain.read(2) == b"\x1f\x8b"
+    file: IO[bytes]
+    with cast(IO[bytes], gzip.open(path)) if packed else path.open("rb") as file:
+        start = file.read(UNPACKED + 1)
+        if len(start) <= UNPACKED and mapping.form == JSON and start.lstrip()[:1] in (b"{", b"["):
+            with suppress(ValueError, RecursionError):
+                json.loads(start)
+                yield Arrived(start, now)
+                return
+        file.seek(0)
+        lines = Lines(mapping.form if not mapping.needs_topic else "line")
+        while line := next_line(file):
+            content = lines.content(line)
+            if content is None:
+                continue
+            topic = ""
+            if mapping.needs_topic and isinstance(content, str):
+                topic, _, content = content.partition(" ")
+            yield Arrived(content, now, topic)
+
+
+def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
+    """The messages at a topic within `wait_s` [s], retained ones included.  Raises TrialFault."""
+    link = Listener(replace(doctor_session(source.broker), topics=(topic,), alarms=""))
+    try:
+        try:
+            link.open()
+        except SourceFault as fault:
+            link.lose(str(fault))
+        except Exception as fault:  # of any kind: it is reported
+            link.lose(unreachable(fault, source.broker.where))
+        await_answer(link)
+        if link.lost.is_set() or not link.answered or link.denied:
+            words = link.reason or f"{source.broker.where} has not answered"
+            raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
+        end, contents = time.monotonic() + wait_s, source.reader()
+        while (left := end - time.monotonic()) > 0.0:
+            with suppress(queue.Empty):
+                found = link.messages.get(timeout=left)
+                if found is None:
+                    raise TrialFault(f"{source.url}: {link.reason}")
+                message, came = found
+                payload = bytes(message.payload[: source.largest + 1])
+                for content in contents(message.topic, payload, came):
+                    yield Arrived(content, came, message.topic)
+    finally:
+        link.close()
+
+
+# -- what they give ------------------------------------------------------------------------------------------
+def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Arrived]) -> Trial:
+    """Read payloads by a mapping."""
+    statistics = PayloadStatistics(mapping)
+    shown: list[TriedPayload] = []
+    for one in payloads:
+        found = statistics.take(one.content, one.received, one.topic)
+        if len(shown) < MOST:
+            readings = [_tried(of.turbine, reading) for of in found for reading in of.readings]
+            rejections = [TriedRejection(of.turbine, *one) for of in found for one in of.rejections]
+            text = f"{one.topic} {_text(one.content)}".strip()
+            shown.append(TriedPayload(text, tuple(readings[:MOST_VALUES]), tuple(rejections[:MOST_VALUES])))
+        if statistics.payloads == MOST_READ:
+            break
+    return Trial(sources, tuple(shown), statistics.payloads, statistics.used, statistics.rejected)
+
+
+def _tried(turbine: str, one: Reading) -> TriedReading:
+    row = signal_named(one.signal)
+    unit = row.display or row.unit
+    value = float(from_si(one.value, unit, one.signal))
+    return TriedReading(turbine, one.signal, stamp_text(one.time), value, unit)
+
+
+def _text(content: Content) -> str:
+    if isinstance(content, Unreadable):
+        return "(no payload)"
+    if isinstance(content, Mapping):
+        text = ", ".join(f"{name}={value}" for name, value in content.items())
+    elif isinstance(content, bytes):
+        text = "(gzip)" if content[:2] == b"\x1f\x8b" else content[: 4 * WIDTH].decode("utf-8", "replace")
+    else:
+        text = content
+    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+
+
+def as_text(trials: Sequence[Trial]) -> str:
+    """Each payload with what it gave, and a summary for each mapping."""
+    lines = []
+    for one in trials:
+        lines.append(f"by the mapping of {', '.join(one.sources)}:")
+        for payload in one.payloads:
+            lines.append(f"  {payload.payload}")
+            lines += [f"      {said}" for said in (*payload.readings, *payload.rejections)]
+        if one.count > len(one.payloads):
+            lines.append(f"  … and {one.count - len(one.payloads)} more")
+        unused = f"; not used: {one.rejected}" if one.rejected else ""
+        lines.append(f"  {one.used} of {one.count} payloads gave readings{unused}")
+    return "\n".join("".join(c if c.isprintable() else " " for c in line) for line in lines)
+
+
+def as_data(trials: Sequence[Trial]) -> JsonObject:
+    """The same as JSON data."""
+    return {"trials": [asdict(one) for one in trials]}

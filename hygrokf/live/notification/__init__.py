@@ -1,0 +1,1 @@
+"""Notification: alarms by mail and webhook, from the store's outbox."""

@@ -1,0 +1,181 @@
+"""Notices of alarms: which are written when an alarm changes, and what becomes of one that is due.
+
+A notice is written in the transaction that writes the alarm, so that none is lost.  Whether it is sent is
+decided when it is due: an alarm that has ended within its hold-off is not, and the end of an alarm only if
+its beginning was.  Its id consists of channel, alarm and event, so that it is written once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+from hygrokf.data.structured import structured
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.batch import Alarm, Notice
+from hygrokf.live.notification.channel import (
+    ACKNOWLEDGED,
+    BEGAN,
+    DUE_AGAIN,
+    ENDED,
+    OPENING,
+    WORSENED,
+    Channel,
+    Content,
+)
+
+PAST_S = DAY_S
+"""[s] after its beginning from which a new alarm counts as one of the past: the tracker is catching up."""
+CATCH_UP_S = 600.0
+"""[s] an alarm of the past waits, so that its end is known if it has ended."""
+SHELVED_S = 60.0
+"""[s] after which a shelved alarm is looked at again."""
+SEVERITIES = ("notice", "warning", "alarm")
+"""Severities of an alarm, the lowest first."""
+
+
+# -- writing -------------------------------------------------------------------------------------------------
+def notices_of(
+    alarms: Iterable[Alarm], channels: Iterable[Channel], now: float, record_now: float
+) -> list[Notice]:
+    """Notices of alarms that began, became worse or ended, made at `now` [s]; `record_now` [s] is the time of
+    the readings.
+
+    An end is written whatever the severity is by then: it is sent if the beginning was.
+    """
+    channels = tuple(channels)
+    return [
+        _notice(channel, alarm, BEGAN if alarm.ended is None else ENDED, now, record_now)
+        for alarm in alarms
+        for channel in channels
+        if (channel.covers(alarm) if alarm.ended is None else channel.concerns(alarm))
+    ]
+
+
+def acknowledgement(alarm: Alarm, channels: Iterable[Channel], now: float) -> list[Notice]:
+    """Notices of an acknowledged alarm."""
+    return [_notice(one, alarm, ACKNOWLEDGED, now, now) for one in channels if one.concerns(alarm)]
+
+
+def due_again(alarm: Alarm, look_again: float, channels: Iterable[Channel], now: float) -> list[Notice]:
+    """Notices of an alarm that is unacknowledged again because it is due to be looked at since `look_again`
+    [s]."""
+    return [
+        replace(made, id=f"{prefix(one.name, alarm.id)}{DUE_AGAIN} {look_again:.0f}")
+        for one in channels
+        if one.covers(alarm)
+        for made in [_notice(one, alarm, DUE_AGAIN, now, now)]
+    ]
+
+
+def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: float) -> Notice:
+    wait_s = channel.hold_off_s if event == BEGAN else 0.0
+    if event == BEGAN and record_now - alarm.began > PAST_S:
+        wait_s = max(wait_s, CATCH_UP_S)
+    # a beginning is written anew when the severity rises, an acknowledgement after each return
+    mark = {BEGAN: alarm.severity, ACKNOWLEDGED: f"{ACKNOWLEDGED} {alarm.acknowledged or now:.0f}"}
+    return Notice(
+        id=prefix(channel.name, alarm.id) + mark.get(event, event),
+        channel=channel.name,
+        content=as_text(Content(event, alarm)),
+        made=now,
+        due=channel.due_s(alarm, now + wait_s),
+    )
+
+
+def prefix(channel: str, alarm: str) -> str:
+    """The part that the ids of a channel's notices about an alarm have in common."""
+    return f"{channel}:{alarm}:"
+
+
+def as_text(content: Content) -> str:
+    """The content of a notice as JSON."""
+    return json.dumps(asdict(content), ensure_ascii=False)
+
+
+def content_of(notice: Notice) -> Content:
+    """The content of a stored notice."""
+    return structured(Content, json.loads(notice.content))
+
+
+# -- deciding ------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Send:
+    """Send this content now."""
+
+    content: Content
+
+
+@dataclass(frozen=True)
+class Drop:
+    """Send nothing, for a reason."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Decide again at a time [s]."""
+
+    until: float
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What is known when a notice is due.
+
+    `alarm` as the store has it, None if it was deleted; `others`: the channel's other notices about it;
+    whether it is `shelved`; `now` [s], and `record_now` [s], the time of the readings.
+    """
+
+    alarm: Alarm | None
+    others: Sequence[Notice]
+    shelved: bool
+    now: float
+    record_now: float
+
+
+def decide(notice: Notice, channel: Channel, known: Situation) -> Send | Drop | Wait:
+    """What becomes of a notice that is due and was not attempted before."""
+    content = content_of(notice)
+    if known.alarm is None:
+        return Drop("the alarm is no longer stored")
+    if content.event in OPENING:
+        return _decide_opening(notice, content, channel, known, known.alarm)
+    openings = [one for one in known.others if content_of(one).event in OPENING]
+    if any(delivered(one) for one in openings):
+        return Send(content)
+    waiting = [one.due for one in openings if one.sent is None]
+    return Wait(max(min(waiting), known.now + 1.0)) if waiting else Drop("its beginning was not sent")
+
+
+def _decide_opening(
+    notice: Notice, content: Content, channel: Channel, known: Situation, alarm: Alarm
+) -> Send | Drop | Wait:
+    if alarm.acknowledged is not None:
+        return Drop("it was acknowledged before the notice was due")
+    if known.shelved:
+        return Drop("it ended while shelved") if alarm.ended is not None else Wait(known.now + SHELVED_S)
+    if alarm.ended is not None:
+        made = [one.made for one in known.others if content_of(one).event == ENDED]
+        if alarm.ended - alarm.began < channel.hold_off_s and made and made[0] < notice.due:
+            return Drop("it ended within the hold-off")
+        if known.record_now - alarm.ended > PAST_S:
+            return Drop("it was over before the tracker had caught up")
+    before = [content_of(one).alarm.severity for one in known.others if is_opening(one) and delivered(one)]
+    if content.event == BEGAN and before:
+        if max(map(SEVERITIES.index, before)) >= SEVERITIES.index(content.alarm.severity):
+            return Drop("a severer notice was sent")
+        return Send(replace(content, event=WORSENED))
+    return Send(content)
+
+
+def is_opening(notice: Notice) -> bool:
+    """Whether a notice announces an open alarm."""
+    return content_of(notice).event in OPENING
+
+
+def delivered(notice: Notice) -> bool:
+    """Whether a receiver has accepted a notice; one that was dropped says why as its failure."""
+    return notice.sent is not None and not notice.failure

@@ -1,0 +1,60 @@
+"""Counts what payloads give when they are read by a mapping."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from hygrokf.live.sources.payload import NOBODY, PayloadMapping, Rejection, TurbineReadings
+from hygrokf.live.sources.payload_formats import Content, Refused
+
+
+class PayloadStatistics:
+    """Counts payloads that are read by a mapping.
+
+    `payloads`: number received; `used`: number that gave readings; `newest`: (turbine, signal) -> time [s] of
+    the newest reading; `counts`: rejected items by kind, with one example of each in `reasons`; `lag_s`:
+    smallest delay [s] from stamp to arrival, negative if the stamp is ahead, NaN without payloads.
+    """
+
+    def __init__(self, mapping: PayloadMapping) -> None:
+        self.mapping = mapping
+        self.payloads = self.used = 0
+        self.newest: dict[tuple[str, str], float] = {}
+        self.counts: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+        self.lag_s = math.nan
+
+    def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
+        """Count a payload received at a time [s], and return what it gave."""
+        self.payloads += 1
+        try:
+            found = self.mapping.read(content, received, topic)
+        except Refused as fault:
+            found = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
+            if fault.kind == "impossible time":
+                self._note(self.mapping.stamp(content), received)
+        if not any(one.readings or one.rejections for one in found):
+            # ordinary for a sensor that pauses, but nothing to be content with when a mapping is checked
+            found = [TurbineReadings(NOBODY, [], [Rejection("no value", "its fields are empty")])]
+        self.used += any(one.readings for one in found)
+        for turbine, readings, rejections in found:
+            for kind, words in rejections:
+                self.counts[kind] += 1
+                self.reasons.setdefault(kind, words)
+            for one in readings:
+                key = (turbine, one.signal)
+                self.newest[key] = max(one.time, self.newest.get(key, -math.inf))
+                self._note(one.time, received)
+        return found
+
+    def _note(self, stamp: float | None, received: float) -> None:
+        if stamp is not None:
+            lag_s = received - stamp
+            self.lag_s = min(lag_s, self.lag_s) if self.lag_s == self.lag_s else lag_s
+
+    @property
+    def rejected(self) -> str:
+        """Text about the rejected items; empty if there are none."""
+        return ", ".join(f"{n} {kind} ({self.reasons[kind]})" for kind, n in self.counts.most_common())

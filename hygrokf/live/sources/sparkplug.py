@@ -1,0 +1,237 @@
+"""Sparkplug B on an MQTT broker as a source: edge nodes with their births, data and deaths.
+
+What the births define is kept in the store together with the readings, because a broker does not repeat them
+after a restart of the tracker.  With `rebirth_requests` an edge node is asked for its birth certificates when
+they are needed; nothing else is published here but alarms.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
+from hygrokf.live.sources.mqtt_link import Arrival, Link
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
+from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
+from hygrokf.live.sources.sparkplug_node import EdgeNode
+from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
+from hygrokf.live.sources.stream import Delivery, Receipt, SourceState, several
+
+LOG = logging.getLogger("hygrokf.track")
+MOST_NODES = 1_000
+"""Edge nodes that are followed."""
+LOOK_S = 0.5
+"""[s] between two looks for messages that wait in vain, and for edge nodes to be asked."""
+ASK_AGAIN_S = 60.0
+"""[s] after which an edge node is asked again."""
+DEVICE_PLACE = 4
+"""Place of the device in a topic."""
+DEVICE_LEVEL = f"{{{DEVICE_PLACE}}}"
+"""The mapping's turbine where each device is one."""
+_OF_NO_DEVICE = Unreadable("of no device", "metrics of an edge node itself, while turbines are devices")
+ASK = f'publish the command "Node Control/Rebirth" to {NAMESPACE}/GROUP/NCMD/NODE'
+"""What to do where the tracker may not ask."""
+
+
+class EdgeNodes:
+    """All edge nodes of a source by name (GROUP/NODE)."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, EdgeNode] = {}
+
+    def take(
+        self,
+        topic: str,
+        payload: bytes,
+        received: float,
+        receipt: Receipt | None = None,
+        repeated: bool = False,
+    ) -> tuple[EdgeNode | None, list[Released]]:
+        """The edge node of a message received at a time [s], and what the message releases.
+
+        Commands, and states of host applications, have neither an edge node nor contents.
+        """
+        try:
+            address = address_of(topic)
+            if address is None:
+                return None, [Released((), topic, received, receipt)]
+            node = self.nodes.get(address.edge_node)
+            if node is None:
+                if len(self.nodes) >= MOST_NODES:
+                    raise Refused("too many edge nodes", f"at most {MOST_NODES} edge nodes are followed")
+                node = EdgeNode(address.edge_node)
+            message = decode(payload)
+        except Refused as fault:
+            return None, [Released((Unreadable(fault.kind, str(fault)),), topic, received, receipt)]
+        self.nodes[node.name] = node
+        return node, node.take(Arrived(address, topic, message, payload, received, receipt, repeated))
+
+    def recall(self, memories: JsonObject) -> None:
+        """Resume from what `EdgeNode.memories` gave."""
+        prefix = "edge node "
+        for key, content in memories.items():
+            if key.startswith(prefix) and len(self.nodes) < MOST_NODES:
+                name = key.removeprefix(prefix)
+                self.nodes[name] = EdgeNode.recalled(name, memories.get(f"sequence of {name}"), content)
+
+    def without_birth(self) -> list[str]:
+        """Names of edge nodes whose aliases only a birth certificate can explain."""
+        return [name for name, node in tuple(self.nodes.items()) if node.needs_birth]
+
+
+class Absence(NamedTuple):
+    """An edge node or device that has left: the topic of its data, and the time [s] of its death
+    certificate."""
+
+    topic: str
+    since: float
+
+
+def data_topic(name: str, device: str) -> str:
+    """The topic at which an edge node (GROUP/NODE) publishes data of a device, "" for its own."""
+    group, _, node = name.partition("/")
+    return f"{NAMESPACE}/{group}/DDATA/{node}/{device}" if device else f"{NAMESPACE}/{group}/NDATA/{node}"
+
+
+class Sparkplug(Mqtt):
+    """The edge nodes below some topics of a broker."""
+
+    largest = LARGEST_MESSAGE
+
+    def __init__(self, broker: Broker, mapping: PayloadMapping, rebirth_requests: bool = False) -> None:
+        own = mapping.of_own_payloads(("good",), mapping.turbines)
+        named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
+        super().__init__(broker, named)
+        self.rebirth_requests = rebirth_requests
+        self.edge_nodes = EdgeNodes()
+        self._asked: dict[str, float] = {}
+        self._looked = 0.0
+
+    def recall(self, memories: JsonObject) -> None:
+        self.edge_nodes.recall(memories)
+
+    # -- the source's own thread -----------------------------------------------------------------------------
+    def _take(self, link: Link, found: Arrival, put: Callable[[Delivery], None]) -> None:
+        receipt = MqttReceipt(link, found.identifier)
+        node, released = self.edge_nodes.take(found.topic, found.payload, found.time, receipt, found.repeated)
+        if node is None and not released[0].contents:
+            receipt.acknowledge()
+        else:
+            self._put_released(link, node, released, put)
+
+    def _look_after(self, link: Link, put: Callable[[Delivery], None]) -> None:
+        """Release messages that wait in vain for those before them; ask for births."""
+        if time.monotonic() < self._looked + LOOK_S:
+            return
+        self._looked = time.monotonic()
+        for node in self.edge_nodes.nodes.values():
+            self._put_released(link, node, node.look(time.time()), put)
+        if self.rebirth_requests and link.answered:
+            for name in self.edge_nodes.without_birth():
+                if self._looked > self._asked.get(name, -ASK_AGAIN_S) + ASK_AGAIN_S:
+                    self._asked[name] = self._looked
+                    group, _, node_id = name.partition("/")
+                    link.request(f"{NAMESPACE}/{group}/NCMD/{node_id}", rebirth_request(time.time()))
+                    LOG.info("asked for a rebirth", extra={"source": self.url, "edge_node": name})
+
+    def _put_released(
+        self, link: Link, node: EdgeNode | None, released: list[Released], put: Callable[[Delivery], None]
+    ) -> None:
+        for place, one in enumerate(released, 1):
+            receipt = one.receipt if isinstance(one.receipt, MqttReceipt) else MqttReceipt(link, None)
+            # the data to keep describe the edge node after all that is released
+            memories = node.memories() if node is not None and place == len(released) else None
+            self._put(self.contents(one), one.received, one.topic, receipt, put, memories)
+
+    def reader(self, nodes: EdgeNodes | None = None) -> Callable[[str, bytes, float], Sequence[Content]]:
+        """Gives the payloads of messages that another session hears, of edge nodes that it knows from these
+        messages alone."""
+        known = EdgeNodes() if nodes is None else nodes
+
+        def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
+            _, released = known.take(topic, payload, received)
+            return [content for one in released for content in self.contents(one)]
+
+        return contents
+
+    def contents(self, one: Released) -> Sequence[Payload | Unreadable]:
+        """What the mapping is given: where turbines are devices, nothing that an edge node says of itself."""
+        if self.mapping.turbine != DEVICE_LEVEL or one.topic.count("/") >= DEVICE_PLACE:
+            return one.contents
+        return [_OF_NO_DEVICE if not isinstance(c, Unreadable) else c for c in one.contents]
+
+    # -- what the state says ---------------------------------------------------------------------------------
+    def absences(self) -> list[Absence]:
+        """Edge nodes and devices that have left and have not come back."""
+        found = []
+        for name, node in tuple(self.edge_nodes.nodes.items()):
+            for device, since in tuple(node.left_s.items()):
+                found.append(Absence(data_topic(name, device), since))
+        return found
+
+    def _present(self) -> set[str | None]:
+        """Turbines of which a device sends."""
+        nodes = tuple(self.edge_nodes.nodes.items())
+        return {
+            self._turbine(data_topic(name, device)) for name, node in nodes for device in tuple(node.present)
+        }
+
+    def left(self) -> dict[str, str]:
+        """Turbine -> text about its edge node or device that has left, where the topic names the turbine and
+        nothing else sends for it."""
+        found: dict[str, str] = {}
+        present = self._present()
+        for one in self.absences():
+            turbine = self._turbine(one.topic)
+            if turbine is not None and turbine not in present:
+                words = f"{_sender(one.topic)} has left by its death certificate of {stamp_text(one.since)}"
+                found[turbine] = f"{words}: its signals are stale until it is born again"
+        return found
+
+    def _turbine(self, topic: str) -> str | None:
+        """The turbine that a level of the topic names, or the only one; None for any other."""
+        place, turbines = self.mapping.turbine, self.mapping.turbines
+        levels = {f"{{{number}}}": level for number, level in enumerate(topic.split("/"))}
+        only = set(turbines.values())
+        if not place and len(only) == 1:
+            return only.pop()
+        return turbines.get(levels.get(place, ""))
+
+    @property
+    def state(self) -> SourceState:
+        found = super().state
+        if found.word != "connected":
+            return found
+        nodes = tuple(self.edge_nodes.nodes.items())
+        left = [name for name, node in nodes if "" in node.left_s]
+        notes = [found.words, *self._notes()]
+        return SourceState("lost" if nodes and len(left) == len(nodes) else "connected", "; ".join(notes))
+
+    def _notes(self) -> list[str]:
+        """What keeps edge nodes from being read."""
+        left = [f"{_sender(one.topic)} since {stamp_text(one.since)}" for one in self.absences()]
+        notes = (
+            [f"left, so that its signals are stale until it is born again: {several(left)}"] if left else []
+        )
+        if waiting := self.edge_nodes.without_birth():
+            remedy = (
+                "it has been asked for a rebirth"
+                if self.rebirth_requests
+                else (f"ask for a rebirth: {ASK}, or set rebirth_requests = true")
+            )
+            notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
+        return notes
+
+
+def _sender(topic: str) -> str:
+    """GROUP/NODE[/DEVICE] of a topic."""
+    levels = topic.split("/")
+    return "/".join((levels[1], *levels[3:]))

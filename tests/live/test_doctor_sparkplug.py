@@ -1,0 +1,212 @@
+"""The table of a Sparkplug source, and what the doctor says of its edge nodes."""
+
+from __future__ import annotations
+
+import threading
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from builders.brokers import Mosquitto, mosquitto, needs_mosquitto
+from builders.sparkplug_peer import FLOAT, EdgeNode
+from builders.track_case import write_model
+
+from hygrokf.data.toml_form import Place
+from hygrokf.live.config import read_config
+from hygrokf.live.doctor import machine as doctor_machine
+from hygrokf.live.doctor.check import Check
+from hygrokf.live.doctor.examination import examine
+from hygrokf.live.doctor.payloads import try_payloads
+from hygrokf.live.sources import sparkplug_node
+from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.sparkplug import Sparkplug
+
+NAME = "Cabinet/Temperature"
+MAPPING = PayloadMapping(
+    {NAME: Field("cabinet_temperature", "degC")},
+    turbine="{4}",
+    tag="tag",
+    value="value",
+    turbines={"W01": "T1"},
+)
+TABLE = 'url = "mqtt://h"\nformat = "sparkplug-b"\n'
+TRACK = f"""\
+store = "sqlite:live.db"
+page = "127.0.0.1:0"
+[[turbine]]
+name = "W01"
+fit = "W01"
+[mapping]
+turbine = "{{4}}"
+[mapping.signals]
+"{NAME}" = {{ signal = "cabinet_temperature", unit = "degC" }}
+"""
+
+
+def read(text: str) -> tuple[object, list[str]]:
+    place = Place("[[source]] 1")
+    return stream_of(tomllib.loads(text), place, Path(), MAPPING), place.faults
+
+
+@pytest.mark.parametrize("topics", ["spBv1.0/#", "spBv1.0/Farm/#", "spBv1.0/+/+/N1/#", "spBv1.0/Farm/+/N1"])
+def test_a_sparkplug_table(topics: str) -> None:
+    stream, faults = read(f'{TABLE}topics = ["{topics}"]')
+    assert faults == [] and isinstance(stream, Sparkplug) and not stream.rebirth_requests
+    # the layout of its payloads is its own; turbines and signals are those of the mapping
+    assert (stream.mapping.tag, stream.mapping.quality, stream.mapping.turbine) == ("", "quality", "{4}")
+    assert stream.signals("T1") == {"cabinet_temperature"}
+
+
+def test_a_metric_s_name_may_contain_the_turbine() -> None:
+    mapping = replace(
+        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", comma=True, records="values"
+    )
+    place = Place("[[source]] 1")
+    stream = stream_of(tomllib.loads(f'{TABLE}topics = ["spBv1.0/#"]'), place, Path(), mapping)
+    names = {f"W01/{NAME}": 21.5, f"W09/{NAME}": 22.5, "Load": 1.0}
+    (found,) = [
+        one for one in stream.mapping.read({**names, "time": 1.7e9, "quality": "good"}, 1.7e9) if one.readings
+    ]
+    assert found.turbine == "T1" and [one.value for one in found.readings] == [21.5 + 273.15]
+
+
+def test_messages_are_mapped_unless_a_format_is_stated() -> None:
+    assert type(read('url = "mqtt://h"\ntopics = ["a"]')[0]) is Mqtt
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('topics = ["spBv1.0/Farm/DDATA/#"]', "births, data and deaths are needed"),
+        ('topics = ["spBv1.0/Farm/+"]', None),
+        ('topics = ["scada/#"]', "spBv1.0/GROUP/#"),
+        ('topics = ["$share/g/spBv1.0/#"]', "a share has gaps"),
+        ('topics = ["spBv1.0/#"]\nweather = true', "weather: not with format"),
+        ('topics = ["spBv1.0/#"]\nrebirth_requests = "yes"', "rebirth_requests"),
+    ],
+)
+def test_faults_of_a_sparkplug_table(text: str, fault: str | None) -> None:
+    _, faults = read(TABLE + text)
+    assert (not faults) if fault is None else (fault in faults[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("rebirth_requests = true", 'only with format = "sparkplug-b"'),
+        ('format = "sparkplug"', "sparkplug-b"),
+    ],
+)
+def test_faults_of_other_tables(text: str, fault: str) -> None:
+    _, faults = read(f'url = "mqtt://h"\ntopics = ["a"]\n{text}')
+    assert len(faults) == 1 and fault in faults[0]
+
+
+# -- the doctor ----------------------------------------------------------------------------------------------
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Mosquitto]:
+    folder = tmp_path / "broker"
+    folder.mkdir()
+    with mosquitto(folder) as made:
+        yield made
+
+
+@pytest.fixture
+def look(
+    tmp_path: Path, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[], dict[str, Check]]:
+    monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
+    monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
+    write_model(tmp_path / "W01")
+    file = tmp_path / "track.toml"
+    file.write_text(
+        f'{TRACK}[[source]]\nurl = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]\n'
+    )
+
+    def looked() -> dict[str, Check]:
+        found = examine(read_config(file), file, 1.0, False)
+        return {one.found: one for one in found if broker.url in one.about}
+
+    return looked
+
+
+@contextmanager
+def publishing(node: EdgeNode, act: Callable[[int], None]) -> Iterator[None]:
+    """An edge node that acts every tenth of a second as long as the block lasts."""
+    ended = threading.Event()
+
+    def go_on() -> None:
+        number = 0
+        while not ended.wait(0.1):
+            act(number)
+            number += 1
+
+    with node.connected():
+        node.bear()
+        thread = threading.Thread(target=go_on)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+
+def found(checks: dict[str, Check], words: str) -> Check:
+    (one,) = (check for text, check in checks.items() if words in text)
+    return one
+
+
+@needs_mosquitto
+def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[], dict[str, Check]]) -> None:
+    node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
+
+    def by_name(number: int) -> None:
+        node.send_named("W01", NAME, 21.0 + number % 2)
+
+    def by_alias(number: int) -> None:
+        node.send("W01", {NAME: 21.0 + number % 2})
+
+    def with_births(number: int) -> None:
+        if number % 4 == 0:
+            node.bear()
+        by_alias(number)
+
+    def with_gaps(number: int) -> None:
+        node.lose = number % 6 == 5
+        by_name(number)
+
+    with publishing(node, by_name):
+        checks = look()
+    assert found(checks, "every message is explained").level == "ok"
+    assert found(checks, "payloads gave readings").level == "ok"
+    assert "queue_qos0_messages" in found(checks, "published at QoS 0").remedy
+    with publishing(node, by_alias):
+        checks = look()
+    assert "Node Control/Rebirth" in found(checks, "no birth certificate").remedy
+    assert not any("gave readings" in text for text in checks)
+    with publishing(node, with_births):
+        checks = look()
+    assert found(checks, "payloads gave readings").found.split()[0] != "0"
+    with publishing(node, with_gaps):
+        checks = look()
+    assert found(checks, "messages are missing in the sequence").level == "doubt"
+    assert not node.rebirths
+
+
+@needs_mosquitto
+def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
+    text = f'url = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]'
+    stream, _ = read(text)
+    node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
+    with publishing(node, lambda number: node.bear(None, Cabinet_Temperature=21.5)):
+        (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 0.5)
+    assert found.used == found.count > 0
+    assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {
+        ("T1", 21.5, "degC")
+    }
