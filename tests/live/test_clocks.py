@@ -19,7 +19,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import TailedFile, record_mapping, record_messages
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery
-from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Fleet, Turbine
 
@@ -165,9 +165,10 @@ def test_a_service_whose_clock_is_set_right(
 
 def taken(url: str) -> int:
     """How many readings a store holds, held ones included."""
-    if not Path(url.removeprefix("sqlite:")).exists():
+    try:
+        store = open_store(url, read_only=True)
+    except StoreFault:  # the tracker has not made it yet
         return 0
-    store = open_store(url, read_only=True)
     count = store.rows("SELECT COUNT(*) FROM observation")[0][0] + store.held_count("T1")
     store.close()
     return count
