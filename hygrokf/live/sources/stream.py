@@ -107,7 +107,8 @@ class Stream(Protocol):
 
 
 class Threaded:
-    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set.
+    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set, and
+    this machine's `clock` [s].
 
     Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
     from the place of the last delivery.
@@ -116,8 +117,9 @@ class Threaded:
     url = ""
     played_back = False
 
-    def __init__(self, mapping: PayloadMapping) -> None:
+    def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
+        self.clock = clock
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._state = SourceState("idle", "not started")
@@ -173,7 +175,7 @@ class Threaded:
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
-        return time.time()
+        return self.clock()
 
     def stop(self) -> None:
         self._ended.set()

@@ -24,7 +24,14 @@ from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
 from hygrokf.live.web.statements import Statements
-from hygrokf.live.web.views import FleetRow, alarms_view, fleet_view, health_view, turbine_view
+from hygrokf.live.web.views import (
+    FleetRow,
+    alarms_view,
+    fleet_summary,
+    fleet_view,
+    health_view,
+    turbine_view,
+)
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -111,7 +118,8 @@ class Page:
     # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
         now = self.service.now
-        return reply({"now": now, "turbines": self.rows(now)})
+        rows = self.rows(now)
+        return reply({"now": now, "summary": fleet_summary(rows), "turbines": rows})
 
     def rows(self, now: float) -> list[FleetRow]:
         """The fleet's rows, read again after a change or `KEPT_S`."""
@@ -130,9 +138,9 @@ class Page:
         if days not in map(str, DAYS):
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
-        verdicts = self.service.turbines[name].verdicts
+        verdicts, needs = self.service.turbines[name].verdicts, self.service.turbines[name].plan.needs
         since = now - int(days) * DAY_S
-        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts))
+        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts, needs))
         return reply({"now": now, **found})
 
     def alarms(self, request: Request) -> Response:

@@ -40,7 +40,8 @@ const NOT_USED = {
   "unknown turbine": "named a turbine that is not tracked",
   "no time": "had no time",
   "ambiguous time": "had a local time that comes twice",
-  "impossible time": "had a time before 1990 or in the future",
+  "impossible time": "had a time before 1990, after 2100 or too far ahead",
+  "too many ahead": "had a time ahead of the clock, when too many of them were held back",
 };
 
 export class Turbine {
@@ -126,7 +127,7 @@ export class Turbine {
       return found.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
     }
     const signal = found.signals.find((one) => one.signal === sensor);
-    if (!signal) return `no ${kind} sensor: estimate from the model alone`;
+    if (!signal || signal.last === null) return `no ${kind} sensor: estimate from the model alone`;
     const days = clock() - this.days * DAY_S;
     if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
     return "";
@@ -195,10 +196,13 @@ export class Turbine {
 
   showData(found) {
     this.signals.replaceChildren(...found.signals.map((one) => make("tr",
-      { class: clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
+      { class: one.received === null || clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
       make("th", { scope: "row" }, words(one.signal)),
-      make("td", {}, `${reading(one)}\u00a0${unitText(one.unit)}`.trim()), make("td", {}, timeOf(one.last)),
-      make("td", {}, age(one.received), " ago"), make("td", {}, whole(one.count)))));
+      ...(one.last === null
+        ? [make("td", {}, one.needed === "required" ? "never came: no estimate without it" : "never came"), make("td", {}), make("td", {})]
+        : [make("td", {}, `${reading(one)}\u00a0${unitText(one.unit)}`.trim()), make("td", {}, timeOf(one.last)),
+          make("td", {}, age(one.received), " ago")]),
+      make("td", {}, whole(one.count)))));
     const rows = Object.entries(found.counts).map(([kind, count]) => make("li", {}, counted(kind, count, "reading")));
     this.aside.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
   }
