@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
-from hygrokf.live.storage.outbox import ChannelState, channel_states
+from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
@@ -190,13 +190,16 @@ class Page:
         now = self.service.now
         try:
             rows: list[FleetRow] | None = self.rows(now)
-            counters, alarms = self.reader.read(
-                lambda store: (store.counters(), alarms_view(store, since=math.inf))
+            counters, alarms, told = self.reader.read(
+                lambda store: (store.counters(), alarms_view(store, since=math.inf), waiting(store))
             )
         except StoreFault:
-            rows, counters, alarms = None, {}, []
+            rows, counters, alarms, told = None, {}, [], {}
         sources, clients = self._sources(), len(self.hub)
-        text, kind = exposition(Snapshot(now, self.service.health, sources, clients, rows, alarms, counters))
+        notices = {one.name: told.get(one.name, 0) for one in self.service.channels}
+        text, kind = exposition(
+            Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices)
+        )
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:

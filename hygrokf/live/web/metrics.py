@@ -11,7 +11,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,8 @@ class Snapshot:
     """What is measured at one instant.
 
     `now` [s]; `clients`: number of pages that are notified of changes; `fleet`: rows of `fleet_view`, None if
-    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count.
+    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count;
+    `notices`: channel → notices that are not sent yet.
     """
 
     now: float
@@ -46,6 +47,7 @@ class Snapshot:
     fleet: Sequence[FleetRow] | None
     alarms: Sequence[Alarm]
     counters: Mapping[tuple[str, str], int]
+    notices: Mapping[str, int] = field(default_factory=dict)
 
 
 def exposition(found: Snapshot) -> tuple[bytes, str]:
@@ -62,6 +64,7 @@ def exposition(found: Snapshot) -> tuple[bytes, str]:
             yield from _sources(found)
             yield from _set_aside(found.counters)
             yield from _turbines(found)
+            yield _notices(found.notices)
 
     registry = CollectorRegistry()
     registry.register(Now())
@@ -121,6 +124,17 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
             if times.lag_s is not None:
                 lag.add_metric([url], times.lag_s)
     yield from (state, last, lag)
+
+
+def _notices(waiting: Mapping[str, int]) -> Metric:
+    from prometheus_client.core import GaugeMetricFamily
+
+    made = GaugeMetricFamily(
+        "hygrokf_notices_waiting", "Notices of alarms that are not sent yet", labels=["channel"]
+    )
+    for channel, count in waiting.items():
+        made.add_metric([channel], count)
+    return made
 
 
 def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
