@@ -35,9 +35,9 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
 class Run:
     """A fleet of one turbine and its store, fed with a record's messages by a clock that may be wrong."""
 
-    def __init__(self, folder: Path, record: Record, turbine: Turbine) -> None:
+    def __init__(self, url: str, record: Record, turbine: Turbine) -> None:
         self.turbine, self.record = turbine, record
-        self.store: Store = open_store(f"sqlite:{folder / 'live.db'}")
+        self.store: Store = open_store(url)
         self.fleet = Fleet.from_store({"T1": turbine}, self.store)
         self.mapping = record_mapping(record, "T1")
         self.alarms: list[Alarm] = []
@@ -90,7 +90,7 @@ class Run:
 def test_no_clock_of_this_machine_loses_a_reading(
     tmp_path: Path, record: Record, turbine: Turbine, wrong_s: Callable[[float], float], held: bool
 ) -> None:
-    run = Run(tmp_path, record, turbine)
+    run = Run(f"sqlite:{tmp_path / 'live.db'}", record, turbine)
     run.play(wrong_s)
     assert (run.most_held > 0) == held
     (stored,) = run.store.rows("SELECT COUNT(*) FROM observation")[0]
@@ -100,8 +100,8 @@ def test_no_clock_of_this_machine_loses_a_reading(
     run.recover(record.end_s + 10.0)
 
 
-def test_a_clock_that_is_set_right_ends_its_alarm(tmp_path: Path, record: Record, turbine: Turbine) -> None:
-    run = Run(tmp_path, record, turbine)
+def test_a_clock_that_is_set_right_ends_its_alarm(store_url: str, record: Record, turbine: Turbine) -> None:
+    run = Run(store_url, record, turbine)
     run.play(lambda share: -2.0 * HOUR_S if share < 0.5 else 0.0, restarts=1)
     begun, *_, ended = (one for one in run.alarms if one.kind == "clock wrong")
     assert begun.severity == "alarm" and begun.ended is None and "2 h ahead" in begun.statement
@@ -113,7 +113,7 @@ def test_stamps_of_the_next_century_fill_no_disk(
     tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clocks, "HELD_MOST", 30)
-    run = Run(tmp_path, record, turbine)
+    run = Run(f"sqlite:{tmp_path / 'live.db'}", record, turbine)
     now, far = record.end_s, 4.07e9
 
     def told(at: float, count: int) -> None:

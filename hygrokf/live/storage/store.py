@@ -313,7 +313,7 @@ class Store:
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
 
-    def held(self, turbine: str | None = None, until: float = 1e18) -> list[Observation]:
+    def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
         """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
         `until` [s], by time."""
         where = "" if turbine is None else " AND turbine = ?"
@@ -325,8 +325,12 @@ class Store:
         return [Observation(name, Reading(s, at, value), received) for name, s, at, value, received in found]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
-        """(turbine, signal, largest time [s] by which a reading was ahead) of readings that are held back."""
-        return self.rows("SELECT turbine, signal, MAX(time - received) FROM held GROUP BY turbine, signal")
+        """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
+        back."""
+        found = self.rows(
+            "SELECT turbine, signal, MAX(time), MAX(received) FROM held GROUP BY turbine, signal"
+        )
+        return [(turbine, signal, latest - arrival) for turbine, signal, latest, arrival in found]
 
     def held_count(self, turbine: str) -> int:
         """Number of readings that are held back for one turbine."""
