@@ -310,6 +310,7 @@ class Fleet:
             if newest is not None:
                 self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
             self.waiting[name] = None
+            self._assess(name, batch)
         return batch
 
     def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
@@ -424,7 +425,10 @@ class Fleet:
         batch.alarms += changed
 
     def _assess(self, name: str, batch: Batch) -> None:
-        """Assess a turbine; a change goes to the batch."""
+        """Assess a turbine; a change goes to the batch.  Before the first round or tick the time is not known
+        yet, and the state that the store holds stands."""
+        if not math.isfinite(self._now):
+            return
         open_alarms = [one.alarm for one in self.standings[name].values() if one.alarm is not None]
         catching_up = self.backlogs.awaited(name, self._now)
         fault = self.faults.get(name, "")

@@ -183,11 +183,13 @@ def test_states_are_written_on_change_alone_and_survive(
 ) -> None:
     store = open_store(f"sqlite:{tmp_path / 'live.db'}")
     fleet = Fleet.from_store({"T1": turbine}, store)
+    assert fleet.filter_waiting(Batch()).empty
     rounds(fleet, store, record, mapping)
     found = store.assessments()
     assert found == fleet.states.assessments and found["T1"].state in ("ok", "off")
     assert fleet.tick(record.end_s + 10.0, {}).assessments == []
     again = Fleet.from_store({"T1": turbine}, store)
+    assert again.filter_waiting(Batch()).assessments == []  # before the time is known
     assert again.tick(record.end_s + 20.0, {}).assessments == []
     assert again.filter_waiting(Batch()).assessments == []
     (old,) = again.tick(record.end_s + 3.0 * HOUR_S, {}).assessments

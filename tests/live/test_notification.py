@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -474,7 +475,7 @@ def test_a_fault_of_a_channel_is_told_and_shows_no_secret(
     with pytest.raises(ConfigFault) as fault:
         read(folder, text.replace(before, after).format(mail=25, hook=80))
     assert said in str(fault.value) and "geheim" not in str(fault.value)
-    assert str(fault.value).startswith("track.toml: ") and "[[notify]]" in str(fault.value)
+    assert re.match(r"track.toml: line \d+, \[\[notify\]\] [12]: ", str(fault.value))
 
 
 def test_the_doctor_tries_channels_and_sends_on_request(folder: Path) -> None:
