@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.timestamps import HOUR_S, MINUTE_S
+from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
+from hygrokf.live.plan import Need
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.modelling.design import PARTS
@@ -54,9 +55,21 @@ LOST = Rule(
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
+CONTRADICTS = Rule(
+    "reading contradicts", 1.0, 0.5, 0.0, "warning", np.inf,
+    "compare the sensor with another one, and ask what happened in the cabinet at that time",
+)  # fmt: skip
+MISSING = Rule(
+    "signal missing", 1.0, 0.5, 0.0, "warning", np.inf,
+    "check the sensor, the logger and its name in the mapping of payloads",
+)  # fmt: skip
+CLOCK = Rule(
+    "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
+    "compare the clocks of this machine and of the sender, and synchronise both by NTP",
+)  # fmt: skip
 ESTIMATE_RULES = (CONDENSATION, CHANGED, SUSPECT)
-"""Rules whose levels follow from estimates; the others watch for missing data."""
-RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, STALE, LOST)}
+"""Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
+RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
@@ -123,7 +136,7 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Level:
-    """A level that a rule judges, with its statement and a remedy that replaces the rule's own.
+    """A level that a rule judges, with its statement; remedy and severity replace the rule's own.
 
     `subject` distinguishes alarms of one kind.
     """
@@ -133,6 +146,7 @@ class Level:
     statement: str
     remedy: str = ""
     subject: str = ""
+    severity: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,7 +183,7 @@ def _judge_level(
 ) -> tuple[Standing, Alarm | None]:
     """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
     rule, alarm = RULES[level.kind], before.alarm
-    severity = "alarm" if level.level >= rule.severe else rule.severity
+    severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
     past = level.level < rule.off if alarm is not None else level.level >= rule.on
     since = None if not past else now if before.since is None else before.since
     if since is not None and now - since >= rule.hold_s:
@@ -308,6 +322,22 @@ def stale_levels(ages_s: Mapping[str, float], limit_s: float, left: str = "") ->
     which = "no signal" if len(silent) == len(ages_s) else ", ".join(sorted(silent)).replace("_", " ")
     verb = "has arrived" if len(silent) == len(ages_s) else "has not arrived"
     return [Level(STALE.kind, oldest / limit_s, f"{which} {verb} for {oldest / HOUR_S:.1f} h")]
+
+
+def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: float) -> list[Level]:
+    """The levels of what never came `since` the tracker knows the turbine: the time until `now` [s] as a
+    multiple of the limit [s]; a notice where there is an estimate without it."""
+    return [
+        Level(
+            MISSING.kind,
+            (now - since) / limit_s,
+            f"{one.words} never came since {stamp_text(since)}"
+            + (": without it there is no estimate" if one.required else ""),
+            subject=one.signals[0],
+            severity="" if one.required else "notice",
+        )
+        for one in missing
+    ]
 
 
 def source_levels(states: Mapping[str, SourceState]) -> list[Level]:

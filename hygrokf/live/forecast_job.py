@@ -14,11 +14,11 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
 from hygrokf.live.forecast import Advice, Forecast, ForecastMade, NoForecast, forecast, restart
-from hygrokf.live.plan import Plan
+from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
-from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Point, Tracker, record_of
+from hygrokf.live.tracker import Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 
 DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")

@@ -23,6 +23,12 @@ from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import absolute_humidity
 
+AMBIENT_HUMIDITIES = (
+    "ambient_relative_humidity",
+    "ambient_absolute_humidity",
+    "ambient_dew_point_temperature",
+)
+"""Signals of which one is enough to know the ambient's humidity."""
 FEATURES_H = 48.0
 BEFORE = 12
 """Readings of each signal kept from before the context, to know its usual step and so recognise long gaps."""
@@ -58,6 +64,24 @@ class Form:
     resolution: float = 0.0
     accuracy: float | None = None
     response_time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Need:
+    """A quantity that the model reads, and the `signals` of which one gives it.
+
+    `required`: whether there is no estimate without it.
+    """
+
+    signals: tuple[str, ...]
+    required: bool = False
+
+    @property
+    def words(self) -> str:
+        """The quantity in words."""
+        if self.signals == AMBIENT_HUMIDITIES:
+            return "ambient humidity"
+        return self.signals[0].replace("_", " ")
 
 
 @dataclass(frozen=True)
@@ -118,6 +142,31 @@ class Plan:
         """Signals of the signal table that an added mechanism uses directly as inputs."""
         own = {"ambient_temperature", "ambient_absolute_humidity", "cabinet_temperature", "preheating"}
         return tuple(sorted((set(self.model.inputs) & set(SIGNALS)) - own))
+
+    @cached_property
+    def needs(self) -> tuple[Need, ...]:
+        """What the model reads: first what it requires, then what only makes its estimate better."""
+        inputs, outputs = set(self.model.inputs), self.model.outputs
+        required: list[tuple[str, ...]] = [("ambient_temperature",)]
+        required += [(signal,) for signal in self.further]
+        if "ambient_absolute_humidity" in inputs:
+            required.append(AMBIENT_HUMIDITIES)
+        if "cabinet_temperature" in inputs:
+            required.append(("cabinet_temperature",))
+        optional = [
+            *((name,) for name in outputs if name in SIGNALS),
+            *((("active_power",),) if self.design.power_order or "operating" in inputs else ()),
+            *((("preheating",),) if "preheating" in inputs else ()),
+        ]
+        return (
+            *(Need(signals, True) for signals in dict.fromkeys(required)),
+            *(Need(signals) for signals in dict.fromkeys(optional) if signals not in required),
+        )
+
+    @property
+    def expected(self) -> tuple[Need, ...]:
+        """What must come: what the model requires, and what it reads and a source states to deliver."""
+        return tuple(one for one in self.needs if one.required or set(one.signals) & set(self.forms))
 
 
 def plan(

@@ -109,7 +109,7 @@ class Service:
 
     `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
     store keeps `retention_s` [s] of history before each turbine's newest final estimate.  Alarms are written
-    together with notices for the `channels` that cover them.
+    together with notices for the `channels` that cover them.  `clock` gives this machine's time [s].
     """
 
     def __init__(
@@ -120,6 +120,7 @@ class Service:
         settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
         channels: Sequence[Channel] = (),
+        clock: Callable[[], float] = time.time,
     ) -> None:
         self.turbines = turbines
         self.streams = {one.url: one for one in streams}
@@ -129,6 +130,7 @@ class Service:
         self.retention = Retention(retention_s)
         self.channels = tuple(channels)
         self._settle = settle
+        self._clock = clock
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
         self._marks: dict[str, str] = {}
@@ -251,8 +253,9 @@ class Service:
         found = make_forecast(name, one, tracker, self._open_store)
         if found is None:
             return Batch()
-        self._open_fleet.forecast_made_s[name] = found.time_s
-        return forecast_batch(name, found, one.limit)
+        batch = forecast_batch(name, found, one.limit)
+        self._open_fleet.keep_forecast(name, found.time_s, found.forecast, batch)
+        return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
@@ -285,7 +288,7 @@ class Service:
         if source:
             self._marks[source] = mark
         self.health.store = ""
-        self.health.committed_s = time.time()
+        self.health.committed_s = self._clock()
         return batch
 
     def _expect_own_batch(self, source: str) -> None:
@@ -308,7 +311,7 @@ class Service:
     def now(self) -> float:
         """The time [s] against which the age of data is judged; a played-back record has its own clock."""
         clocks = [stream.now() for stream in self.streams.values() if not stream.mapping.weather]
-        return min(clocks, default=time.time())
+        return min(clocks, default=self._clock())
 
     def _work_between_rounds(self, idle: bool) -> None:
         """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""

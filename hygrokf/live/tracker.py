@@ -25,14 +25,9 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.changes import SAME_S as SAME_S
 from hygrokf.live.changes import changed_trace
-from hygrokf.live.plan import BEFORE, Plan
+from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
-AMBIENT_HUMIDITIES = (
-    "ambient_relative_humidity",
-    "ambient_absolute_humidity",
-    "ambient_dew_point_temperature",
-)
 AHEAD_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
@@ -170,6 +165,22 @@ class Tracker:
         """Time [s] of the newest reading of each signal."""
         return {signal: times[-1] for signal, times in self._times.items() if times}
 
+    def stands_still(self, for_s: float) -> bool:
+        """Whether the turbine has fed no power for a time [s] up to its newest power reading; False without
+        readings of power over that time."""
+        times, values = self._times.get("active_power"), self._values.get("active_power")
+        if not times or not values or times[0] > times[-1] - for_s:
+            return False
+        return not any(value > 0.0 for value in values[bisect.bisect_left(times, times[-1] - for_s) :])
+
+    def history_until(self) -> float | None:
+        """Time [s] until which readings of ambient and cabinet have to come before the first estimate; None
+        with an estimate, and while signals are missing."""
+        if self.point is not None or self.awaited():
+            return None
+        first, last, longest = self._overlap()
+        return first + longest if last - first <= longest else None
+
     def record(self) -> Record:
         """The stored readings as a record."""
         return record_of(self.plan, self._times, self._values)
@@ -178,10 +189,8 @@ class Tracker:
         """Signals that the model needs but that are still missing; a missing ambient humidity is named by its
         first variant."""
         there = {signal for signal, values in self._values.items() if any(map(math.isfinite, values))}
-        needed = {"ambient_temperature", *self.plan.further} - there
-        if "ambient_absolute_humidity" in self.plan.model.inputs and not there & set(AMBIENT_HUMIDITIES):
-            needed.add(AMBIENT_HUMIDITIES[0])
-        return tuple(sorted(needed))
+        missing = (one.signals for one in self.plan.needs if one.required)
+        return tuple(sorted(signals[0] for signals in missing if not there & set(signals)))
 
     # -- the filter ------------------------------------------------------------------------------------------
     def advance(self) -> Course | None:
@@ -212,6 +221,12 @@ class Tracker:
         interval."""
         if self.point is not None:
             return True
+        first, last, longest = self._overlap()
+        return last - first > longest
+
+    def _overlap(self) -> tuple[float, float, float]:
+        """First and last time [s] of which ambient and, if any, cabinet are known, and the longest averaging
+        interval [s]."""
         known = {
             signal: [t for t, v in zip(times, self._values[signal], strict=True) if not math.isnan(v)]
             for signal, times in self._times.items()
@@ -221,7 +236,7 @@ class Tracker:
         first = max(min(times[0] for times in cabinet), *(times[0] for times in ambient))
         last = min(max(times[-1] for times in cabinet), *(times[-1] for times in ambient))
         longest = max((form.interval_s for form in self.plan.forms.values()), default=0.0)
-        return last - first > longest
+        return first, last, longest
 
     def _course(self, made: Run) -> Course | None:
         t = made.timeline

@@ -54,12 +54,10 @@ def track(
             app = Page(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
-        senders = [Sender(one, config.store, lambda: service.now) for one in config.channels]
+        start_senders = stack.enter_context(sending(service))
 
         def begin() -> None:
-            for one in senders:
-                one.start()
-                stack.callback(one.stop)
+            start_senders()
             begun(service, page)
 
         service.run(until_ended, begin)
@@ -67,6 +65,25 @@ def track(
     if until_ended and lost:
         raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")
     return service
+
+
+@contextmanager
+def sending(service: Service) -> Iterator[Callable[[], None]]:
+    """The start of the senders of a service's channels, to be called once its store is open; they end with
+    this context."""
+    senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]
+
+    def start() -> None:
+        for one in senders:
+            one.start()
+
+    try:
+        yield start
+    finally:
+        for one in senders:
+            one.end()
+        for one in senders:
+            one.stop()
 
 
 @contextmanager

@@ -6,23 +6,23 @@ and the source repeats the deliveries that were not acknowledged.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import (
     CHANGED,
+    CLOCK,
+    CONTRADICTS,
     ESTIMATE_RULES,
     LOST,
+    MISSING,
     STALE,
     SUSPECT,
     Estimated,
@@ -31,17 +31,21 @@ from hygrokf.live.alarms import (
     Standing,
     estimate_levels,
     judge,
+    missing_levels,
     shift_levels,
     source_levels,
     stale_levels,
     with_doubts,
 )
+from hygrokf.live.backlog import Backlogs
 from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Observation
 from hygrokf.live.changes import Change, settled
-from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
+from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
+from hygrokf.live.condition import Condition
+from hygrokf.live.contradiction import contradiction_level, innovations
 from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.forecast import LIMIT, ForecastMade
+from hygrokf.live.forecast import Forecast, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
     LASTING_S,
@@ -53,34 +57,20 @@ from hygrokf.live.properties import (
 )
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
+from hygrokf.live.turbine import STALE_S as STALE_S
+from hygrokf.live.turbine import Turbine as Turbine
+from hygrokf.live.turbine import conditions as conditions
+from hygrokf.live.turbine import digest as digest
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
-THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet without sensors."""
-STALE_S = 2.0 * HOUR_S
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
-
-
-@dataclass(frozen=True)
-class Turbine:
-    """A turbine to be tracked: its plan and its coldest surface.
-
-    `errors`: the fit's standard errors of the tracked properties; `limit` [1]: relative humidity for
-    forecasts and restart advice; `stale_s` [s]: age above which its data are stale; `verdicts`: the fit's
-    verdicts on its numbers.
-    """
-
-    plan: Plan
-    surface: Surface = field(default_factory=Surface)
-    errors: Mapping[str, float] = field(default_factory=dict)
-    limit: float = LIMIT
-    stale_s: float = STALE_S
-    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,9 +82,12 @@ class KeptState:
 
 
 class Fleet:
-    """The trackers by turbine, and the data that each turbine carries from round to round."""
+    """The trackers by turbine, and the data that each turbine carries from round to round.
 
-    def __init__(self, turbines: Mapping[str, Turbine]) -> None:
+    Readings that are ahead of the clock are held back in the `store`.
+    """
+
+    def __init__(self, turbines: Mapping[str, Turbine], store: Store | None = None) -> None:
         self.turbines = dict(turbines)
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
         self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
@@ -106,10 +99,17 @@ class Fleet:
         # what shifts are judged against after a stated change: states of properties, and the whole state
         self.references: dict[str, dict[str, TrackedState]] = {}
         self.reference_points: dict[str, Point] = {}
+        self.states = States(turbines)
+        self.held = HeldReadings(store)
+        self.backlogs = Backlogs()
+        self.clocks = Clocks(() if store is None else store.held_ahead())
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
         self._slots: dict[str, float] = {}
         self._warned: dict[str, float] = {}
+        self._judged: dict[str, dict[str, float]] = defaultdict(dict)
+        self._contradictions: dict[str, dict[str, Level]] = defaultdict(dict)
+        self._now = -math.inf
         self._began = math.inf
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
@@ -117,7 +117,8 @@ class Fleet:
     def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
         """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
-        fleet = cls(turbines)
+        fleet = cls(turbines, store)
+        fleet.states = States.from_store(turbines, store)
         for name, one in turbines.items():
             point = store.point(name)
             since = -math.inf if point is None else point.time - one.plan.context_s
@@ -133,11 +134,13 @@ class Fleet:
                 fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
             fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
-            fleet.standings[name] = structured(dict[str, Standing], known.get("alarms", {}))
+            fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
             if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
+            newest = fleet.states.estimate_s(name)  # the readings up to it have been judged
+            fleet._judged[name] = {} if newest is None else dict.fromkeys(one.plan.model.outputs, newest)
         fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
         return fleet
 
@@ -155,6 +158,7 @@ class Fleet:
         """
         batch = Batch()
         counts: Counter[tuple[str, str]] = Counter()
+        self._now = max((one.received for one in deliveries), default=self._now)
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
@@ -165,35 +169,55 @@ class Fleet:
             for turbine, stated, rejections in found:
                 readings = [reading.at_whole_microsecond() for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
+                observations = [Observation(turbine, reading, one.received) for reading in readings]
                 if mapping.weather:
-                    batch.weather += [Observation(turbine, r, one.received) for r in readings]
-                elif readings:
-                    is_late = self.trackers[turbine].is_late
-                    touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
+                    batch.weather += observations
+                elif observations:
+                    touched[turbine] += observations
         for name, observations in touched.items():
-            tracker = self.trackers[name]
-            tracker.take(one.reading for one in observations)
-            batch.observations += observations
-            self.waiting.setdefault(name)
-            counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
-            self._counted[name] = Counter(tracker.counts)
-        batch.counters = dict(counts)
+            self.clocks.note(name, observations)
+            limit = self._now + AHEAD_S
+            ahead = [one for one in observations if one.reading.time > limit]
+            present = [one for one in observations if one.reading.time <= limit]
+            self.backlogs.note(source, name, (one.reading for one in present), self._now)
+            # the filter takes readings that were ahead before those that came after them
+            due = self.held.release(name, self._now, batch)
+            self.held.hold(name, ahead, batch, counts)
+            self._take(name, [*due, *present], batch, counts)
+        batch.counters = {key: count for key, count in counts.items() if count}
         places = [one.place for one in deliveries if one.place]
         if source and places:
             batch.place[source] = places[-1]
         for one in deliveries:
             batch.memories.update({(source, name): data for name, data in one.memories.items()})
         self.filter_waiting(batch, filter_s)
+        for name in touched.keys() & self.waiting.keys():  # the others were assessed when they were filtered
+            self._assess(name, batch)
         return batch
+
+    def _take(
+        self, name: str, observations: Sequence[Observation], batch: Batch, counts: Counter[tuple[str, str]]
+    ) -> None:
+        """Let a turbine's tracker take readings, and count those that it does not use."""
+        if not observations:
+            return
+        tracker = self.trackers[name]
+        batch.observations += [replace(one, late=tracker.is_late(one.reading)) for one in observations]
+        tracker.take(one.reading for one in observations)
+        self.waiting.setdefault(name)
+        counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
+        self._counted[name] = Counter(tracker.counts)
 
     def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
         batch."""
         end = time.monotonic() + filter_s
         courses: dict[str, Course] = {}
+        done: list[str] = []
         while self.waiting:
             name = next(iter(self.waiting))
             del self.waiting[name]
+            done.append(name)
             course = self._advance(name)
             if course is not None:
                 courses[name] = course
@@ -202,6 +226,8 @@ class Fleet:
         found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
+        for name in done:
+            self._assess(name, batch)
         return batch
 
     def _advance(self, name: str) -> Course | None:
@@ -219,10 +245,12 @@ class Fleet:
         if len(found.time_s):
             final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
             batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
+            self.states.note_estimate(name, found)
         if point is None:
             return
         batch.points[name] = point
         self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
+        self._judge_readings(name, course, point.time, batch)
         self._judge_estimates(name, found, batch)
 
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
@@ -282,6 +310,7 @@ class Fleet:
             if newest is not None:
                 self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
             self.waiting[name] = None
+            self._assess(name, batch)
         return batch
 
     def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
@@ -293,21 +322,52 @@ class Fleet:
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
+    def _judge_readings(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
+        """Judge alarms about readings that contradict the estimate, at every reading that is newer than the
+        last one judged of its signal."""
+        after = self._judged[name]
+        levels = self._contradictions[name]
+        for one in innovations(course, after, final_s):
+            after[one.signal] = one.time_s
+            levels[one.signal] = contradiction_level(one)
+            self._judge(name, one.time_s, list(levels.values()), (CONTRADICTS,), batch)
+
     def tick(
         self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
     ) -> Batch:
-        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources.
+        """Judge alarms about missing data and wrong clocks at `now` [s], and about lost sources; release
+        readings that were ahead, and assess every turbine.
 
         left: turbine -> text about a sender that has left.
         """
         batch, left = Batch(), left or {}
-        self._began = min(self._began, now)
-        for name, tracker in self.trackers.items():
-            ages = {signal: now - time for signal, time in tracker.heard().items()} or {"": now - self._began}
-            levels = stale_levels(ages, self.turbines[name].stale_s, left.get(name, ""))
-            self._judge(name, now, levels, (STALE,), batch)
+        counts: Counter[tuple[str, str]] = Counter()
+        self._began, self._now = min(self._began, now), now
+        for name in self.held.turbines:
+            self._take(name, self.held.release(name, now, batch), batch, counts)
+        for name in self.turbines:
+            self._judge_missing(name, now, left.get(name, ""), batch)
+        clocks = clock_levels(self.clocks.ahead())
+        for name in (*self.turbines, SOURCE):
+            self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
         self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
+        for name in self.turbines:
+            self._assess(name, batch)
+        batch.counters = {key: count for key, count in counts.items() if count}
         return batch
+
+    def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:
+        """Judge alarms about signals that came and come no more, and signals that never came; not while a
+        backlog may still bring them, unless their sender has `left`."""
+        one, heard = self.turbines[name], self.trackers[name].heard()
+        since = self.states.known_since(name, now, batch)
+        if self.backlogs.awaited(name, now) and not left:
+            return
+        ages = {signal: now - time for signal, time in heard.items()} or {"": now - self._began}
+        missing = [need for need in one.plan.expected if heard and not set(need.signals) & set(heard)]
+        levels = stale_levels(ages, one.stale_s, left)
+        levels += missing_levels(missing, since, now, one.stale_s)
+        self._judge(name, now, levels, (STALE, MISSING), batch)
 
     def isolation_due(self) -> str | None:
         """A turbine with a lasting shift whose cause was not isolated since it became lasting, or not for a
@@ -327,12 +387,19 @@ class Fleet:
             one.alarm for known in self.standings.values() for one in known.values() if one.alarm is not None
         ]
 
+    def keep_forecast(self, name: str, made_s: float, made: Forecast | None, batch: Batch) -> None:
+        """Keep the forecast of a turbine from its state at `made_s` [s], and assess the turbine."""
+        self.forecast_made_s[name] = made_s
+        self.states.note_forecast(name, None if made is None else made.condition)
+        self._assess(name, batch)
+
     def keep_finding(self, name: str, finding: Finding) -> Batch:
         """Keep the finding of fault isolation and judge the alarms that it explains."""
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
         levels = with_doubts(shift_levels(self.shifts[name], finding), self.turbines[name].verdicts)
         self._judge(name, finding.time_s, levels, (CHANGED, SUSPECT), batch)
+        self._assess(name, batch)
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:
@@ -357,66 +424,19 @@ class Fleet:
             batch.memories[name, "alarms"] = {key: asdict(one) for key, one in after.items()}
         batch.alarms += changed
 
-
-def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
-    """The condition of each turbine at the instants of its course that the store keeps.
-
-    Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
-    instants of one.
-    """
-    by_model: dict[int, list[str]] = defaultdict(list)
-    for name, (turbine, _) in courses.items():
-        by_model[id(turbine.plan.model)].append(name)
-    found: dict[str, Condition] = {}
-    for names in by_model.values():
-        turbines, runs = zip(*(courses[name] for name in names), strict=True)
-        model = turbines[0].plan.model
-        kept = [instants_kept(course) for course in runs]
-        counts = [len(places) for places in kept]
-        inputs = [inputs_of(model, course.run.timeline) for course in runs]
-        together = air_condition(
-            model,
-            {
-                p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts)
-                for p in model.parameters
-            },
-            _joined((course.seconds for course in runs), kept),
-            {name: _joined((u[name] for u in inputs), kept) for name in model.inputs},
-            _joined((course.trace.mean for course in runs), kept),
-            _joined((course.trace.covariance for course in runs), kept),
-            Surface(
-                np.repeat([one.surface.follows for one in turbines], counts),
-                np.repeat([one.surface.offset_K for one in turbines], counts),
-            ),
-        )
-        ends = np.cumsum(counts)
-        for name, count, end in zip(names, counts, ends.tolist(), strict=True):
-            found[name] = only(together, slice(end - count, end))
-    return found
+    def _assess(self, name: str, batch: Batch) -> None:
+        """Assess a turbine; a change goes to the batch.  Before the first round or tick the time is not known
+        yet, and the state that the store holds stands."""
+        if not math.isfinite(self._now):
+            return
+        open_alarms = [one.alarm for one in self.standings[name].values() if one.alarm is not None]
+        catching_up = self.backlogs.awaited(name, self._now)
+        fault = self.faults.get(name, "")
+        self.states.assess(name, self.trackers[name], self._now, open_alarms, fault, catching_up, batch)
 
 
-def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
-    """The kept instants of several arrays, one after the other."""
-    return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
-
-
-def instants_kept(course: Course) -> np.ndarray:
-    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
-    always the last one."""
-    kept = np.isfinite(course.run.timeline.y).any(axis=1)
-    if not kept.any():
-        slot = np.floor(course.seconds / THIN_S)
-        kept = np.append(True, np.diff(slot) > 0)
-    kept[-1] = True
-    return np.flatnonzero(kept)
-
-
-def digest(plan: Plan) -> str:
-    """Digest of what a point depends on: the model, its parameter values and the forms of the readings."""
-    said = {
-        "design": plan.design.to_json(),
-        "values": dict(plan.values),
-        "fastest": plan.fastest,
-        "forms": {name: asdict(form) for name, form in sorted(plan.forms.items())},
-    }
-    return hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()
+def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:
+    """Standings at a restart: what was silent before it must be silent again for as long before an alarm
+    begins, because its readings may have been kept for the tracker."""
+    silent = (STALE.kind, MISSING.kind, CLOCK.kind)
+    return {key: one for key, one in standings.items() if one.alarm is not None or not key.startswith(silent)}

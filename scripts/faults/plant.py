@@ -115,6 +115,11 @@ def stored(store: str) -> int:
     return looked_at(store, lambda opened: opened.rows("SELECT COUNT(*) FROM observation")[0][0])
 
 
+def held(store: str) -> int:
+    """How many readings a store holds back, because their stamps are ahead of the clock."""
+    return looked_at(store, lambda opened: opened.rows("SELECT COUNT(*) FROM held")[0][0])
+
+
 def counted(store: str) -> Counter:
     """What was set aside, by kind."""
     found: Counter = Counter()

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, forecast, notification, restart, saturation
+from trials import changes, contradictions, forecast, notification, restart, saturation
 from trials.picture import reliability_png
 
 
@@ -33,6 +33,9 @@ TRIALS = {
         notification.of_mail, notification.table, "notices by mail over a hundred outages of the server"
     ),
     "webhook": Trial(notification.of_webhook, notification.table, "the same of a webhook"),
+    "contradictions": Trial(
+        contradictions.one, contradictions.table, "readings that are said to contradict the estimate"
+    ),
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

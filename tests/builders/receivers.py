@@ -11,7 +11,6 @@ import ssl
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -166,6 +165,7 @@ class WebhookServer:
         self.accepted = Accepted()
         self.failure = ""
         self.status = 204
+        self.slow_s = 0.0
         self.noticed: Counter[str] = Counter()
         self.wrong: list[str] = []
         self.port = free_port()
@@ -227,6 +227,7 @@ class WebhookServer:
             handler.wfile.flush()
             handler.connection.shutdown(socket.SHUT_RDWR)
             return
+        time.sleep(self.slow_s)
         self._verify(handler, body)
         self.accepted.add(handler.headers["webhook-id"], json.loads(body), failure != "lost answer")
         if failure == "lost answer":
@@ -254,7 +255,3 @@ class _HttpServer(ThreadingHTTPServer):
 
     def handle_error(self, request: object, address: object) -> None:
         pass
-
-
-Receiver = MailServer | WebhookServer
-Raise = Callable[[int], None]

@@ -100,7 +100,7 @@ def test_a_tracker_refuses_a_damaged_store(tmp_path: Path, part, damage: str, se
 def test_a_clock_that_jumps(tmp_path: Path, part) -> None:
     found = part("clock").jumping_clock(tmp_path, seed=1)
     holds(found)
-    assert "messages refused and counted" in found.words
+    assert "messages held back until it was right" in found.words
 
 
 # -- what comes in -------------------------------------------------------------------------------------------

@@ -231,6 +231,19 @@ def test_a_small_trial_of_changes() -> None:
     assert 1.2 < math.exp(change) < 2.2
 
 
+def test_a_small_trial_of_contradictions() -> None:
+    """Six days of one plant: no reading is flagged wrongly, and large steps are noticed."""
+    module = part("contradictions")
+    line = module.one(51, days=8.0, learnt=21.0)
+    assert line["days"] == 6.0
+    for signal, steps in module.STEPS.items():
+        found = line[signal]
+        assert found["readings"] > 450 and found["beyond"] == 0 and found["largest"] < module.BEYOND
+        assert found["noticed"] == sorted(found["noticed"]) and len(found["noticed"]) == len(steps)
+        assert found["noticed"][-1] > 0.98 * found["readings"]
+    assert "| temperature |" in module.table([line])
+
+
 # -- in full -------------------------------------------------------------------------------------------------
 def lines_of(trial: str, seeds: range) -> list[dict]:
     """Lines of many seeds, two at a time."""

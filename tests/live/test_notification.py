@@ -5,11 +5,15 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from builders import sender_process
+from builders.command_line import run
 from builders.page_case import write_certificate
 from builders.ports import free_port
 from builders.receivers import FAILURES, PASSWORD, USER, MailServer, WebhookServer
@@ -471,7 +475,7 @@ def test_a_fault_of_a_channel_is_told_and_shows_no_secret(
     with pytest.raises(ConfigFault) as fault:
         read(folder, text.replace(before, after).format(mail=25, hook=80))
     assert said in str(fault.value) and "geheim" not in str(fault.value)
-    assert str(fault.value).startswith("track.toml: [[notify]]")
+    assert re.match(r"track.toml: line \d+, \[\[notify\]\] [12]: ", str(fault.value))
 
 
 def test_the_doctor_tries_channels_and_sends_on_request(folder: Path) -> None:
@@ -524,3 +528,41 @@ def test_an_alarm_of_a_tracker_arrives(
         told = [one["notices"][0]["event"] for one in hook.accepted.messages]
         assert len(told) == len(mail.accepted.messages) and told[0] == "began" and not hook.wrong
         store.close()
+
+
+@pytest.mark.parametrize("kills", [1, pytest.param(10, marks=pytest.mark.slow)])
+def test_a_killed_sender_repeats_at_most_what_it_was_sending(kills: int, tmp_path: Path) -> None:
+    """`kill -9` while messages flow: each arrives, and one per kill may come again, with the same key."""
+    random, url, each = np.random.default_rng(5), f"sqlite:{tmp_path / 'live.db'}", 60
+    with WebhookServer() as hook:
+        hook.slow_s = 0.005
+        channel = Channel("hook", hook_to_port(hook.port))
+        store, count = open_store(url), each * (kills + 1)
+        raised(store, channel, *map(an_alarm, range(count)))
+        for kill in range(kills + 1):
+            process = sender_process.started(url, hook.port)
+            try:
+                if kill < kills:
+                    eventually(lambda many=each * (kill + 1): len(hook.accepted.keys) >= many)
+                    time.sleep(float(random.uniform(0.0, 0.02)))
+                else:
+                    eventually(lambda: not outbox.waiting(store))
+            finally:
+                process.kill()
+                process.wait()
+        assert len(hook.accepted.keys) == count and hook.accepted.repeated <= kills
+        store.close()
+
+
+def hook_to_port(port: int) -> Webhook:
+    return Webhook("127.0.0.1", port, tls=False)
+
+
+def test_the_doctor_s_command_sends_a_test_message(folder: Path) -> None:
+    with MailServer() as mail, WebhookServer(SECRET) as hook:
+        read(folder, MAIL.format(mail=mail.port) + HOOK.format(hook=hook.port))
+        (folder / "live.csv").write_text("turbine,time,Tcab,Tamb\n")
+        said = run(f"doctor {folder / 'track.toml'} --wait 1s --no-page --notify --json")
+        checks = [one for one in json.loads(said.out)["checks"] if one["about"].startswith("notify")]
+        assert [one["level"] for one in checks] == ["ok"] * 4 and "geheim" not in said.out + said.err
+        assert len(mail.accepted.messages) == len(hook.accepted.messages) == 1

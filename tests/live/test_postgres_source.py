@@ -32,7 +32,7 @@ from hygrokf.live.sources.postgres import PostgresQuery, Query
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.turbines import Turbine
 
-NARROW = "SELECT * FROM reading WHERE {0} > %(after)s ORDER BY {0}"
+NARROW = "SELECT * FROM reading WHERE {0} > %(after)s ORDER BY {0}, time, id"
 TABLE = """CREATE TABLE reading (
     id BIGSERIAL PRIMARY KEY, turbine TEXT, time DOUBLE PRECISION, tag TEXT, value DOUBLE PRECISION,
     received TIMESTAMPTZ NOT NULL DEFAULT now(),

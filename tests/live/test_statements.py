@@ -62,6 +62,7 @@ def test_an_acknowledgement_with_its_cause(client: httpx.Client, service: Servic
     store.close()
     (channel,) = client.get("/api/health").json()["channels"]
     assert (channel["name"], channel["waiting"], channel["failure"]) == ("duty", 1, "")
+    assert 'hygrokf_notices_waiting{channel="duty"} 1.0' in client.get("/metrics").text
     shown = {one["id"]: one for one in client.get("/api/alarms").json()["alarms"]}
     assert shown[alarm.id]["cause"] == "look again"
 

@@ -145,8 +145,21 @@ def test_readings_ahead_of_the_clock_are_kept_apart_until_they_are_released(stor
     store.commit(Batch(held=ahead[:1]))
     assert store.held() == store.held("T1") == ahead
     assert store.held("T2") == [] and store.readings("T1", 0.0) == []
+    assert store.held("T1", T0 + 1.0) == ahead[:2]
+    assert store.held_count("T1") == 3 and store.held_count("T2") == 0
+    ((turbine, signal, ahead_s),) = store.held_ahead()
+    latest, arrival = max(one.reading.time for one in ahead), max(one.received for one in ahead)
+    assert (turbine, signal, ahead_s) == ("T1", "rain", pytest.approx(latest - arrival))
     store.commit(Batch(observations=ahead[:2], released=ahead[:2]))
     assert store.held() == ahead[2:] and len(store.readings("T1", 0.0)) == 2
+
+
+def test_what_an_assessment_resumes_from(store: Store) -> None:
+    assert store.newest_estimate("T1") is None and store.outlook("T1") == []
+    store.commit(everything())
+    newest = store.rows("SELECT MAX(time) FROM estimate WHERE turbine = 'T1'")[0][0]
+    assert store.newest_estimate("T1") == (newest, 0.25)
+    assert store.outlook("T1") == []
 
 
 def test_a_turbine_has_one_state(store: Store) -> None:

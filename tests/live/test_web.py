@@ -20,12 +20,11 @@ from builders.page_case import Case, add_forecast, filled, opened, write_certifi
 from builders.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
-from hygrokf.live.batch import Alarm, Batch
+from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.web import access as web_access
 from hygrokf.live.web.access import Attempts, Sessions, host_name
 from hygrokf.live.web.application import STATIC, Page
-from hygrokf.live.web.metrics import TURBINE_STATES, turbine_state
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
 from hygrokf.version import __version__
@@ -101,6 +100,10 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
         assert rows[name]["temperature"] == pytest.approx(kelvin - 273.15, abs=1e-4)
         assert rows[name]["relative_humidity"] == pytest.approx(100.0 * humidity, abs=1e-4)
         assert (rows[name]["condensation"], rows[name]["time"]) == (chance, at)
+    states = store.assessments()
+    assert {name: row["state"] for name, row in rows.items()} == {n: one.state for n, one in states.items()}
+    assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in STATES}
+    assert all(row["reason"] and row["since"] for row in rows.values())
     (most,) = store.rows("SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
     store.close()
     assert rows["T1"]["forecast"]["condensation"] == most[0] and rows[NAMES[1]]["forecast"] is None
@@ -300,13 +303,12 @@ def test_metrics_are_the_stores(service: Service) -> None:
     for name, row in rows.items():
         turbine = ("turbine", name)
         assert found["hygrokf_condensation_probability", turbine] == row["condensation"]
+        states = {s: found["hygrokf_turbine_state", ("state", s), turbine] for s in STATES}
+        assert states == {s: float(s == row["state"]) for s in STATES}
         assert found["hygrokf_dew_point_margin_kelvin", turbine] == row["margin"]
         age = found["hygrokf_heard_age_seconds", turbine]
         assert began - row["heard"] - 1e-3 <= age <= ended - row["heard"] + 1e-3
-        states = [
-            value for key, value in found.items() if key[0] == "hygrokf_turbine_state" and turbine in key
-        ]
-        assert sorted(states) == [0.0] * (len(TURBINE_STATES) - 1) + [1.0]
+        assert sum(states.values()) == 1.0
     open_ = ("hygrokf_open_alarms", ("kind", "condensation"), ("severity", "warning"))
     assert found[*open_, ("turbine", "T1")] >= 1.0 and found[*open_, ("turbine", NAMES[1])] == 0.0
     lost = ("hygrokf_open_alarms", ("kind", "source lost"), ("severity", "alarm"), ("turbine", ""))
@@ -326,15 +328,6 @@ def test_promtool_has_nothing_to_say_of_the_metrics(client: httpx.Client) -> Non
         [PROMTOOL, "check", "metrics"], input=text, capture_output=True, timeout=60.0, check=False
     )
     assert (done.returncode, done.stdout + done.stderr) == (0, b"")
-
-
-def test_the_state_of_a_turbine(client: httpx.Client) -> None:
-    row = {**client.get("/api/fleet").json()["turbines"][0]}
-    row |= {"fresh": True, "severity": -1, "condensation": 0.1}
-    changes: list[dict] = [{}, {"condensation": 0.6, "severity": 2}, {"severity": 0}]
-    changes += [{"fresh": False, "condensation": 0.9}, {"condensation": None}]
-    states = ["ok", "at risk", "alarm", "stale", "no estimate"]
-    assert [turbine_state(row | change) for change in changes] == states
 
 
 def test_a_store_that_is_not_reached_is_told_and_comes_back(

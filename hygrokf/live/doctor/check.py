@@ -87,7 +87,7 @@ def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: b
         found = f"its newest stamp is {lasting(-lag_s)} ahead of this machine's clock"
         remedy = "compare both clocks; stamps in local time need their offset from UTC"
         if lag_s < -AHEAD_S:
-            return fault(about, f"{found}; readings more than {lasting(AHEAD_S)} ahead are refused", remedy)
+            return fault(about, f"{found}; readings more than {lasting(AHEAD_S)} ahead are held back", remedy)
         return doubt(about, found, remedy)
     found = f"its newest stamp is {lasting(max(lag_s, 0.0))} old"
     if not fresh:

@@ -23,9 +23,9 @@ from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
 from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
-from hygrokf.live.plan import Plan
+from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
-from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
+from hygrokf.live.tracker import Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket

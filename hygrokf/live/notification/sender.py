@@ -89,10 +89,14 @@ class Sender:
         self._thread = threading.Thread(target=self._run, name=f"notify {self.channel.name}", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
+    def end(self) -> None:
         """Send what is due once more, and end; what fails is sent after the next start."""
         self._end_by = time.monotonic() + STOP_S
         self._ending.set()
+
+    def stop(self) -> None:
+        """End, and wait for that."""
+        self.end()
         if self._thread is not None:
             self._thread.join(timeout=2.0 * STOP_S)
 

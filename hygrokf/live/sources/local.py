@@ -119,8 +119,14 @@ class TailedFile(Threaded):
     without a line end is incomplete and waits.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mapping: PayloadMapping, follow: bool = True) -> None:
-        super().__init__(mapping)
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mapping: PayloadMapping,
+        follow: bool = True,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        super().__init__(mapping, clock)
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
@@ -159,7 +165,7 @@ class TailedFile(Threaded):
                 offset += len(line)
                 content = lines.content(line)
                 if content is not None:
-                    put(Delivery(content, time.time(), place=f"{identity} {offset}"))
+                    put(Delivery(content, self.clock(), place=f"{identity} {offset}"))
                 if whole:
                     continue
                 return True
@@ -184,8 +190,13 @@ class StandardInput(Threaded):
 
     url = "stdin"
 
-    def __init__(self, mapping: PayloadMapping, file: IO[Any] | None = None) -> None:
-        super().__init__(mapping)
+    def __init__(
+        self,
+        mapping: PayloadMapping,
+        file: IO[Any] | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        super().__init__(mapping, clock)
         self._file = file
         self._lines = Lines(mapping.form)
 
@@ -196,7 +207,7 @@ class StandardInput(Threaded):
                 return
             content = self._lines.content(line)
             if content is not None:
-                put(Delivery(content, time.time()))
+                put(Delivery(content, self.clock()))
 
 
 class Playback(Threaded):

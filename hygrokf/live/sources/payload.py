@@ -35,7 +35,6 @@ from hygrokf.live.sources.payload_paths import (
     tag_reader,
 )
 from hygrokf.live.sources.payload_values import (
-    AHEAD_S,
     STATED_OFFSETS,
     Clock,
     measured,
@@ -47,6 +46,8 @@ from hygrokf.live.tracker import Reading
 
 EARLIEST_S = 631_152_000.0
 """1990 [s since 1970]: earlier stamps are not times of a turbine."""
+LATEST_S = 4_102_444_800.0
+"""2100 [s since 1970]: later stamps are not times of a turbine."""
 FORECAST_S = 20 * DAY_S
 """[s] a weather forecast's stamp may be ahead of this machine's clock."""
 EVERYONE = ""
@@ -136,8 +137,8 @@ class PayloadMapping:
         """The readings of a payload received at a time [s], by turbine.
 
         Raises Refused if the payload cannot be read, or if it has one record and none of that can be used.
-        Stamps that are ahead of the arrival by more than `AHEAD_S`, for a weather forecast by more than
-        `FORECAST_S`, are refused.
+        Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
+        ahead of the arrival by more than `FORECAST_S`.
         """
         found, fault = Found(), None
         for record in records(content, self.form, self.layout.steps, topic, received):
@@ -289,7 +290,7 @@ class PayloadMapping:
         time = seconds(stamp, self.clock, record.received)
         if time is None:
             raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
-        if not EARLIEST_S <= time <= record.received + (FORECAST_S if self.weather else AHEAD_S):
+        if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
             raise Refused(
                 "impossible time", f"time {quoted(stamp)} is before 1990 or ahead of this machine's clock"
             )

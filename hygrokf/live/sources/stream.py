@@ -74,10 +74,11 @@ class Stream(Protocol):
     payloads; `played_back` whether it repeats a record, whose age says nothing; `label` is what the page says
     of its data, such as that they are a demonstration's.  `recall` gives it, before its start, the data that
     its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
-    position that the source itself keeps); `end_when_read` lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
-    source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
-    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver; `left`
-    says of turbines that their sender has left (turbine -> text).
+    position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
+    `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time [s]
+    against which the age of its data is judged; `state` is shown on the page and by the doctor; `signals` are
+    those of a turbine that the source can deliver; `left` says of turbines that their sender has left
+    (turbine -> text).
     """
 
     url: str
@@ -108,7 +109,8 @@ class Stream(Protocol):
 
 
 class Threaded:
-    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set.
+    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set, and
+    this machine's `clock` [s].
 
     Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
     from the place of the last delivery.
@@ -118,8 +120,9 @@ class Threaded:
     played_back = False
     label = ""
 
-    def __init__(self, mapping: PayloadMapping) -> None:
+    def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
+        self.clock = clock
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._state = SourceState("idle", "not started")
@@ -175,7 +178,7 @@ class Threaded:
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
-        return time.time()
+        return self.clock()
 
     def stop(self) -> None:
         self._ended.set()

@@ -313,14 +313,43 @@ class Store:
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
 
-    def held(self, turbine: str | None = None) -> list[Observation]:
-        """Readings of a turbine (None: of all) that came with stamps ahead of the clock, by time."""
-        where = "" if turbine is None else " WHERE turbine = ?"
+    def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
+        """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
+        `until` [s], by time."""
+        where = "" if turbine is None else " AND turbine = ?"
         found = self.rows(
-            f"SELECT {', '.join(READING_COLUMNS)} FROM held{where} ORDER BY time, turbine, signal",
-            () if turbine is None else (turbine,),
+            f"SELECT {', '.join(READING_COLUMNS)} FROM held WHERE time <= ?{where} "
+            "ORDER BY time, turbine, signal",
+            (until,) if turbine is None else (until, turbine),
         )
         return [Observation(name, Reading(s, at, value), received) for name, s, at, value, received in found]
+
+    def held_ahead(self) -> list[tuple[str, str, float]]:
+        """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
+        back."""
+        found = self.rows(
+            "SELECT turbine, signal, MAX(time), MAX(received) FROM held GROUP BY turbine, signal"
+        )
+        return [(turbine, signal, latest - arrival) for turbine, signal, latest, arrival in found]
+
+    def held_count(self, turbine: str) -> int:
+        """Number of readings that are held back for one turbine."""
+        return int(self.rows("SELECT COUNT(*) FROM held WHERE turbine = ?", (turbine,))[0][0])
+
+    def newest_estimate(self, turbine: str) -> tuple[float, float | None] | None:
+        """Time [s] and probability of condensation [1] of a turbine's newest estimate; None without any."""
+        found = self.rows(
+            "SELECT time, condensation FROM estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1", (turbine,)
+        )
+        return found[0] if found else None
+
+    def outlook(self, turbine: str) -> list[tuple[float, float]]:
+        """Times [s] and probabilities of condensation [1] of a turbine's forecast."""
+        return self.rows(
+            "SELECT time, condensation FROM forecast WHERE turbine = ? AND condensation IS NOT NULL "
+            "ORDER BY time",
+            (turbine,),
+        )
 
     def assessments(self) -> dict[str, Assessment]:
         """The state of each turbine."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
-from hygrokf.live.storage.outbox import ChannelState, channel_states
+from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
@@ -25,7 +25,14 @@ from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
 from hygrokf.live.web.statements import Statements
-from hygrokf.live.web.views import FleetRow, alarms_view, fleet_view, health_view, turbine_view
+from hygrokf.live.web.views import (
+    FleetRow,
+    alarms_view,
+    fleet_summary,
+    fleet_view,
+    health_view,
+    turbine_view,
+)
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -114,7 +121,8 @@ class Page:
     # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
         now = self.service.now
-        return reply({"now": now, "turbines": self.rows(now)})
+        rows = self.rows(now)
+        return reply({"now": now, "summary": fleet_summary(rows), "turbines": rows})
 
     def rows(self, now: float) -> list[FleetRow]:
         """The fleet's rows, read again after a change or `KEPT_S`."""
@@ -137,9 +145,9 @@ class Page:
         if days not in map(str, DAYS):
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
-        verdicts = self.service.turbines[name].verdicts
+        verdicts, needs = self.service.turbines[name].verdicts, self.service.turbines[name].plan.needs
         since = now - int(days) * DAY_S
-        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts))
+        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts, needs))
         return reply({"now": now, **found})
 
     def alarms(self, request: Request) -> Response:
@@ -193,13 +201,16 @@ class Page:
         now = self.service.now
         try:
             rows: list[FleetRow] | None = self.rows(now)
-            counters, alarms = self.reader.read(
-                lambda store: (store.counters(), alarms_view(store, since=math.inf))
+            counters, alarms, told = self.reader.read(
+                lambda store: (store.counters(), alarms_view(store, since=math.inf), waiting(store))
             )
         except StoreFault:
-            rows, counters, alarms = None, {}, []
+            rows, counters, alarms, told = None, {}, [], {}
         sources, clients = self._sources(), len(self.hub)
-        text, kind = exposition(Snapshot(now, self.service.health, sources, clients, rows, alarms, counters))
+        notices = {one.name: told.get(one.name, 0) for one in self.service.channels}
+        text, kind = exposition(
+            Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices)
+        )
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:

@@ -11,11 +11,12 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
-from hygrokf.live.alarms import LOST, RULES
+from hygrokf.live.alarms import CLOCK, LOST, RULES
+from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.service import WAITS_S, Health
 from hygrokf.live.sources.stream import SourceState
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
     from prometheus_client import Metric
 
 SOURCE_STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
-TURBINE_STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
-"""States of a turbine; `turbine_state` tells which one it is in."""
-LIKELY = 0.5
-"""Probability of condensation [1] from which a turbine is at risk."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,8 @@ class Snapshot:
     """What is measured at one instant.
 
     `now` [s]; `clients`: number of pages that are notified of changes; `fleet`: rows of `fleet_view`, None if
-    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count.
+    the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count;
+    `notices`: channel → notices that are not sent yet.
     """
 
     now: float
@@ -49,6 +47,7 @@ class Snapshot:
     fleet: Sequence[FleetRow] | None
     alarms: Sequence[Alarm]
     counters: Mapping[tuple[str, str], int]
+    notices: Mapping[str, int] = field(default_factory=dict)
 
 
 def exposition(found: Snapshot) -> tuple[bytes, str]:
@@ -65,6 +64,7 @@ def exposition(found: Snapshot) -> tuple[bytes, str]:
             yield from _sources(found)
             yield from _set_aside(found.counters)
             yield from _turbines(found)
+            yield _notices(found.notices)
 
     registry = CollectorRegistry()
     registry.register(Now())
@@ -126,6 +126,17 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
     yield from (state, last, lag)
 
 
+def _notices(waiting: Mapping[str, int]) -> Metric:
+    from prometheus_client.core import GaugeMetricFamily
+
+    made = GaugeMetricFamily(
+        "hygrokf_notices_waiting", "Notices of alarms that are not sent yet", labels=["channel"]
+    )
+    for channel, count in waiting.items():
+        made.add_metric([channel], count)
+    return made
+
+
 def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily
 
@@ -161,7 +172,7 @@ def _turbines(found: Snapshot) -> Iterator[Metric]:
         "hygrokf_turbine_state", "1 for the state that a turbine is in", labels=["turbine", "state"]
     )
     for row in found.fleet or ():
-        name, current = row["turbine"], turbine_state(row)
+        name = row["turbine"]
         for family, value in (
             (heard, None if row["heard"] is None else found.now - row["heard"]),
             (chance, row["condensation"]),
@@ -170,19 +181,8 @@ def _turbines(found: Snapshot) -> Iterator[Metric]:
             if value is not None:
                 family.add_metric([name], value)
         for one in TURBINE_STATES:
-            state.add_metric([name, one], int(one == current))
+            state.add_metric([name, one], int(one == row["state"]))
     yield from (heard, chance, margin, state, _open_alarms(found))
-
-
-def turbine_state(row: FleetRow) -> str:
-    """Which of `TURBINE_STATES` a turbine is in: condensation first, then alarms, then missing data."""
-    if (row["condensation"] or 0.0) >= LIKELY and row["fresh"]:
-        return "at risk"
-    if row["severity"] >= 0:
-        return "alarm"
-    if not row["fresh"]:
-        return "stale"
-    return "no estimate" if row["condensation"] is None else "ok"
 
 
 def _open_alarms(found: Snapshot) -> Metric:
@@ -196,7 +196,7 @@ def _open_alarms(found: Snapshot) -> Metric:
     names = [SOURCE, *(row["turbine"] for row in found.fleet or ())]
     for name in names if found.fleet is not None else ():
         for rule in RULES.values():
-            if (rule.kind == LOST.kind) == (name == SOURCE):
+            if (name == SOURCE and rule in (LOST, CLOCK)) or (name != SOURCE and rule != LOST):
                 counts[name, rule.kind, rule.severity] = 0
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0

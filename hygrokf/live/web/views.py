@@ -6,25 +6,28 @@ Temperatures are in °C, relative humidity in %, times in seconds since 1970, UT
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TypedDict, TypeVar
 
 import numpy as np
 
-from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.structured import Json, structured
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
-from hygrokf.live.batch import CAUSES, Alarm
+from hygrokf.live.assessment import NOT_ASSESSED
+from hygrokf.live.batch import CAUSES, STATES, Alarm, Assessment
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
+from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health, SourceTimes
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import ALARM_COLUMNS, Store
+from hygrokf.live.web.signal_rows import SignalRow, signal_rows
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
@@ -57,10 +60,14 @@ class FleetRow(TypedDict):
     [s].
 
     `…_half` is half the width of a 95 % band; `cabinet` says whether its properties are as fitted; `severity`
-    is that of its worst open alarm (`SEVERITY`), −1 without any.
+    is that of its worst open alarm (`SEVERITY`), −1 without any.  `state` is one of `STATES`, with its
+    `reason`, `since` a time.
     """
 
     turbine: str
+    state: str
+    reason: str
+    since: float | None
     time: float | None
     heard: float | None
     fresh: bool
@@ -114,20 +121,6 @@ class PropertyCourse(Course):
     observable: bool
 
 
-class SignalRow(TypedDict):
-    """A signal's last reading in its display unit.
-
-    `last`: its time [s]; `received`: its arrival [s]; `count`: number of readings in the last day.
-    """
-
-    signal: str
-    value: float
-    unit: str
-    last: float
-    received: float
-    count: int
-
-
 class ReadingCourse(TypedDict):
     """The cabinet's own readings of a quantity, at times [s]."""
 
@@ -169,11 +162,15 @@ class ForecastView(TypedDict):
 class TurbineView(TypedDict):
     """One turbine on the page.
 
-    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s];
-    `counts`: readings that were not used, by kind.
+    `state` is one of `STATES`, with its `reason`, `since` a time [s]; `final`: 1 for final estimates;
+    `condensation` [1] and `courses` at the instants `time` [s]; `counts`: readings that were not used, by
+    kind; `held`: number of readings that are held back, because their stamps are ahead of the clock.
     """
 
     turbine: str
+    state: str
+    reason: str
+    since: float | None
     model: ModelView
     time: list[float]
     final: list[int]
@@ -187,6 +184,7 @@ class TurbineView(TypedDict):
     alarms: list[Alarm]
     signals: list[SignalRow]
     counts: dict[str, int]
+    held: int
 
 
 class KindLabels(TypedDict):
@@ -253,8 +251,8 @@ def fleet_view(
     now: float,
     verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
 ) -> list[FleetRow]:
-    """One row per turbine, sorted by the severity of open alarms and then by the present or forecast risk of
-    condensation.
+    """One row per turbine, sorted by the need of its state, then by the severity of open alarms and by the
+    present or forecast risk of condensation.
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
@@ -276,6 +274,7 @@ def fleet_view(
             "LIMIT 1) FROM turbine t"
         )
     }
+    states = store.assessments()
     cabinets, highest = _cabinets(store), _highest_forecast(store, now)
     open_: dict[str, list[Alarm]] = {}
     for alarm in alarms_view(store, since=math.inf):
@@ -288,6 +287,7 @@ def fleet_view(
         rows.append(
             {
                 "turbine": name,
+                **_state(states.get(name)),
                 "time": at,
                 "heard": last,
                 "fresh": last is not None and now - last < FRESH_S,
@@ -305,8 +305,29 @@ def fleet_view(
                 "severity": max((SEVERITY[a.severity] for a in alarms), default=-1),
             }
         )
-    rows.sort(key=lambda row: (-row["severity"], -_risk(row), row["turbine"]))
+    rows.sort(key=lambda row: (STATES.index(row["state"]), -row["severity"], -_risk(row), row["turbine"]))
     return rows
+
+
+def fleet_summary(rows: Iterable[FleetRow]) -> dict[str, int]:
+    """Number of turbines in each of the `STATES`."""
+    counts = Counter(row["state"] for row in rows)
+    return {state: counts[state] for state in STATES}
+
+
+class StateView(TypedDict):
+    """The `state` of a turbine `since` a time [s], with its `reason`."""
+
+    state: str
+    reason: str
+    since: float | None
+
+
+def _state(found: Assessment | None) -> StateView:
+    """A turbine's assessment; a turbine that was never assessed has no estimate."""
+    if found is None:
+        return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
+    return {"state": found.state, "reason": found.reason, "since": found.since}
 
 
 def _risk(row: FleetRow) -> float:
@@ -342,9 +363,17 @@ def _highest_forecast(store: Store, now: float) -> dict[str, Chance]:
 
 
 def turbine_view(
-    store: Store, name: str, since: float, now: float, verdicts: Verdicts = MappingProxyType({})
+    store: Store,
+    name: str,
+    since: float,
+    now: float,
+    verdicts: Verdicts = MappingProxyType({}),
+    needs: Sequence[Need] = (),
 ) -> TurbineView:
-    """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts."""
+    """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts.
+
+    needs: what its model reads, of which signals that never came are listed too.
+    """
     found = _thin(
         store.rows(
             f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
@@ -370,8 +399,10 @@ def turbine_view(
     time, chances = [row[-3] for row in found], [row[-1] for row in found]
     forecast = _forecast(store, name)
     limit = LIMIT if forecast is None or forecast["limit"] is None else forecast["limit"]
+    alarms = alarms_view(store, name, since)
     return {
         "turbine": name,
+        **_state(store.assessments().get(name)),
         "model": model_view(verdicts),
         "time": time,
         "final": [row[-2] for row in found],
@@ -389,9 +420,10 @@ def turbine_view(
         "readings": readings,
         "forecast": forecast,
         "properties": _properties(store, name, since),
-        "alarms": alarms_view(store, name, since),
-        "signals": _signals(store, name, now),
+        "alarms": alarms,
+        "signals": signal_rows(store, name, now, needs, alarms),
         "counts": {kind: n for (turbine, kind), n in sorted(store.counters().items()) if turbine == name},
+        "held": store.held_count(name),
     }
 
 
@@ -412,35 +444,6 @@ def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple
             hour = HOUR_S * (at // HOUR_S)
             most[hour] = max(value, most.get(hour, value))
     return sorted(most.items())
-
-
-def _signals(store: Store, name: str, now: float) -> list[SignalRow]:
-    """The last reading of each signal of a turbine."""
-    found: list[SignalRow] = []
-    for signal in store.signals(name):
-        ((last, value, received),) = store.rows(
-            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time "
-            "DESC LIMIT 1",
-            (name, signal),
-        )
-        ((count,),) = store.rows(
-            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
-            (name, signal, now - DAY_S),
-        )
-        row = SIGNALS.get(signal)
-        shown = value if row is None else float(from_si(value, row.display, row))
-        unit = "" if row is None else row.display
-        found.append(
-            {
-                "signal": signal,
-                "value": shown,
-                "unit": unit,
-                "last": last,
-                "received": received,
-                "count": count,
-            }
-        )
-    return found
 
 
 def _courses(rows: Sequence[Row]) -> dict[str, Course]:

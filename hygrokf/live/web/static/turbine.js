@@ -46,7 +46,8 @@ const NOT_USED = {
   "unknown turbine": "named a turbine that is not tracked",
   "no time": "had no time",
   "ambiguous time": "had a local time that comes twice",
-  "impossible time": "had a time before 1990 or in the future",
+  "impossible time": "had a time before 1990, after 2100 or too far ahead",
+  "too many ahead": "had a time ahead of the clock, when too many of them were held back",
 };
 
 export class Turbine {
@@ -150,7 +151,7 @@ export class Turbine {
       return found.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
     }
     const signal = found.signals.find((one) => one.signal === sensor);
-    if (!signal) return `no ${kind} sensor: estimate from the model alone`;
+    if (!signal || signal.last === null) return `no ${kind} sensor: estimate from the model alone`;
     const days = clock() - this.days * DAY_S;
     if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
     return "";

@@ -1,0 +1,127 @@
+"""Readings stamped ahead of this machine's clock: how far, and whose clock is wrong.
+
+A reading that is ahead by more than `AHEAD_S` is held back, in the store and acknowledged, until the clock
+reaches its stamp less `AHEAD_S` or is set right.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
+from hygrokf.data.timestamps import HOUR_S, duration_text
+from hygrokf.live.alarms import CLOCK, Level
+from hygrokf.live.batch import Batch, Observation
+from hygrokf.live.sources.payload_values import AHEAD_S
+from hygrokf.live.storage.store import Store
+
+HELD_MOST = 200_000
+"""Largest number of readings that are held back for one turbine; further ones are counted and discarded, so
+that a sender with stamps of the next century cannot fill the disk."""
+ALIKE_S = 300.0
+"""[s] within which turbines are ahead by the same time."""
+SHARED = 0.5
+"""Share of the turbines that must be ahead by the same time for this machine's clock to be the suspect."""
+MACHINE = ""
+"""Turbine name of alarms about this machine's clock."""
+
+
+class HeldReadings:
+    """The readings that are held back in a store; without a store nothing is."""
+
+    def __init__(self, store: Store | None) -> None:
+        self._store = store
+        self._turbines = set() if store is None else {turbine for turbine, _, _ in store.held_ahead()}
+
+    @property
+    def turbines(self) -> tuple[str, ...]:
+        """Turbines of which readings are held back."""
+        return tuple(sorted(self._turbines))
+
+    def hold(
+        self, turbine: str, ahead: Sequence[Observation], batch: Batch, counts: Counter[tuple[str, str]]
+    ) -> None:
+        """Put readings that are ahead into the batch; those beyond `HELD_MOST` are counted."""
+        if not ahead:
+            return
+        known = sum(one.turbine == turbine for one in batch.held)
+        if self._store is not None:
+            known += self._store.held_count(turbine)
+        kept = ahead[: max(HELD_MOST - known, 0)]
+        counts[turbine, "too many ahead"] += len(ahead) - len(kept)
+        batch.held += kept
+        self._turbines.add(turbine)
+
+    def release(self, turbine: str, now: float, batch: Batch) -> list[Observation]:
+        """The readings of a turbine that are no longer ahead at `now` [s]; the batch releases them."""
+        if self._store is None or turbine not in self._turbines:
+            return []
+        due = self._store.held(turbine, now + AHEAD_S)
+        batch.released += due
+        if self._store.held_count(turbine) == len(due) and all(o.turbine != turbine for o in batch.held):
+            self._turbines.discard(turbine)
+        return due
+
+
+class Clocks:
+    """How far the newest readings of each turbine were ahead of this machine's clock when they arrived.
+
+    After a restart it goes on from those that are held: (turbine, signal, time [s] ahead).
+    """
+
+    def __init__(self, held: Iterable[tuple[str, str, float]] = ()) -> None:
+        self._ahead: dict[str, dict[str, float]] = {}
+        for turbine, signal, ahead in held:
+            self._ahead.setdefault(turbine, {})[signal] = ahead
+
+    def note(self, turbine: str, observations: Iterable[Observation]) -> None:
+        """Note readings of a turbine, in the order of their arrival."""
+        known = self._ahead.setdefault(turbine, {})
+        for one in observations:
+            ahead = one.reading.time - one.received
+            known[one.reading.signal] = ahead if ahead > AHEAD_S else 0.0
+
+    def ahead(self) -> dict[str, float]:
+        """Time [s] by which each turbine's newest readings were ahead, 0 if by no more than `AHEAD_S`."""
+        return {turbine: max(known.values()) for turbine, known in self._ahead.items() if known}
+
+
+def clock_levels(ahead_s: Mapping[str, float]) -> dict[str, list[Level]]:
+    """The levels of wrong clocks by turbine, `MACHINE` for this machine's clock, from the time [s] by which
+    each turbine is ahead of it.
+
+    Several turbines that are ahead by the same time share the cause, which is this machine's clock if they
+    are at least the share `SHARED` of all; any other turbine's own clock is fast.
+    """
+    found: dict[str, list[Level]] = {name: [] for name in (*ahead_s, MACHINE)}
+    wrong = sorted(one for one in ahead_s.values() if one > 0.0)
+    if not wrong:
+        return found
+    middle = wrong[(len(wrong) - 1) // 2]
+    alike = {name for name, one in ahead_s.items() if one > 0.0 and abs(one - middle) <= ALIKE_S}
+    if len(alike) < max(2.0, SHARED * len(ahead_s)):
+        alike = set()
+    else:
+        statement = (
+            f"readings of {len(alike)} of {len(ahead_s)} turbines are stamped {_lasting(middle)} ahead of "
+            f"this machine's clock: this clock is slow, or a clock that they share is fast. {HELD_BACK}"
+        )
+        found[MACHINE] = [Level(CLOCK.kind, 1.0, statement)]
+    for name, one in ahead_s.items():
+        if one > 0.0 and name not in alike:
+            whose = "its sender's clock is fast" + (
+                "" if len(ahead_s) > 1 else ", or this machine's clock is slow"
+            )
+            statement = f"its readings are stamped {_lasting(one)} ahead of this machine's clock: {whose}"
+            statement += f". {HELD_BACK}"
+            found[name] = [Level(CLOCK.kind, 1.0, statement)]
+    return found
+
+
+HELD_BACK = "They are stored and held back until this machine's clock reaches them"
+
+
+def _lasting(seconds: float) -> str:
+    """A duration in words, rounded to what matters."""
+    years = seconds / (365.25 * 24.0 * HOUR_S)
+    return f"{years:.1f} years" if years >= 1.0 else duration_text(60.0 * round(seconds / 60.0))

@@ -1,0 +1,104 @@
+"""A turbine to be tracked, and the condition of several turbines from their courses."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
+from hygrokf.live.forecast import LIMIT
+from hygrokf.live.plan import Plan
+from hygrokf.live.tracker import Course
+
+THIN_S = 600.0
+"""[s] between two stored estimates of a cabinet without sensors."""
+STALE_S = 2.0 * HOUR_S
+"""[s] age above which data are stale, unless the turbine states another one."""
+
+
+@dataclass(frozen=True)
+class Turbine:
+    """A turbine to be tracked: its plan and its coldest surface.
+
+    `errors`: the fit's standard errors of the tracked properties; `limit` [1]: relative humidity for
+    forecasts and restart advice; `stale_s` [s]: age above which its data are stale; `verdicts`: the fit's
+    verdicts on its numbers.
+    """
+
+    plan: Plan
+    surface: Surface = field(default_factory=Surface)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    limit: float = LIMIT
+    stale_s: float = STALE_S
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+
+
+def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
+    """The condition of each turbine at the instants of its course that the store keeps.
+
+    Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
+    instants of one.
+    """
+    by_model: dict[int, list[str]] = defaultdict(list)
+    for name, (turbine, _) in courses.items():
+        by_model[id(turbine.plan.model)].append(name)
+    found: dict[str, Condition] = {}
+    for names in by_model.values():
+        turbines, runs = zip(*(courses[name] for name in names), strict=True)
+        model = turbines[0].plan.model
+        kept = [instants_kept(course) for course in runs]
+        counts = [len(places) for places in kept]
+        inputs = [inputs_of(model, course.run.timeline) for course in runs]
+        together = air_condition(
+            model,
+            {
+                p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts)
+                for p in model.parameters
+            },
+            _joined((course.seconds for course in runs), kept),
+            {name: _joined((u[name] for u in inputs), kept) for name in model.inputs},
+            _joined((course.trace.mean for course in runs), kept),
+            _joined((course.trace.covariance for course in runs), kept),
+            Surface(
+                np.repeat([one.surface.follows for one in turbines], counts),
+                np.repeat([one.surface.offset_K for one in turbines], counts),
+            ),
+        )
+        ends = np.cumsum(counts)
+        for name, count, end in zip(names, counts, ends.tolist(), strict=True):
+            found[name] = only(together, slice(end - count, end))
+    return found
+
+
+def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
+    """The kept instants of several arrays, one after the other."""
+    return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
+
+
+def instants_kept(course: Course) -> np.ndarray:
+    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
+    always the last one."""
+    kept = np.isfinite(course.run.timeline.y).any(axis=1)
+    if not kept.any():
+        slot = np.floor(course.seconds / THIN_S)
+        kept = np.append(True, np.diff(slot) > 0)
+    kept[-1] = True
+    return np.flatnonzero(kept)
+
+
+def digest(plan: Plan) -> str:
+    """Digest of what a point depends on: the model, its parameter values and the forms of the readings."""
+    said = {
+        "design": plan.design.to_json(),
+        "values": dict(plan.values),
+        "fastest": plan.fastest,
+        "forms": {name: asdict(form) for name, form in sorted(plan.forms.items())},
+    }
+    return hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()

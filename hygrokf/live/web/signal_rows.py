@@ -1,0 +1,88 @@
+"""The signals of a turbine on its page: last readings, and what the model needs and never came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TypedDict
+
+from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.alarms import CONTRADICTS
+from hygrokf.live.batch import Alarm
+from hygrokf.live.plan import Need
+from hygrokf.live.storage.store import Store
+
+
+class SignalRow(TypedDict):
+    """A signal's last reading in its display unit.
+
+    `last`: its time [s]; `received`: its arrival [s], all None if it never came; `count`: number of readings
+    in the last day; `needed`: "required" if there is no estimate without it, "used" if the model reads it,
+    "" if it does not; `contradicts`: whether the reading contradicts the estimate.
+    """
+
+    signal: str
+    value: float | None
+    unit: str
+    last: float | None
+    received: float | None
+    count: int
+    needed: str
+    contradicts: bool
+
+
+def signal_rows(
+    store: Store, name: str, now: float, needs: Sequence[Need], alarms: Iterable[Alarm]
+) -> list[SignalRow]:
+    """The last reading of each signal of a turbine, and what its model reads and never came."""
+    found: list[SignalRow] = []
+    contradicts = contradicting(alarms)
+    there = store.signals(name)
+    used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
+    missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
+    for signal in missing:
+        row = SIGNALS.get(signal)
+        found.append(
+            {
+                "signal": signal,
+                "value": None,
+                "unit": "" if row is None else row.display,
+                "last": None,
+                "received": None,
+                "count": 0,
+                "needed": used[signal],
+                "contradicts": False,
+            }
+        )
+    for signal in there:
+        ((last, value, received),) = store.rows(
+            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time "
+            "DESC LIMIT 1",
+            (name, signal),
+        )
+        ((count,),) = store.rows(
+            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
+            (name, signal, now - DAY_S),
+        )
+        row = SIGNALS.get(signal)
+        shown = value if row is None else float(from_si(value, row.display, row))
+        unit = "" if row is None else row.display
+        found.append(
+            {
+                "signal": signal,
+                "value": shown,
+                "unit": unit,
+                "last": last,
+                "received": received,
+                "count": count,
+                "needed": used.get(signal, ""),
+                "contradicts": signal in contradicts,
+            }
+        )
+    return sorted(found, key=lambda one: one["signal"])
+
+
+def contradicting(alarms: Iterable[Alarm]) -> set[str]:
+    """Signals whose readings contradict the estimate, by the open alarms."""
+    open_ = [one for one in alarms if one.kind == CONTRADICTS.kind and one.ended is None]
+    return {signal for signal in SIGNALS for one in open_ if f":{CONTRADICTS.kind} {signal}:" in one.id}

@@ -1,0 +1,72 @@
+"""How often a reading is wrongly said to contradict the estimate, and how often a sensor's step is noticed
+with its first reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from plants import plant
+
+from hygrokf.live.contradiction import BEYOND, innovations
+from trials.cabinets import DAY_S, tracked
+
+LEARNT_DAYS, DAYS = 45.0, 60.0
+SETTLED_S = 2 * DAY_S
+"""[s] of tracking before the first reading is judged."""
+STEPS = {"cabinet_temperature": (1.0, 2.0, 3.0, 5.0), "cabinet_relative_humidity": (0.03, 0.05, 0.1, 0.2)}
+"""Steps of a sensor's reading [SI unit]."""
+NAMES = {
+    "cabinet_temperature": ("temperature", "K", 1.0),
+    "cabinet_relative_humidity": ("humidity", "%", 100.0),
+}
+
+
+def one(seed: int, days: float = DAYS, learnt: float = LEARNT_DAYS) -> dict:
+    """The innovations of a plant over the days after those that its model was identified on.
+
+    For each signal: readings, days, readings beyond, and of each step the readings with which it would have
+    been noticed had it begun with them; steps go up and down by turns.  What the filter predicts for a
+    reading does not depend on the reading, so that every reading can be the first one of a step.
+    """
+    made = plant(seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True)
+    begin = float(made.drivers.time[0]) + learnt * DAY_S
+    case = tracked(made, begin)
+    found = innovations(case.course, dict.fromkeys(STEPS, begin + SETTLED_S))
+    line: dict = {"seed": seed, "days": days - SETTLED_S / DAY_S}
+    for signal, steps in STEPS.items():
+        z = np.array([each.deviations for each in found if each.signal == signal])
+        sd = np.array([each.sd for each in found if each.signal == signal])
+        side = np.where(np.arange(len(z)) % 2, 1.0, -1.0)
+        line[signal] = {
+            "readings": len(z),
+            "beyond": int(np.sum(np.abs(z) >= BEYOND)),
+            "largest": float(np.max(np.abs(z), initial=0.0)),
+            "noticed": [int(np.sum(np.abs(z + side * step / sd) >= BEYOND)) for step in steps],
+        }
+    return line
+
+
+def table(lines: Sequence[Mapping]) -> str:
+    """False flags, and of each step the share that is noticed with its first reading."""
+    days = sum(line["days"] for line in lines)
+    text = [f"{len(lines)} plants, {days:.0f} days", ""]
+    text += [
+        "| signal | readings | wrongly flagged | largest deviation | step: noticed with its first reading |"
+    ]
+    text += ["| --- | --- | --- | --- | --- |"]
+    for signal, steps in STEPS.items():
+        name, unit, factor = NAMES[signal]
+        of = [line[signal] for line in lines]
+        count = sum(each["readings"] for each in of)
+        noticed = [sum(each["noticed"][k] for each in of) / count for k in range(len(steps))]
+        shares = [
+            f"{factor * step:g} {unit}: {100.0 * share:.1f} %"
+            for step, share in zip(steps, noticed, strict=True)
+        ]
+        beyond = sum(each["beyond"] for each in of)
+        text.append(
+            f"| {name} | {count} | {beyond} | {max(each['largest'] for each in of):.1f} | "
+            f"{', '.join(shares)} |"
+        )
+    return "\n".join(text)
