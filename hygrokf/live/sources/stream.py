@@ -75,10 +75,10 @@ class Stream(Protocol):
     of its data, such as that they are a demonstration's.  `recall` gives it, before its start, the data that
     its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
     position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
-    `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time [s]
-    against which the age of its data is judged; `state` is shown on the page and by the doctor; `signals` are
-    those of a turbine that the source can deliver; `left` says of turbines that their sender has left
-    (turbine -> text).
+    `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time
+    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor;
+    `signals` are those of a turbine that the source can deliver; `left` says of turbines that their sender
+    has left (turbine -> text).
     """
 
     url: str
