@@ -60,7 +60,7 @@ export class Turbine {
     this.state = make("p", { class: "as-of" });
     this.badge = make("span", { class: "badge" });
     this.reason = make("p", { class: "state-reason" });
-    this.changes = make("ul", { class: "aside events" });
+    this.changes = make("ul", { class: "events" });
     this.shelves = make("ul", { class: "alarms shelves" });
     this.model = make("ul", { class: "model", "aria-label": "Numbers of the model" });
     this.advice = make("p", { class: "advice", hidden: true });
