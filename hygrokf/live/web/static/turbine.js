@@ -7,7 +7,7 @@ import { shownState, stateClass } from "./fleet.js";
 import { ask } from "./server.js";
 import {
   DAY_S, FRESH_S, age, celsius, chance, clock, fixed, grams, kelvin, local, make, near, percent, say, significant, span, timeOf,
-  unitText, whole, words,
+  unitText, whole, withTimes, words,
 } from "./text.js";
 
 const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
@@ -173,7 +173,7 @@ export class Turbine {
     const state = shownState({ ...found, model: found.model.verdict, heard: Number.isFinite(heard) ? heard : null });
     say(this.badge, state);
     this.badge.className = stateClass(state, severity);
-    say(this.reason, state === found.state && state !== "alarm" ? `${found.reason}${found.since ? `, since ${local(found.since)}` : ""}` : "");
+    say(this.reason, state === found.state && state !== "alarm" ? `${withTimes(found.reason)}${found.since ? `, since ${local(found.since)}` : ""}` : "");
   }
 
   showChanges(found) {
