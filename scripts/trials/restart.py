@@ -12,7 +12,7 @@ from plants.drivers import Drivers
 from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
-from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
+from hygrokf.live.restart_advice import LONGEST_H, STAYS_H, restart
 from hygrokf.live.scenarios import NoScenarios
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
