@@ -3,9 +3,10 @@
 The default has one turbine per model, and signals under their own names.
 
 The demonstration tracks a synthetic turbine and needs no server and no file.  The model is identified on the
-first weeks, and the following weeks are played back faster than real time.  From one day on the cabinet loses
-heat more slowly (a clogged filter), which the tracker should find.  The same cabinet is also tracked without
-its humidity sensor and without any sensor, so that the model alone can be compared with the readings.
+first weeks, and the following weeks are played back faster than real time.  From some days before them on the
+cabinet loses heat more slowly (a clogged filter), which the tracker finds at the beginning of the playback.
+The same cabinet is also tracked without its humidity sensor and without any sensor, so that the model alone
+can be compared with the readings.
 """
 
 from __future__ import annotations
@@ -41,13 +42,14 @@ NAMES = {
 }
 """Turbine -> signals that it lacks."""
 FIRST = next(iter(NAMES))
-DAYS = 120.0
+DAYS = 100.0
 IDENTIFIED_DAYS = 60.0
 """Length of the record, and of its first part on which the model is identified [d]."""
-KNOWN_DAYS = 34.0
+KNOWN_DAYS = 16.0
 """[d] before the live part that the tracker gets at once, as history for the forecasts."""
-CHANGED_DAYS = 4.0
-"""[d] from the start of the live part to the change of the cabinet."""
+CHANGED_DAYS = -7.0
+"""[d] from the start of the live part to the change of the cabinet: so long before it that the shift, which
+must last two days to be told, is told within seconds of the playback."""
 CHANGED = SyntheticParameters(thermal_time_constant_h=2.5)
 PLAYED = (
     "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity",
@@ -135,13 +137,13 @@ def demo_turbines(
     folder.mkdir(parents=True, exist_ok=True)
     record = _record(folder / "turbine", seed, SyntheticParameters())
     live_s = record.start_s + IDENTIFIED_DAYS * DAY_S
+    date_s = live_s + CHANGED_DAYS * DAY_S
     model = folder / f"model-{seed}"
     if not (model / "fit.json").is_file():
-        fit = identify(record.window(record.start_s, live_s), starts=1, progress=progress)
+        fit = identify(record.window(record.start_s, min(date_s, live_s)), starts=1, progress=progress)
         write_fit(replace(fit, name=FIRST), model)
     fit = read_fit(model)
     changed = _record(folder / "changed", seed, CHANGED)
-    date_s = live_s + CHANGED_DAYS * DAY_S
     series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
     forms = {s.signal: form_of(s) for s in series}
@@ -161,7 +163,8 @@ def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
         own = replace(record, series=tuple(s for s in record.series if s.signal not in without))
         found += record_messages(own, name)
     mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in NAMES})
-    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s)
+    label = f"Demo: synthetic turbines, played back at {speed:,.0f} times real time"
+    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s, label)
 
 
 def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:

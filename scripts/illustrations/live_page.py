@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from illustrations.pages import PICTURES, ROOT, synthetic_record, true_values
+
+if TYPE_CHECKING:
+    from hygrokf.live.service import Service
 
 
 def _known(truth) -> dict[str, float]:
@@ -19,13 +23,41 @@ def _known(truth) -> dict[str, float]:
     return known
 
 
+CASES = {
+    3: {"surface": (0.0, -4.0)},
+    5: {"surface": (0.0, -2.5)},
+    6: {"without": ("cabinet_relative_humidity",)},
+    8: {"slower": 1.6},
+    10: {"silent_h": 5.0},
+    11: {"without": ("ambient_relative_humidity",)},
+}
+"""What is particular of some turbines: condensing, nearly so, without humidity sensor, changed, silent,
+without ambient humidity."""
+UNSEEN = (10, 11)
+"""Turbines without a forecast."""
+VIEWS = {
+    # name: view, width, height, scheme
+    "page_fleet": ("#/", 1280, 720, "light"),
+    "page_fleet_dark": ("#/", 1280, 720, "dark"),
+    "page_turbine": ("#/turbine/Synthetic%2003", 1160, 1720, "light"),
+    "page_turbine_dark": ("#/turbine/Synthetic%2008", 1160, 1080, "dark"),
+    "page_alarms": ("#/alarms", 1160, 720, "light"),
+    "page_phone": ("#/turbine/Synthetic%2003", 390, 844, "dark"),
+    "page_phone_fleet": ("#/", 390, 844, "light"),
+}
+ARGUMENTS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+LARGEST = 150_000
+"""[bytes] of a picture."""
+
+
 def live_page(directory: Path) -> None:
-    """The live page: a real tracker's store of twelve synthetic turbines, one of them condensing, one
-    changed, one silent."""
+    """The live page: a real tracker's store of twelve synthetic turbines (`CASES`)."""
     import shutil
 
-    from builders.page_case import Case, add_forecast, filled, opened
-    from PIL import Image
+    from builders.page_case import Case, filled
     from playwright.sync_api import sync_playwright
 
     from hygrokf.live import service as loop
@@ -36,45 +68,72 @@ def live_page(directory: Path) -> None:
 
     _, truth = synthetic_record(1, directory)
     known = _known(truth)
-    more = {
-        3: {"surface": Surface(0.0, -4.0)},
-        5: {"surface": Surface(0.0, -2.5)},
-        6: {"without": ("cabinet_relative_humidity",)},
-        8: {"known": {**known, "thermal_time_constant": 1.6 * known["thermal_time_constant"]}},
-        10: {"silent_h": 5.0},
-    }
-    cases = [
-        Case(f"Synthetic {n:02d}", **{"seed": 1 + n % 4, "known": known, **more.get(n, {})})
-        for n in range(1, 13)
-    ]
+    cases = []
+    for n in range(1, 13):
+        given = dict(CASES.get(n, {}))
+        slower = given.pop("slower", 1.0)
+        own = {**known, "thermal_time_constant": slower * known["thermal_time_constant"]}
+        surface = Surface(*given.pop("surface", (0.0, 0.0)))
+        cases.append(
+            Case(f"Synthetic {n:02d}", **{"seed": 1 + n % 4, "known": own, "surface": surface, **given})
+        )
     hub, settings = Hub(), PageSettings(port=0)
     loop.MOST = 50  # rounds as short as those of a live source: alarms are judged once a round
     service = filled(directory, cases, 7.0)
-    store = opened(service)
-    for case in cases:
-        add_forecast(
-            store,
-            case.name,
-            "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed.",
-        )
-    store.close()
-    views = {
-        "page_fleet": ("#/", 1280, 600, "light"),
-        "page_turbine": ("#/turbine/Synthetic%2003", 1160, 1720, "light"),
-        "page_alarms": ("#/alarms", 1160, 640, "light"),
-        "page_phone": ("#/turbine/Synthetic%2008", 375, 812, "dark"),
-    }
+    _stated(service)
     with serve(Page(service, hub, settings).app(), settings, hub) as server, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
-        )
-        for name, (view, width, height, scheme) in views.items():
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
+        for name, (view, width, height, scheme) in VIEWS.items():
             shown = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
             shown.goto(server.url + view)
-            shown.locator("main tr[data-turbine], main canvas, main li").first.wait_for()
-            shown.get_by_text("live", exact=True).wait_for()
-            picture = io.BytesIO(shown.screenshot())
-            path = PICTURES / f"{name}.png"
-            Image.open(picture).convert("RGB").quantize(96).save(path, optimize=True)
-            print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
+            shown.locator("main .spark, main canvas, main li").first.wait_for()
+            shown.get_by_text("page connected", exact=True).wait_for()
+            shown.locator("#live-data:not(:empty)").wait_for()
+            _save(name, shown.screenshot())
+            shown.close()
         browser.close()
+
+
+def _stated(service: Service) -> None:
+    """What is not a tracker's own: forecasts by hand, with the states that follow, and what people state."""
+    import numpy as np
+    from builders.page_case import add_forecast, opened
+
+    from hygrokf.data.timestamps import DAY_S, stamp_text
+    from hygrokf.live.assessment import Outlook
+    from hygrokf.live.batch import Assessment, Batch, Event, Shelf
+
+    store, now = opened(service), service.now
+    advice = "from 06:00 on pre-heat for 40 min before a start; from 11:00 on none is needed."
+    states = store.assessments()
+    for n, name in enumerate(service.turbines, start=1):
+        if n in UNSEEN:
+            continue
+        add_forecast(store, name, advice, drift=-0.12 if n in (3, 5) else 0.0)
+        likely_s = Outlook(*np.array(store.outlook(name)).T).likely_s(now)
+        if likely_s is not None and states[name].state != "at risk":
+            reason = f"condensation is likely from {stamp_text(likely_s)} on"
+            store.commit(Batch(assessments=[Assessment(name, "at risk", reason, now)]))
+    # a detail of the last alarm of the fleet, as the control room would have left it
+    ended = store.rows("SELECT id FROM alarm WHERE ended IS NOT NULL ORDER BY began DESC")
+    for (alarm,), cause in zip(ended, 3 * ("defect", "defect", "false alarm"), strict=False):
+        store.acknowledge(alarm, "K. Maier", now - DAY_S / 2.0, cause)
+    store.shelve(
+        Shelf("Synthetic 08", "cabinet changed", now + 3 * DAY_S, now, "K. Maier", "filter is ordered")
+    )
+    store.note_event(
+        Event("heater", "Synthetic 03", now - DAY_S, "settings changed", "heater set to 5 K", now, "K. Maier")
+    )
+    store.close()
+
+
+def _save(name: str, screenshot: bytes) -> None:
+    """Write a screenshot as a small PNG."""
+    from PIL import Image
+
+    path = PICTURES / f"{name}.png"
+    Image.open(io.BytesIO(screenshot)).convert("RGB").quantize(96).save(path, optimize=True)
+    size = path.stat().st_size
+    print(f"{path.relative_to(ROOT)}: {size / 1e3:.0f} kB", flush=True)
+    if size > LARGEST:
+        raise SystemExit(f"{path}: expected at most {LARGEST / 1e3:.0f} kB, found {size / 1e3:.0f} kB")

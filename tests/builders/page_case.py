@@ -94,8 +94,13 @@ def filled(
     return service
 
 
-def add_forecast(store: Store, name: str, statement: str, hours: int = 36, sd: float = 0.6) -> None:
-    """A forecast that goes on from the newest estimate: a day's swing about it, less sure with time."""
+def add_forecast(
+    store: Store, name: str, statement: str, hours: int = 36, sd: float = 0.6, drift: float = -0.12
+) -> None:
+    """A forecast that goes on from the newest estimate: a day's swing about it, less sure with time.
+
+    drift: of the margin [K/h].
+    """
     (start,) = store.rows(
         "SELECT time, temperature_K, relative_humidity, absolute_humidity_g_m3, dew_point_K, margin_K FROM "
         "estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1",
@@ -107,7 +112,7 @@ def add_forecast(store: Store, name: str, statement: str, hours: int = 36, sd: f
         h = step / 2.0
         swing = math.sin(2.0 * math.pi * h / 24.0)
         width = sd * math.sqrt(1.0 + h / 3.0)
-        expected = margin - 0.12 * h + 2.0 * swing
+        expected = margin + drift * h + 2.0 * swing
         chance = 0.5 * math.erfc(expected / (width * math.sqrt(2.0)))
         air, air_sd = float(np.clip(humidity - 0.03 * swing, 0.02, 1.0)), 0.02 * width
         above = 0.5 * math.erfc((LIMIT - air) / (air_sd * math.sqrt(2.0)))

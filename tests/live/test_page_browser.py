@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +22,10 @@ from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
-from hygrokf.live.batch import Alarm, Batch
+from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.service import Service
-from hygrokf.live.sources.local import record_mapping, record_messages
+from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import Page as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
@@ -58,11 +59,24 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
     store.commit(
         Batch(
             alarms=[
+                Alarm(
+                    "silent:reading contradicts cabinet_temperature:0",
+                    "silent",
+                    "reading contradicts",
+                    "warning",
+                    now - 20_000.0,
+                    "cabinet temperature reads 40.0 °C, where the estimate expects 25.0",
+                    "compare",
+                ),
                 Alarm("evil", EVIL, "condensation", "alarm", now - 7200.0, EVIL, "dry <b>it</b>"),
                 Alarm("wet", "T1", "condensation", "warning", now - 3600.0, "water condenses", "pre-heat"),
                 Alarm(
                     "past", "T1", "data stale", "warning", now - 9000.0, "silent", "look", ended=now - 8000.0
                 ),
+            ],
+            assessments=[
+                Assessment("T1", "at risk", "condensation is likely now", now - 3600.0),
+                Assessment(EVIL, "alarm", EVIL, now - 7200.0),
             ],
             counters={("T1", "late"): 12, ("T1", "bad quality"): 1},
         )
@@ -119,7 +133,7 @@ class Tab:
 
     def open(self, url: str) -> Page:
         self.page.goto(url)
-        expect(self.page.locator("#live-words")).to_have_text("live")
+        expect(self.page.locator("#live-words")).to_have_text("page connected")
         return self.page
 
     def faults(self) -> list[str]:
@@ -190,7 +204,7 @@ def test_the_fleet_shows_what_the_store_holds(tab: Tab, live: tuple[str, Hub], s
         lower = margin - 1.959964 * margin_sd
         assert cells["margin"] == f"{text_of(margin, 1, True)} K≥ {text_of(lower, 1, True)}"
         assert cells["condensation"] == chance_text(chance)
-    assert [row.get_attribute("data-turbine") for row in page.locator("tbody tr").all()][:2] == [EVIL, "T1"]
+    assert [row.get_attribute("data-turbine") for row in page.locator("tbody tr").all()][:2] == ["T1", EVIL]
 
 
 def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
@@ -223,7 +237,8 @@ def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
 def test_what_is_old_is_shown_as_old(tab: Tab, live: tuple[str, Hub]) -> None:
     page = tab.open(live[0])
     silent, fresh = row_of(page, "silent"), row_of(page, "T2")
-    expect(silent.locator(".badge")).to_have_text("no data")
+    expect(silent.locator(".badge")).to_have_text("stale")
+    expect(silent.locator(".reason")).to_contain_text("the estimate is from ")
     expect(silent).to_have_class("stale")
     assert plain(silent.locator("td.heard").inner_text()).startswith("5 h")
     expect(fresh).not_to_have_class("stale")
@@ -243,6 +258,62 @@ def test_names_are_found(tab: Tab, live: tuple[str, Hub]) -> None:
     page.go_back()
     expect(page.locator("h1")).to_have_text("Cabinets")
     assert page.locator("#search").input_value() == "t2"
+
+
+def test_a_summary_of_the_states_with_their_reasons(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    risky = row_of(page, "T1")
+    expect(risky.locator(".badge")).to_have_text("at risk")
+    expect(risky.locator(".reason")).to_contain_text("condensation is likely now")
+    expect(row_of(page, EVIL).locator(".reason")).to_contain_text(EVIL)
+    red = page.evaluate(
+        "name => getComputedStyle(document.querySelector(name)).backgroundColor", ".badge.at-risk"
+    )
+    assert red == "rgb(179, 36, 27)"
+    chips = {one.get_attribute("data-state"): one.inner_text() for one in page.locator(".chip:visible").all()}
+    shown = [row.get_attribute("data-state") for row in page.locator("tbody tr").all()]
+    assert {state: int(text.split()[0]) for state, text in chips.items()} == Counter(shown)
+    page.locator(".chip.at-risk").click()
+    expect(page.locator("tbody tr:visible")).to_have_count(shown.count("at risk"))
+    expect(page.locator(".found")).to_have_text(f"{shown.count('at risk')} of 4")
+    page.locator(".chip.at-risk").click()
+    expect(page.locator("tbody tr:visible")).to_have_count(4)
+
+
+def test_a_sparkline_draws_the_margin_back_and_ahead(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    spark = row_of(page, "T1").locator(".spark")
+    expect(spark).to_be_visible()
+    assert spark.locator(".line.past").count() >= 1 and spark.locator(".band.ahead").count() == 1
+    assert "Lowest of the last 3 days: " in spark.get_attribute("aria-label")
+    # two days of estimates lie left of now, the forecast right of it
+    [past, ahead, now] = [
+        page.evaluate(
+            "e => { const b = e.getBoundingClientRect(); return [b.left, b.right]; }", one.element_handle()
+        )
+        for one in (spark.locator(".line.past").last, spark.locator(".line.ahead"), spark.locator(".now"))
+    ]
+    assert past[0] < past[1] < now[0] < ahead[0] < ahead[1]
+
+
+def test_the_head_says_what_is_live(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    expect(page.locator("#live-data")).to_have_text(re.compile(r"^data \d+\s(s|min) old$"))
+    expect(page.locator("#live")).not_to_have_class(re.compile("old|off|waiting"))
+    expect(page.locator("#label")).to_be_hidden()
+
+
+def test_a_playback_is_marked_and_its_dates_have_a_year(tab: Tab, service: Service, tmp_path: Path) -> None:
+    record = recent_record(tmp_path, 7, 2.0, 1_583_000_000.0)
+    source = Playback(
+        "replay:old", record_messages(record, "T1"), record_mapping(record, "T1"), label="Demo: old"
+    )
+    played = Service({"T1": live_turbine(record)}, [source], f"sqlite:{tmp_path / 'live.db'}")
+    played.run(until_ended=True)
+    with served(played) as (server, _):
+        page = tab.open(f"{server.url}#/turbine/T1")
+        expect(page.locator("#label")).to_have_text("Demo: old")
+        expect(page.locator(".as-of")).to_contain_text("2020")
 
 
 # -- one turbine ---------------------------------------------------------------------------------------------
@@ -366,6 +437,24 @@ def test_without_a_humidity_sensor_it_is_said(tab: Tab, live: tuple[str, Hub]) -
     expect(page.locator(".page-fault")).to_have_text("no such turbine is tracked")
 
 
+def test_a_contradiction_is_flagged_and_what_never_came_is_listed(
+    tab: Tab, live: tuple[str, Hub], service: Service
+) -> None:
+    page = tab.open(live[0] + "#/turbine/silent")
+    flagged = page.locator("tr[data-signal=cabinet_temperature]")
+    expect(flagged.locator(".contradicts")).to_be_visible()
+    expect(page.locator("#chart-temperature .chart-note")).to_contain_text("contradicts the estimate")
+    expect(page.locator("#now-temperature .note")).to_contain_text("contradicts the estimate")
+    expect(page.locator("#chart-relative_humidity .chart-note")).to_be_hidden()
+    page = tab.open(live[0] + "#/turbine/T2")
+    never = page.locator("tr.never")
+    expect(never).to_have_count(1)
+    expect(never).to_contain_text("never came")
+    assert never.get_attribute("data-signal") == "cabinet_relative_humidity"
+    limit = page.evaluate("document.getElementById('chart-relative_humidity').chart.scales.y.max")
+    assert limit > 80.0  # the limit's line is in view
+
+
 @pytest.mark.slow
 def test_pointing_at_a_chart_reads_it_in_both_times(tab: Tab, live: tuple[str, Hub]) -> None:
     page = tab.open(live[0] + "#/turbine/T1")
@@ -384,8 +473,8 @@ def test_names_and_texts_stay_text(tab: Tab, live: tuple[str, Hub]) -> None:
     assert page.url.endswith(quote(EVIL, safe="!~*'()"))
     expect(page.locator(".item .statement")).to_have_text(EVIL)
     expect(page.locator(".item .remedy")).to_have_text("To do: dry <b>it</b>")
-    page.locator(".item button").click()
-    expect(page.locator("#acknowledge-alarm")).to_contain_text(EVIL)
+    page.locator(".item button.acknowledge").click()
+    expect(page.locator("#acknowledge-about")).to_contain_text(EVIL)
     page.keyboard.press("Escape")
     page.goto(live[0] + "#/alarms")
     expect(page.locator(".item .statement").first).to_have_text(EVIL)
@@ -412,16 +501,16 @@ def test_an_alarm_appears_by_itself_and_is_acknowledged(browser: Browser, tab: T
         store = opened(service)
         eventually(lambda: store.rows("SELECT id FROM alarm"))
         # nothing but the event of its commit lets the page ask for its rows again
-        expect(row_of(page, "wet").locator(".badge")).to_have_text("alarm")
-        expect(row_of(page, "wet").locator(".kinds")).to_have_text("condensation")
+        expect(row_of(page, "wet").locator(".badge")).to_have_text("at risk")
+        expect(row_of(page, "wet").locator(".reason")).to_have_text("condensation is likely now")
         expect(page.locator("#open-alarms")).to_have_text("1")
         row_of(page, "wet").locator("a").click()
         clicked = time.time()
-        page.locator(".item button").click()
+        page.locator(".item button.acknowledge").click()
         page.keyboard.type("Control room")
         page.keyboard.press("Enter")
         expect(page.locator(".item .seen")).to_contain_text("acknowledged by Control room")
-        expect(page.locator(".item button")).to_have_count(0)
+        expect(page.locator(".item button.acknowledge")).to_have_count(0)
         rows = store.rows("SELECT kind, acknowledged_by, acknowledged, ended FROM alarm")
         before = chart(page, "temperature")[0][-1]
         assert [row[:2] for row in rows] == [("condensation", "Control room")]
@@ -440,7 +529,7 @@ def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], 
     page = tab.open(live[0] + "#/turbine/T1")
     expect(page.locator(".item")).to_have_count(2)
     expect(page.locator(".item.ended button")).to_have_count(0)
-    page.locator(".item button").click()
+    page.locator(".item button.acknowledge").click()
     store = opened(service)
     assert store.acknowledge("wet", "someone else", time.time())
     store.close()
@@ -449,6 +538,54 @@ def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], 
     expect(page.locator("#acknowledge-fault")).to_contain_text("it is already acknowledged")
     page.keyboard.press("Escape")
     expect(page.locator(".item .seen")).to_contain_text("someone else")
+
+
+def test_a_cause_a_shelf_and_a_change_are_stated(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
+    page = tab.open(live[0] + "#/turbine/silent")
+    item = page.locator(".item.warning", has_text="reading contradicts").first
+    item.locator("button.acknowledge").click()
+    page.locator("#acknowledge-by").fill("K. Maier")
+    expect(page.locator("#acknowledge-days")).to_be_hidden()
+    page.locator("#acknowledge select").select_option("look again")
+    page.locator("#acknowledge [name=days]").fill("5")
+    page.locator("#acknowledge [name=note]").fill(f"loose plug {EVIL}")
+    page.locator("#acknowledge button[type=submit]").click()
+    seen = item.locator(".seen")
+    expect(seen).to_contain_text("acknowledged by K. Maier")
+    expect(seen).to_contain_text("look again")
+    expect(seen).to_contain_text(f"loose plug {EVIL}")
+    item.locator("button.shelve").click()
+    expect(page.locator("#shelve-by")).to_have_value("K. Maier")
+    page.locator("#shelve select").select_option("3")
+    page.locator("#shelve button[type=submit]").click()
+    expect(page.locator(".shelf")).to_contain_text("shelved by K. Maier")
+    expect(item).to_contain_text("shelved until")
+    page.locator("#state-change").click()
+    page.locator("#change [name=note]").fill("heater set to 5 K")
+    page.locator("#change button[type=submit]").click()
+    expect(page.locator(".events")).to_contain_text(
+        "settings changed, stated by K. Maier – heater set to 5 K"
+    )
+    store = opened(service)
+    ((cause, note, days),) = store.rows(
+        "SELECT cause, note, (look_again - acknowledged) / 86400 FROM alarm WHERE turbine = 'silent' "
+        "AND kind = 'reading contradicts'"
+    )
+    assert (cause, note, round(days, 3)) == ("look again", f"loose plug {EVIL}", 5.0)
+    (shelf,) = store.shelves(time.time())
+    assert (shelf.turbine, shelf.kind) == ("silent", "reading contradicts")
+    assert shelf.until - shelf.made == pytest.approx(3 * 86400.0)
+    ((event,),) = ([one for one in store.all_events() if one.turbine == "silent"],)
+    store.close()
+    assert (event.kind, event.made_by) == ("settings changed", "K. Maier")
+    page = tab.open(live[0] + "#/alarms")
+    labels = page.locator("tr[data-kind='reading contradicts']")
+    expect(labels).to_contain_text("1 look again")
+    with page.expect_download() as started:
+        page.get_by_text("All alarms as CSV").click()
+    assert "reading contradicts" in started.value.path().read_text(encoding="utf-8")
+    page.locator(".shelf button").click()
+    expect(page.locator(".shelf")).to_have_count(0)
 
 
 # -- being connected -----------------------------------------------------------------------------------------
@@ -467,16 +604,17 @@ def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> 
     expect(row_of(page, "T2").locator("td.heard")).to_contain_text("2\u00a0h")
     with served(service, PageSettings(port=port)) as (_, hub):
         expect(page.locator("#lost")).to_be_hidden()
-        expect(page.locator("#live-words")).to_have_text("live")
+        expect(page.locator("#live-words")).to_have_text("page connected")
         expect(row_of(page, "T2")).not_to_have_class("stale")
         eventually(lambda: len(hub) == 1)
         stale = Alarm("late", "T2", "data stale", "notice", time.time(), "silent", "look")
         store = opened(service)
-        for alarm, words in ((stale, "data stale"), (replace(stale, ended=time.time()), "")):
+        for alarm, there in ((stale, True), (replace(stale, ended=time.time()), False)):
             batch = Batch(alarms=[alarm])
             store.commit(batch)
             hub.settle(batch)
-            expect(row_of(page, "T2").locator(".kinds")).to_have_text(words)
+            reason = expect(row_of(page, "T2").locator(".reason"))
+            reason.to_contain_text("data stale") if there else reason.not_to_contain_text("data stale")
         store.close()
 
 
@@ -495,7 +633,7 @@ def test_logging_in_and_out(tab: Tab, service: Service) -> None:
         page.locator("#login-token").fill(TOKEN)
         page.keyboard.press("Enter")
         expect(page.locator("tbody tr")).to_have_count(4)
-        expect(page.locator("#live-words")).to_have_text("live")
+        expect(page.locator("#live-words")).to_have_text("page connected")
         (cookie,) = tab.context.cookies()
         assert cookie["httpOnly"] and cookie["sameSite"] == "Strict" and TOKEN not in cookie["value"]
         assert TOKEN not in page.content() and TOKEN not in page.url
@@ -596,20 +734,22 @@ def test_by_keyboard_alone(tab: Tab, live: tuple[str, Hub]) -> None:
     for _ in range(4):
         page.keyboard.press("Tab")
     expect(page.locator("#search")).to_be_focused()
-    page.keyboard.press("Tab")
-    first = page.locator("tbody tr").first
+    for _ in range(page.locator(".chip:visible").count() + 2):
+        page.keyboard.press("Tab")
+    first = page.locator("tbody tr").nth(1)  # whose alarm no other test acknowledges
     expect(first.locator("a")).to_be_focused()
-    assert page.evaluate("getComputedStyle(document.querySelector('tbody tr')).outlineStyle") == "solid"
+    assert page.evaluate("getComputedStyle(document.querySelectorAll('tbody tr')[1]).outlineStyle") == "solid"
     page.keyboard.press("Enter")
     expect(page.locator("h1")).to_be_focused()
-    expect(page.locator(".item button")).to_be_visible()
+    acknowledge = page.locator(".item button.acknowledge").first
+    expect(acknowledge).to_be_visible()
     page.keyboard.press("Tab")
-    expect(page.locator(".item button")).to_be_focused()
+    expect(acknowledge).to_be_focused()
     page.keyboard.press("Enter")
     expect(page.locator("#acknowledge-by")).to_be_focused()
     page.keyboard.press("Escape")
     expect(page.locator("#acknowledge")).to_be_hidden()
-    expect(page.locator(".item button")).to_be_focused()
+    expect(acknowledge).to_be_focused()
     named = page.evaluate(
         "[...document.querySelectorAll('button, input, a[href], [role=img]')].filter(e => "
         "e.getClientRects().length && !(e.ariaLabel || e.labels?.length || e.textContent.trim())).map(e => "

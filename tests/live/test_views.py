@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
+from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import Property
-from hygrokf.live.service import Health
+from hygrokf.live.service import Health, SourceTimes
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
@@ -62,7 +63,14 @@ def store(tmp_path: Path) -> Store:
     made.close()
 
 
-def test_the_turbine_at_most_risk_comes_first(store: Store) -> None:
+def test_the_turbine_that_needs_attention_most_comes_first(store: Store) -> None:
+    states = {"A": "ok", "B": "at risk", "C": "stale"}  # D was never assessed
+    store.commit(Batch(assessments=[Assessment(name, one, "", T0) for name, one in states.items()]))
+    rows = fleet_view(store, ["A", "B", "C", "D"], T0 + 6000.0)
+    assert [row["turbine"] for row in rows] == ["B", "C", "D", "A"]
+
+
+def test_of_one_state_the_turbine_at_most_risk_comes_first(store: Store) -> None:
     rows = fleet_view(store, ["A", "B", "C", "D"], T0 + 6000.0)
     assert [row["turbine"] for row in rows] == ["C", "B", "A", "D"]
     assert [row["severity"] for row in rows] == [1, -1, -1, -1]
@@ -122,11 +130,16 @@ def test_long_courses_are_thinned(store: Store) -> None:
 def test_health() -> None:
     health = Health(deliveries=5)
     health.note([0.01] * 98 + [0.2, 0.5])
+    ended, connected = SourceState("ended", "read to its end"), SourceState("connected", "")
+    health.sources["tail"] = SourceTimes(T0, 2.5)
     found = health_view(
-        {"stdin": ("ended", "read to its end")}, health, {("", "malformed"): 2, ("A", "late"): 1}
+        {"stdin": ended, "tail": connected}, health, {("", "malformed"): 2, ("A", "late"): 1}
     )
     assert found["refused"] == {"malformed": 2} and found["wait_99_s"] == 0.2
-    assert found["sources"] == [{"url": "stdin", "state": "ended", "words": "read to its end"}]
+    assert found["sources"] == [
+        {"url": "stdin", "state": "ended", "words": "read to its end", "heard": None, "lag": None},
+        {"url": "tail", "state": "connected", "words": "", "heard": T0, "lag": 2.5},
+    ]
 
 
 def test_what_the_fleet_says_of_cabinets_and_of_what_comes(store: Store) -> None:

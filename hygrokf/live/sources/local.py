@@ -188,8 +188,8 @@ class Playback(Threaded):
     """Plays back messages in real time or faster by a factor.
 
     messages: (arrival [s], content), sorted by arrival; speed: factor, 0 for as fast as possible; live_s:
-    messages before this time [s] are always played as fast as possible.  The place is the number of delivered
-    messages.
+    messages before this time [s] are always played as fast as possible; label: what the page says of these
+    data.  The place is the number of delivered messages.
     """
 
     played_back = True
@@ -201,9 +201,11 @@ class Playback(Threaded):
         mapping: PayloadMapping,
         speed: float = 0.0,
         live_s: float = -math.inf,
+        label: str = "",
     ) -> None:
         super().__init__(mapping)
         self.url = url
+        self.label = label
         self.speed = speed
         self._live_s = live_s
         self._messages = messages

@@ -71,18 +71,20 @@ class Stream(Protocol):
     """A source of deliveries.
 
     `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
-    payloads; `played_back` whether it repeats a record, whose age says nothing.  `recall` gives it, before
-    its start, the data that its deliveries let the store keep; `start` resumes after
-    `place` (None: from the beginning, or from the position that the source itself keeps); `end_when_read`
-    lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
-    source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
-    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver; `left`
-    says of turbines that their sender has left (turbine -> text).
+    payloads; `played_back` whether it repeats a record, whose age says nothing; `label` is what the page says
+    of its data, such as that they are a demonstration's.  `recall` gives it, before its start, the data that
+    its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
+    position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
+    `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time
+    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor;
+    `signals` are those of a turbine that the source can deliver; `left` says of turbines that their sender
+    has left (turbine -> text).
     """
 
     url: str
     mapping: PayloadMapping
     played_back: bool
+    label: str
 
     def recall(self, memories: JsonObject) -> None: ...
 
@@ -116,6 +118,7 @@ class Threaded:
 
     url = ""
     played_back = False
+    label = ""
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping

@@ -19,6 +19,7 @@ from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
+from hygrokf.live.web.margins import MarginsKept
 from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
@@ -57,6 +58,7 @@ class Page:
         self.reader = Reader(service)
         self.answers = StoreAnswers(service)
         self._fleet: tuple[int, float, list[FleetRow]] = (-1, 0.0, [])
+        self._margins = MarginsKept()
 
     def app(self) -> ASGIApp:
         """The ASGI application.  Raises PageFault if packages are missing."""
@@ -91,6 +93,7 @@ class Page:
             Route("/", index),
             Mount("/static", Files(directory=STATIC)),
             Route("/api/fleet", self.fleet),
+            Route("/api/margins", self.margins),
             Route("/api/turbine/{name:path}", self.turbine),
             Route("/api/alarms", self.alarms),
             *Statements(self.service, self.hub, self.reader).routes(),
@@ -131,6 +134,10 @@ class Page:
             self._fleet = (current, now, rows)
         return rows
 
+    def margins(self, request: Request) -> Response:
+        now = self.service.now
+        return reply({"now": now, **self._margins.view(self.reader, list(self.service.turbines), now)})
+
     def turbine(self, request: Request) -> Response:
         name, days = request.path_params["name"], request.query_params.get("days", "3")
         if name not in self.service.turbines:
@@ -152,12 +159,16 @@ class Page:
         counters, open_, told = self.reader.read(
             lambda store: (store.counters(), open_alarms(store), channel_states(store))
         )
+        now = self.service.now
+        rows = self.rows(now)
         own = {
-            "now": self.service.now,
+            "now": now,
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
             "open_alarms": open_,
+            "heard": max((row["heard"] for row in rows if row["heard"] is not None), default=None),
+            "label": "; ".join(one.label for one in self.service.streams.values() if one.label),
             "channels": [
                 {"name": one.name, **asdict(told.get(one.name, ChannelState()))}
                 for one in self.service.channels

@@ -23,7 +23,7 @@ from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
-from hygrokf.live.service import Health
+from hygrokf.live.service import Health, SourceTimes
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import ALARM_COLUMNS, Store
@@ -199,11 +199,17 @@ class KindLabels(TypedDict):
 
 
 class SourceRow(TypedDict):
-    """A source with its state in one word and its explanation."""
+    """A source with its state in one word and its explanation.
+
+    `heard`: when its last message was committed [s], None if none was; `lag`: time [s] from its newest
+    reading to its arrival.
+    """
 
     url: str
     state: str
     words: str
+    heard: float | None
+    lag: float | None
 
 
 class HealthView(TypedDict):
@@ -245,8 +251,8 @@ def fleet_view(
     now: float,
     verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
 ) -> list[FleetRow]:
-    """One row per turbine, sorted by the severity of open alarms and then by the present or forecast risk of
-    condensation.
+    """One row per turbine, sorted by the need of its state, then by the severity of open alarms and by the
+    present or forecast risk of condensation.
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
@@ -299,7 +305,7 @@ def fleet_view(
                 "severity": max((SEVERITY[a.severity] for a in alarms), default=-1),
             }
         )
-    rows.sort(key=lambda row: (-row["severity"], -_risk(row), row["turbine"]))
+    rows.sort(key=lambda row: (STATES.index(row["state"]), -row["severity"], -_risk(row), row["turbine"]))
     return rows
 
 
@@ -550,12 +556,22 @@ def _thin(rows: Sequence[T]) -> Sequence[T]:
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
+def _source(url: str, state: SourceState, times: SourceTimes | None) -> SourceRow:
+    return {
+        "url": url,
+        "state": state.word,
+        "words": state.words,
+        "heard": None if times is None else times.committed,
+        "lag": None if times is None else times.lag_s,
+    }
+
+
 def health_view(
     streams: Mapping[str, SourceState], health: Health, counters: Mapping[tuple[str, str], int]
 ) -> HealthView:
     """State of sources and store, and counts of refused deliveries that belong to no turbine."""
     return {
-        "sources": [{"url": url, "state": state, "words": words} for url, (state, words) in streams.items()],
+        "sources": [_source(url, state, health.sources.get(url)) for url, state in streams.items()],
         "store": health.store,
         "deliveries": health.deliveries,
         "committed": health.committed_s,

@@ -1,97 +1,120 @@
-// The list of alarms: what each one is, since when, what to do, and who acknowledged it.
+// The list of alarms: what each one is, since when, what to do, and what people stated about it.
 
-import { clock, local, make, say, span, timeOf, age } from "./text.js";
-import { Fault, post } from "./server.js";
+import { askAcknowledgement, askShelf } from "./dialogs.js";
+import { ask, post } from "./server.js";
+import { age, local, make, span, timeOf, whole } from "./text.js";
 
-const BY = "hygrokf.by";
-
-/** One alarm; with `linked` also a link to its turbine. */
-export function alarmItem(alarm, linked) {
+/** One alarm; with `linked` also a link to its turbine; `shelf` holds for its kind, if there is one. */
+export function alarmItem(alarm, linked, shelf) {
   const open = alarm.ended === null;
   const lasted = open ? ["for ", age(alarm.began)] : [`lasted ${span(alarm.ended - alarm.began)}`];
-  const seen = alarm.acknowledged === null ? null
-    : make("p", { class: "seen" }, `acknowledged by ${alarm.acknowledged_by}, `, timeOf(alarm.acknowledged));
-  const button = open && alarm.acknowledged === null
-    ? make("button", { type: "button", class: "acknowledge", onclick: () => confirm(alarm) }, "Acknowledge") : null;
+  const where = alarm.turbine || "sources";
+  const buttons = [];
+  if (open && alarm.acknowledged === null) {
+    buttons.push(make("button", { type: "button", class: "acknowledge",
+      onclick: () => askAcknowledgement(`${where}: ${alarm.kind}, since ${local(alarm.began)}`, alarm.id) }, "Acknowledge"));
+  }
+  if (open && !shelf) {
+    buttons.push(make("button", { type: "button", class: "quiet shelve", onclick: () => askShelf(alarm.turbine, alarm.kind) }, "Shelve"));
+  }
   return make("li", { class: `item ${open ? alarm.severity : "ended"}`, dataset: { alarm: alarm.id } },
     make("div", {},
       make("p", { class: "head" }, make("span", { class: `badge ${open ? alarm.severity : "ended"}` }, open ? alarm.severity : "ended"),
-        " ", linked ? make("a", { href: `#/turbine/${encodeURIComponent(alarm.turbine)}` }, alarm.turbine) : null,
+        " ", !linked ? null : alarm.turbine
+          ? make("a", { href: `#/turbine/${encodeURIComponent(alarm.turbine)}` }, alarm.turbine) : make("a", { href: "#/data" }, where),
         linked ? " " : null, make("strong", {}, alarm.kind),
         make("span", { class: "more" }, " since ", timeOf(alarm.began), ", ", ...lasted)),
       make("p", { class: "statement" }, alarm.statement),
       alarm.remedy ? make("p", { class: "remedy" }, "To do: ", alarm.remedy) : null,
-      seen),
-    button);
+      alarm.acknowledged === null ? null : acknowledgedBy(alarm),
+      open && shelf ? make("p", { class: "seen" }, "shelved until ", timeOf(shelf.until)) : null),
+    buttons.length ? make("div", { class: "buttons" }, buttons) : null);
 }
 
-/** All alarms that are open or ended recently. */
-export class Alarms {
-  constructor() {
-    this.open = make("ul", { class: "alarms" });
-    this.ended = make("ul", { class: "alarms" });
-    this.none = make("p", { class: "quiet-note" }, "No alarm is open.");
-    this.earlier = make("h2", { hidden: true }, "Ended in the last 14 days");
-    this.root = make("section", { "aria-label": "Alarms" }, make("h1", { tabindex: "-1" }, "Alarms"), this.none, this.open, this.earlier, this.ended);
-  }
-
-  get title() { return "Alarms"; }
-  concerns() { return true; }
-  path() { return "alarms"; }
-
-  update(found) {
-    const open = found.alarms.filter((alarm) => alarm.ended === null);
-    const ended = found.alarms.filter((alarm) => alarm.ended !== null);
-    replaceItems(this.open, open, true);
-    replaceItems(this.ended, ended, true);
-    this.none.hidden = open.length > 0;
-    this.earlier.hidden = ended.length === 0;
-  }
-
-  tick() {}
-  end() {}
+function acknowledgedBy(alarm) {
+  return make("p", { class: "seen" }, `acknowledged by ${alarm.acknowledged_by}, `, timeOf(alarm.acknowledged),
+    alarm.cause ? `: ${alarm.cause}` : "", alarm.look_again ? [" ", timeOf(alarm.look_again)] : "", alarm.note ? ` – ${alarm.note}` : "");
 }
 
 /** Replace only the items of changed alarms, so that a focused button keeps its focus. */
-export function replaceItems(list, alarms, linked) {
+export function replaceItems(list, alarms, linked, shelves = []) {
   const known = new Map([...list.children].map((item) => [item.dataset.text, item]));
   const items = alarms.map((alarm) => {
-    const text = JSON.stringify(alarm);
-    const item = known.get(text) ?? alarmItem(alarm, linked);
+    const shelf = shelves.find((one) => one.turbine === alarm.turbine && one.kind === alarm.kind);
+    const text = JSON.stringify([alarm, shelf?.until]);
+    const item = known.get(text) ?? alarmItem(alarm, linked, shelf);
     item.dataset.text = text;
     return item;
   });
   if (items.length !== list.children.length || items.some((item, i) => item !== list.children[i])) list.replaceChildren(...items);
 }
 
-// -- the dialog for acknowledging ------------------------------------------------------------------------------------
-const part = (name) => document.getElementById(`acknowledge${name}`);
-let asked = null;
-
-function confirm(alarm) {
-  asked = alarm;
-  say(part("-alarm"), `${alarm.turbine}: ${alarm.kind}, since ${local(alarm.began)}`);
-  say(part("-fault"), "");
-  part("-by").value = localStorage.getItem(BY) ?? "";
-  part("").showModal();
-  part("-by").select();
+/** One shelf, with a button that ends it; `ended` is called then. */
+export function shelfItem(shelf, linked, ended) {
+  const { turbine, kind } = shelf;
+  const end = async () => {
+    await post("shelves", { turbine, kind }, "DELETE").catch(() => null); // it may have ended by itself: the list tells
+    ended();
+  };
+  return make("li", { class: "item shelf" },
+    make("p", {}, linked ? `${turbine || "sources"}: ` : "", make("strong", {}, kind), " until ", timeOf(shelf.until),
+      make("span", { class: "more" }, `, shelved by ${shelf.made_by}, `, timeOf(shelf.made), shelf.note ? ` – ${shelf.note}` : "")),
+    make("button", { type: "button", class: "quiet", onclick: end }, "End"));
 }
 
-/** Activate the dialog; `done` is called with the turbine after an acknowledgement. */
-export function prepareAcknowledge(done) {
-  part("-not").addEventListener("click", () => part("").close());
-  part("").querySelector("form").addEventListener("submit", async (event) => {
-    event.preventDefault();
-    const by = part("-by").value.trim();
-    try {
-      const found = await post("alarms/acknowledge", { id: asked.id, by });
-      localStorage.setItem(BY, by);
-      part("").close();
-      done(found.turbine);
-    } catch (fault) {
-      if (!(fault instanceof Fault)) throw fault;
-      say(part("-fault"), fault.message);
-      if (fault.status === 409) done(asked.turbine);
-    }
-  });
+/** All alarms that are open or ended recently, the shelves, and how often each kind was right. */
+export class Alarms {
+  constructor(refresh) {
+    this.refresh = refresh;
+    this.open = make("ul", { class: "alarms" });
+    this.ended = make("ul", { class: "alarms" });
+    this.none = make("p", { class: "quiet-note" }, "No alarm is open.");
+    this.shelves = make("ul", { class: "alarms shelves" });
+    this.labels = make("tbody");
+    this.earlier = make("section", { hidden: true }, make("h2", {}, "Ended in the last 14 days"), this.ended);
+    this.shelved = make("section", { hidden: true }, make("h2", {}, "Shelved"),
+      make("p", { class: "quiet-note" }, "Of these alarms nobody is notified."), this.shelves);
+    this.right = make("section", { hidden: true }, make("h2", {}, "How often each kind was right"),
+      make("p", { class: "quiet-note" }, "Alarms that the store keeps, by the cause with which they were acknowledged."),
+      make("table", { class: "signals labels" }, make("thead", {}, make("tr", {},
+        ["Alarm", "Raised", "Right", "False", "Causes"].map((text) => make("th", { scope: "col" }, text)))), this.labels));
+    this.root = make("section", { "aria-label": "Alarms" },
+      make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, "Alarms"),
+        make("a", { href: "api/alarms.csv", download: "alarms.csv" }, "All alarms as CSV")),
+      this.none, this.open, this.shelved, this.right, this.earlier);
+  }
+
+  get title() { return "Alarms"; }
+  concerns() { return true; }
+  path() { return "alarms"; }
+
+  async load() {
+    const [found, shelved, labels] = await Promise.all([ask(this.path()), ask("shelves"), ask("alarms/labels")]);
+    return { ...found, shelves: shelved.shelves, labels: labels.kinds };
+  }
+
+  update(found) {
+    const open = found.alarms.filter((alarm) => alarm.ended === null);
+    const ended = found.alarms.filter((alarm) => alarm.ended !== null);
+    replaceItems(this.open, open, true, found.shelves);
+    replaceItems(this.ended, ended, true);
+    this.none.hidden = open.length > 0;
+    this.earlier.hidden = ended.length === 0;
+    this.shelved.hidden = found.shelves.length === 0;
+    this.shelves.replaceChildren(...found.shelves.map((one) => shelfItem(one, true, this.refresh)));
+    this.right.hidden = found.labels.length === 0;
+    this.labels.replaceChildren(...found.labels.map(labelRow));
+  }
+
+  tick() {}
+  end() {}
+}
+
+/** How often a kind of alarm was right: of those that somebody judged. */
+function labelRow(one) {
+  const judged = one.right + one.wrong;
+  const share = judged ? `${whole(one.right)} of ${whole(judged)}` : "–";
+  const causes = Object.entries(one.causes).filter(([, count]) => count).map(([cause, count]) => `${whole(count)} ${cause}`);
+  return make("tr", { dataset: { kind: one.kind } }, make("th", { scope: "row" }, one.kind), make("td", {}, whole(one.alarms)),
+    make("td", {}, share), make("td", {}, judged ? whole(one.wrong) : "–"), make("td", {}, causes.join(", ") || "not acknowledged yet"));
 }

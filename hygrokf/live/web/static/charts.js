@@ -125,7 +125,7 @@ export class Chart {
     if (this.range && now < this.range[1] - 60) upright(plot, now, c.muted, "now");
   }
 
-  level(plot, at, colour, dash) {
+  level(plot, at, colour, dash, text = "") {
     const { ctx, bbox } = plot;
     const y = Math.round(plot.valToPos(at, "y", true)) + 0.5;
     if (y < bbox.top || y > bbox.top + bbox.height) return;
@@ -137,6 +137,13 @@ export class Chart {
     ctx.moveTo(bbox.left, y);
     ctx.lineTo(bbox.left + bbox.width, y);
     ctx.stroke();
+    if (text) {
+      ctx.fillStyle = colour;
+      ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+      ctx.textAlign = "left";
+      ctx.textBaseline = y > bbox.top + 16 * devicePixelRatio ? "bottom" : "top";
+      ctx.fillText(text, bbox.left + 4 * devicePixelRatio, y);
+    }
     ctx.restore();
   }
 }
@@ -162,8 +169,18 @@ function upright(plot, at, colour, text) {
 
 /** A quantity: estimate and forecast with their bands, readings as points. */
 export class Course extends Chart {
-  constructor(id, title, unit, { format, limits, threshold = null }) {
-    super(id, title, unit, { format, limits, threshold, height: 168 });
+  constructor(id, title, unit, { format, threshold = null, thresholdName = "" }) {
+    super(id, title, unit, { format, threshold, thresholdName, height: 168 });
+    this.limits = (_, low, high) => this.limitsOf(low ?? 0, high ?? 1);
+  }
+
+  /** A level that is drawn as a line and is always in view. */
+  setThreshold(threshold, name) { Object.assign(this, { threshold, thresholdName: name }); }
+
+  limitsOf(low, high) {
+    const least = Math.min(low, this.threshold ?? low), most = Math.max(high, this.threshold ?? high);
+    const room = 0.06 * (most - least) || 1;
+    return [least - room, most + room];
   }
 
   /** found: the server's data of a turbine. */
@@ -194,7 +211,7 @@ export class Course extends Chart {
   }
 
   mark(plot, c) {
-    if (this.threshold !== null) this.level(plot, this.threshold, c.alarm, [5, 3]);
+    if (this.threshold !== null) this.level(plot, this.threshold, c.alarm, [5, 3], this.thresholdName);
   }
 
   read(data, index) {

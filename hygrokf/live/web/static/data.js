@@ -1,6 +1,6 @@
 // The data view: sources, store, and rejected deliveries that belong to no turbine.
 
-import { age, make, significant, whole } from "./text.js";
+import { age, make, significant, span, whole } from "./text.js";
 import { counted } from "./turbine.js";
 
 export class Data {
@@ -11,8 +11,8 @@ export class Data {
     this.refused = make("ul", { class: "aside" });
     this.root = make("section", { "aria-label": "Data" }, make("h1", { tabindex: "-1" }, "Data"), this.store,
       make("h2", {}, "Sources"), this.none,
-      make("table", { class: "signals" }, make("thead", {}, make("tr", {},
-        ["Source", "State", ""].map((text) => make("th", { scope: "col" }, text)))), this.sources),
+      make("table", { class: "signals sources" }, make("thead", {}, make("tr", {},
+        ["Source", "State", "Last message", "Lag", ""].map((text) => make("th", { scope: "col" }, text)))), this.sources),
       make("h2", {}, "Refused"), this.refused);
   }
 
@@ -27,7 +27,10 @@ export class Data {
     if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store cannot be reached: ${found.store}`));
     this.none.hidden = found.sources.length > 0;
     this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.state === "lost" ? "lost" : null },
-      make("th", { scope: "row" }, one.url), make("td", {}, one.state), make("td", {}, one.words === one.url ? "" : one.words))));
+      make("th", { scope: "row" }, one.url), make("td", { class: "word" }, one.state),
+      make("td", { class: "word" }, ...(one.heard === null ? ["never"] : [age(one.heard), " ago"])),
+      make("td", { class: "word" }, one.lag === null ? "–" : span(one.lag)),
+      make("td", {}, one.words === one.url ? "" : one.words))));
     const rows = Object.entries(found.refused).map(([kind, count]) => make("li", {}, counted(kind, count, "payload")));
     this.refused.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "None.")]));
   }

@@ -1,20 +1,44 @@
-// The fleet: one row per cabinet, highest risk first.
+// The fleet: a summary, and one row per cabinet, the one that needs attention most first.
 
-import { FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, timeOf, whole } from "./text.js";
+import { areOld, sparkline } from "./spark.js";
+import { Fault, ask } from "./server.js";
+import { FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole } from "./text.js";
 
 const COLUMNS = [
   // name, heading, label for narrow screens without headings
   ["state", "State", ""], ["turbine", "Turbine", ""], ["condensation", "Condensation now", "Condensation"],
   ["forecast", "Forecast up to", "Forecast up to"], ["margin", "Dew-point margin", "Margin"],
+  ["course", "Margin, 3 d back, 2 d ahead", "Margin, 3 days back, 2 ahead"],
   ["temperature", "Temperature", "Temperature"], ["humidity", "Rel. humidity", "Rel. humidity"],
   ["cabinet", "Cabinet", "Cabinet"], ["heard", "Last heard", "Last heard"],
 ];
 const LIKELY = 0.5, POSSIBLE = 0.1;
+const AGAIN_MS = 10000;
 const SEVERITIES = ["notice", "warning", "alarm"];
+// what the summary says of each state, in the order of need
+const STATES = {
+  "at risk": "at risk", alarm: "with an alarm", stale: "stale", "no estimate": "without estimate", "in doubt": "in doubt", off: "off", ok: "ok",
+};
+
+/** The state of a row as it is shown: nothing that is old or rests on a rejected model is "ok". */
+export function shownState(row) {
+  const calm = row.state === "ok" || row.state === "off";
+  if (calm && silent(row)) return "stale";
+  return row.state === "ok" && row.model === "reject" ? "in doubt" : row.state;
+}
+
+/** The colour of a state: that of its worst alarm if it is one. */
+export const stateClass = (state, severity) =>
+  `badge ${state.replace(" ", "-")} ${state === "alarm" && severity >= 0 ? `of-${SEVERITIES[severity]}` : ""}`;
+
+const silent = (row) => row.heard === null || clock() - row.heard > FRESH_S;
 
 export class Fleet {
   constructor() {
     this.rows = new Map();
+    this.only = null;
+    this.grid = null;
+    this.asked = 0;
     this.body = make("tbody");
     this.found = make("p", { class: "found", role: "status" });
     this.search = make("input", {
@@ -22,10 +46,15 @@ export class Fleet {
       spellcheck: "false", "aria-keyshortcuts": "/", oninput: () => this.filter(),
       onkeydown: (event) => { if (event.key === "Enter") this.body.querySelector("tr:not([hidden]) a")?.click(); },
     });
+    this.chips = new Map(Object.keys(STATES).map((state) => [state, make("button", {
+      type: "button", class: `chip ${state.replace(" ", "-")}`, "aria-pressed": "false", hidden: true, dataset: { state },
+      onclick: () => this.choose(state),
+    })]));
     const head = make("tr", { role: "row" },
       COLUMNS.map(([name, text]) => make("th", { scope: "col", role: "columnheader", class: name }, text)));
-    this.root = make("section", { class: "fleet", "aria-label": "Cabinets by risk" },
+    this.root = make("section", { class: "fleet", "aria-label": "Cabinets by need" },
       make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, "Cabinets"), this.search, this.found),
+      make("p", { class: "summary", role: "group", "aria-label": "Turbines by state" }, ...this.chips.values()),
       make("table", { role: "table" }, make("thead", { role: "rowgroup" }, head), this.body));
     this.body.setAttribute("role", "rowgroup");
   }
@@ -50,23 +79,52 @@ export class Fleet {
       one.root.remove();
       this.rows.delete(name);
     }
-    this.filter();
     this.tick();
+    this.filter();
+    this.drawMargins();
+  }
+
+  /** Ask for the courses of the margin if they are old; without them the rows are still right. */
+  async drawMargins() {
+    if (!areOld(this.grid) || Date.now() - this.asked < AGAIN_MS) return;
+    this.asked = Date.now();
+    try {
+      this.grid = await ask("margins");
+    } catch (fault) {
+      if (!(fault instanceof Fault)) throw fault;
+      return;
+    }
+    for (const [name, one] of this.rows) one.drawMargin(this.grid.turbines[name], this.grid);
+  }
+
+  /** Show only the turbines in one state, or all again. */
+  choose(state) {
+    this.only = this.only === state ? null : state;
+    for (const [name, chip] of this.chips) chip.setAttribute("aria-pressed", String(name === this.only));
+    this.filter();
   }
 
   filter() {
     const sought = this.search.value.trim().toLowerCase();
     let count = 0;
     for (const [name, one] of this.rows) {
-      one.root.hidden = !name.toLowerCase().includes(sought);
+      one.root.hidden = !name.toLowerCase().includes(sought) || (this.only !== null && one.state !== this.only);
       count += !one.root.hidden;
     }
-    say(this.found, sought ? `${whole(count)} of ${whole(this.rows.size)}` : whole(this.rows.size));
+    say(this.found, sought || this.only ? `${whole(count)} of ${whole(this.rows.size)}` : whole(this.rows.size));
   }
 
-  /** Update ages, which grow without an event. */
+  /** Update ages and what follows from them, which change without an event. */
   tick() {
-    for (const one of this.rows.values()) one.tick();
+    const counts = {};
+    for (const one of this.rows.values()) {
+      one.tick();
+      counts[one.state] = (counts[one.state] ?? 0) + 1;
+    }
+    for (const [state, chip] of this.chips) {
+      chip.hidden = !counts[state] && state !== this.only;
+      say(chip, `${whole(counts[state] ?? 0)} ${STATES[state]}`);
+    }
   }
 
   end() {}
@@ -77,8 +135,8 @@ class Row {
     this.cells = {};
     this.root = make("tr", { role: "row", dataset: { turbine: name } }, COLUMNS.map(([key, , text]) =>
       this.cells[key] = make("td", { role: "cell", class: key, dataset: { label: text } })));
-    this.alarm = make("span", { class: "kinds" });
-    this.cells.turbine.append(make("a", { href: `#/turbine/${encodeURIComponent(name)}` }, name), this.alarm);
+    this.reason = make("span", { class: "reason" });
+    this.cells.turbine.append(make("a", { href: `#/turbine/${encodeURIComponent(name)}` }, name), this.reason);
     this.badge = make("span", { class: "badge" });
     this.cells.state.append(this.badge);
   }
@@ -88,10 +146,9 @@ class Row {
     if (text === this.text) return;
     this.text = text;
     this.row = row;
+    this.shown = null;
     const c = this.cells;
-    say(this.alarm, [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => kind !== "cabinet changed").join(", "));
-    const words = row.margin === null ? "not modelled" : chance(row.condensation);
-    c.condensation.replaceChildren(words);
+    c.condensation.replaceChildren(chance(row.condensation));
     c.condensation.className = `condensation ${rank(row.condensation)}`;
     c.forecast.replaceChildren(...(row.forecast
       ? [chance(row.forecast.condensation), make("span", { class: "more" }, timeOf(row.forecast.time, near(row.forecast.time)))] : ["–"]));
@@ -108,17 +165,31 @@ class Row {
     this.tick();
   }
 
+  drawMargin(margins, grid) {
+    this.cells.course.replaceChildren(margins ? sparkline(margins, grid) : "");
+  }
+
+  /** Why a turbine is in the state that is shown, and what else is open. */
+  words(state) {
+    const { row } = this;
+    // the server's reason of another state would contradict the one that is shown
+    const reason = state === "ok" ? "" : state === row.state ? row.reason : state === "in doubt" ? "a number of its model is rejected"
+      : row.heard === null ? "never heard" : `not heard for ${span(clock() - row.heard)}`;
+    const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !reason.includes(kind));
+    return [reason, ...kinds].filter(Boolean).join("; ");
+  }
+
   tick() {
     const { row, badge, root } = this;
-    const stale = row.heard === null || clock() - row.heard > FRESH_S;
-    const state = row.severity >= 0 ? SEVERITIES[row.severity]
-      : stale ? "no data" : row.condensation >= LIKELY ? "at risk" : row.model === "reject" ? "in doubt" : "ok";
-    if (this.shown === `${state} ${stale}`) return;
-    this.shown = `${state} ${stale}`;
-    root.classList.toggle("stale", stale);
+    const state = this.state = shownState(row);
+    say(this.reason, this.words(state));
+    const shown = `${state} ${row.severity} ${silent(row)}`;
+    if (this.shown === shown) return;
+    this.shown = shown;
+    root.classList.toggle("stale", state === "stale" || silent(row));
     root.dataset.state = state;
     say(badge, state);
-    badge.className = `badge ${state.replace(" ", "-")}`;
+    badge.className = stateClass(state, row.severity);
   }
 }
 

@@ -1,10 +1,11 @@
 // The page: selects the view, updates it, and shows whether its data are current.
 
-import { Alarms, prepareAcknowledge } from "./alarms.js";
+import { Alarms } from "./alarms.js";
 import { Data } from "./data.js";
+import { prepareDialogs } from "./dialogs.js";
 import { Fleet } from "./fleet.js";
 import { Events, Fault, ask, post } from "./server.js";
-import { clock, countUp, say, second, span, zone } from "./text.js";
+import { FRESH_S, clock, countUp, say, second, span, zone } from "./text.js";
 import { Turbine } from "./turbine.js";
 
 const PACE_MS = 1000, AGAIN_MS = 4000, HEALTH_S = 15;
@@ -14,12 +15,12 @@ let view = null, scrolled = 0;
 let lostAt = null, updatedAt = null;
 let healthAt = 0;
 let running = null, again = false;
-let openAlarms = null;
+let openAlarms = null, heard = null;
 
 // -- views ---------------------------------------------------------------------------------------------------------
 function viewOf(hash) {
   const [, kind = "", name = ""] = hash.match(/^#\/(\w*)(?:\/(.*))?$/) ?? [];
-  if (kind === "alarms") return new Alarms();
+  if (kind === "alarms") return new Alarms(refresh);
   if (kind === "data") return new Data();
   if (kind === "turbine" && name) {
     try {
@@ -59,7 +60,7 @@ async function refresh() {
   const asked = running = view, path = view.path();
   again = false;
   try {
-    const found = await ask(path);
+    const found = await (asked.load ? asked.load() : ask(path));
     if (asked === view && path === view.path()) {
       view.update(found);
       part("main").querySelector(":scope > .page-fault")?.remove();
@@ -112,6 +113,10 @@ async function health() {
     count("lost-sources", found.sources.filter((one) => one.state === "lost").length, "lost");
     if (openAlarms !== null && found.open_alarms > openAlarms) say(part("said"), `${found.open_alarms} alarms are open`);
     openAlarms = found.open_alarms;
+    heard = found.heard;
+    part("label").hidden = !found.label;
+    say(part("label"), found.label);
+    tick();
     say(part("version"), ` · hygrokf ${found.version}`);
     part("logout").hidden = !found.token;
     if (view.path() === "health") view.update(found);
@@ -163,7 +168,10 @@ function tick() {
     say(part("lost"), `Connection lost since ${second(lostAt)} (${span(clock() - lostAt)}). Reconnecting … `
       + "The values shown are as old as stated.");
     say(part("live-words"), "not connected");
-  } else say(part("live-words"), updatedAt === null ? "connecting" : "live");
+  } else say(part("live-words"), updatedAt === null ? "connecting" : "page connected");
+  const old = heard === null || clock() - heard > FRESH_S;
+  part("live").classList.toggle("old", lostAt === null && updatedAt !== null && old);
+  say(part("live-data"), openAlarms === null ? "" : heard === null ? "no data yet" : `data ${span(clock() - heard)} old`);
   if (lostAt === null && clock() - healthAt > HEALTH_S) health();
 }
 
@@ -203,7 +211,7 @@ async function begin() {
   }
 }
 
-prepareAcknowledge(() => { refresh(); health(); });
+prepareDialogs(() => { refresh(); health(); });
 say(part("zone"), `Times in ${zone()}`);
 addEventListener("hashchange", route);
 addEventListener("keydown", (event) => {

@@ -17,9 +17,9 @@ export async function ask(path, signal) {
   return answered(fetch(`api/${path}`, { signal, headers: { Accept: "application/json" } }));
 }
 
-export async function post(path, content) {
+export async function post(path, content, method = "POST") {
   const headers = { "Content-Type": "application/json" };
-  return answered(fetch(`api/${path}`, { method: "POST", headers, body: JSON.stringify(content) }));
+  return answered(fetch(`api/${path}`, { method, headers, body: JSON.stringify(content) }));
 }
 
 async function answered(request) {

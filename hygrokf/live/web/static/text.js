@@ -84,18 +84,22 @@ const LONG = new Intl.DateTimeFormat("en-GB",
 const SHORT = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 const SECONDS = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" });
 const DATE = new Intl.DateTimeFormat("en-GB", { weekday: "short", day: "numeric", month: "short" });
+const DATE_YEAR = new Intl.DateTimeFormat("en-GB", { day: "numeric", month: "short", year: "numeric" });
 const WEEKDAY = new Intl.DateTimeFormat("en-GB", { weekday: "short" });
 const YEAR = new Intl.DateTimeFormat("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 
-export const day = (at) => DATE.format(at * 1000);
+/** Whether a time needs its year: it is half a year away, or a playback shows another year than the device's. */
+function needsYear(at) {
+  return Math.abs(clock() - at) > 180 * DAY_S || Math.abs(Date.now() / 1000 - at) > 180 * DAY_S;
+}
+
+export const day = (at) => (needsYear(at) ? DATE_YEAR : DATE).format(at * 1000);
 export const hour = (at) => SHORT.format(at * 1000);
 export const second = (at) => SECONDS.format(at * 1000);
 export const utc = (at) => new Date(at * 1000).toISOString().slice(0, 16).replace("T", " ") + " UTC";
 
-/** Local time, with the year if it is more than half a year away. */
-export function local(at) {
-  return (Math.abs(clock() - at) > 180 * DAY_S ? YEAR : LONG).format(at * 1000);
-}
+/** Local time, with the year where it needs one. */
+export const local = (at) => (needsYear(at) ? YEAR : LONG).format(at * 1000);
 
 /** The time of day, with the day of the week if it is more than half a day away. */
 export function near(at) {

@@ -1,13 +1,17 @@
 // One turbine: the air now, advice, alarms, courses with forecast, time constants, its data.
 
-import { replaceItems } from "./alarms.js";
+import { replaceItems, shelfItem } from "./alarms.js";
 import { Course, Hours, PropertyCourse, rangeOf } from "./charts.js";
+import { askChange } from "./dialogs.js";
+import { shownState, stateClass } from "./fleet.js";
+import { ask } from "./server.js";
 import {
   DAY_S, FRESH_S, age, celsius, chance, clock, fixed, grams, kelvin, local, make, near, percent, say, significant, span, timeOf,
   unitText, whole, words,
 } from "./text.js";
 
 const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
+const SEVERITIES = ["notice", "warning", "alarm"];
 const HUMIDITY = "cabinet_relative_humidity", TEMPERATURE = "cabinet_temperature";
 const QUANTITIES = [
   // quantity, title, unit, digits, with text, sensor, level that is always in view
@@ -16,6 +20,7 @@ const QUANTITIES = [
   ["margin", "Dew-point margin of the coldest surface", "K", 1, kelvin, HUMIDITY, 0],
   ["absolute_humidity", "Absolute humidity", "g/m³", 1, grams, HUMIDITY],
 ];
+const LEVELS = { margin: "condensation" }; // what a level that is always in view is called
 const RESTS_ON = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // all others rest on both numbers of the model
 const PROPERTIES = {
   thermal_time_constant: "Thermal time constant",
@@ -34,6 +39,7 @@ const NOT_USED = {
   "unknown tag": "had a tag that is not mapped",
   "no known field": "had no field that is mapped",
   "no records": "had nothing at the path of their records",
+  held: "are held back, stamped ahead of the clock",
   malformed: "could not be read",
   "too large": "were too large",
   "too deep": "were nested too deep",
@@ -52,12 +58,16 @@ export class Turbine {
     this.refresh = refresh;
     this.tiles = make("dl", { class: "tiles" });
     this.state = make("p", { class: "as-of" });
+    this.badge = make("span", { class: "badge" });
+    this.reason = make("p", { class: "state-reason" });
+    this.changes = make("ul", { class: "events" });
+    this.shelves = make("ul", { class: "alarms shelves" });
     this.model = make("ul", { class: "model", "aria-label": "Numbers of the model" });
     this.advice = make("p", { class: "advice", hidden: true });
     this.alarms = make("ul", { class: "alarms" });
     this.charts = QUANTITIES.map(([quantity, title, unit, digits, , , level]) =>
       [quantity, new Course(quantity, title, unit, { format: (value) => fixed(value, digits), threshold: level ?? null,
-        limits: (_, low, high) => limits(low, high, level) })]);
+        thresholdName: LEVELS[quantity] ?? "" })]);
     this.hours = new Hours("condensation", "Probability of condensation, by hour");
     this.humid = new Hours("humid", "");
     this.properties = new Map();
@@ -72,11 +82,13 @@ export class Turbine {
       make("span", { class: "key-forecast" }, "forecast with 95 % band"));
     this.root = make("article", { class: "turbine" },
       make("p", { class: "back" }, make("a", { href: "#/" }, "‹ All cabinets")),
-      make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, name), this.state),
-      this.model, this.tiles, this.advice, this.alarms,
+      make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, name), this.badge, this.state),
+      this.reason, this.model, this.tiles, this.advice, this.alarms, this.shelves,
       make("section", { "aria-label": "Courses" }, make("div", { class: "tools sticky" }, make("h2", {}, "Course"), choice, key),
         this.charts.slice(0, 3).map(([, chart]) => chart.figure), this.hours.figure, this.humid.figure, this.charts[3][1].figure),
       make("section", {}, make("h2", {}, "Cabinet properties"), this.propertyRows),
+      make("section", {}, make("h2", {}, "Changes"), this.changes,
+        make("button", { type: "button", class: "quiet", id: "state-change", onclick: () => askChange(name) }, "State a change …")),
       make("section", {}, make("h2", {}, "Data"),
         make("table", { class: "signals" }, make("thead", {}, make("tr", {},
           ["Signal", "Last reading", "Time", "Received", "In 24 h"].map((text) => make("th", { scope: "col" }, text)))), this.signals),
@@ -86,6 +98,12 @@ export class Turbine {
   get title() { return this.name; }
   concerns(names) { return names === null || names.includes(this.name); }
   path() { return `turbine/${encodeURIComponent(this.name)}?days=${this.days}`; }
+
+  async load() {
+    const [found, shelved, stated] = await Promise.all([
+      ask(this.path()), ask("shelves"), ask(`events?turbine=${encodeURIComponent(this.name)}`)]);
+    return { ...found, shelves: shelved.shelves.filter((one) => one.turbine === this.name), events: stated.events };
+  }
 
   choose(days) {
     this.days = days;
@@ -99,9 +117,14 @@ export class Turbine {
     this.showModel(found);
     this.showTiles(found);
     this.showAdvice(found);
-    replaceItems(this.alarms, found.alarms, false);
+    replaceItems(this.alarms, found.alarms, false, found.shelves);
+    this.shelves.replaceChildren(...found.shelves.map((one) => shelfItem(one, false, this.refresh)));
+    this.showChanges(found);
     const range = rangeOf(found, this.days);
-    for (const [quantity, chart] of this.charts) chart.update(found, quantity, range, this.missing(found, quantity));
+    for (const [quantity, chart] of this.charts) {
+      if (quantity === "relative_humidity") chart.setThreshold(100 * found.humid.limit, "limit");
+      chart.update(found, quantity, range, this.contradiction(found, quantity) || this.missing(found, quantity));
+    }
     this.hours.update(found.hours, range);
     this.humid.rename(`Probability of relative humidity above ${fixed(100 * found.humid.limit, 0)} %, by hour`);
     this.humid.update(found.humid, range);
@@ -111,6 +134,7 @@ export class Turbine {
 
   tick() {
     if (!this.found) return;
+    this.showState(this.found);
     const at = this.found.time.at(-1);
     this.root.classList.toggle("stale", at === undefined || clock() - at > FRESH_S);
     if (at === this.shown) return;
@@ -131,6 +155,31 @@ export class Turbine {
     const days = clock() - this.days * DAY_S;
     if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
     return "";
+  }
+
+  /** That the readings of a quantity's sensor contradict its estimate; empty if they do not. */
+  contradiction(found, quantity) {
+    const [, , , , , sensor] = QUANTITIES.find((one) => one[0] === quantity);
+    const signal = found.signals.find((one) => one.signal === sensor);
+    if (!signal?.contradicts || (quantity !== "temperature" && quantity !== "relative_humidity")) return "";
+    return `the reading, ${reading(signal)}\u00a0${unitText(signal.unit)}, contradicts the estimate`;
+  }
+
+  /** Show the turbine's state and its reason, as the overview does. */
+  showState(found) {
+    const heard = found.signals.reduce((last, one) => Math.max(last, one.received ?? -Infinity), -Infinity);
+    const severity = found.alarms.filter((one) => one.ended === null)
+      .reduce((worst, one) => Math.max(worst, SEVERITIES.indexOf(one.severity)), -1);
+    const state = shownState({ ...found, model: found.model.verdict, heard: Number.isFinite(heard) ? heard : null });
+    say(this.badge, state);
+    this.badge.className = stateClass(state, severity);
+    say(this.reason, state === found.state && state !== "alarm" ? `${found.reason}${found.since ? `, since ${local(found.since)}` : ""}` : "");
+  }
+
+  showChanges(found) {
+    const rows = found.events.map((one) => make("li", {}, timeOf(one.time), ": ", make("strong", {}, one.kind),
+      make("span", { class: "more" }, `, stated by ${one.made_by}${one.note ? ` – ${one.note}` : ""}`)));
+    this.changes.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "None was stated.")]));
   }
 
   /** Show the numbers of the model that are in doubt. */
@@ -155,7 +204,8 @@ export class Turbine {
       const missing = this.missing(found, quantity);
       const rests = this.rests(found, quantity);
       return tile(quantity, title.replace(" of the coldest surface", ""), text(value.at(-1)),
-        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, [missing ? "from the model alone" : "", rests].filter(Boolean).join("; "),
+        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`,
+        [missing ? "from the model alone" : "", this.contradiction(found, quantity), rests].filter(Boolean).join("; "),
         rests ? "rejected" : "");
     });
     const now = found.condensation.at(-1);
@@ -195,15 +245,9 @@ export class Turbine {
   }
 
   showData(found) {
-    this.signals.replaceChildren(...found.signals.map((one) => make("tr",
-      { class: one.received === null || clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
-      make("th", { scope: "row" }, words(one.signal)),
-      ...(one.last === null
-        ? [make("td", {}, one.needed === "required" ? "never came: no estimate without it" : "never came"), make("td", {}), make("td", {})]
-        : [make("td", {}, `${reading(one)}\u00a0${unitText(one.unit)}`.trim()), make("td", {}, timeOf(one.last)),
-          make("td", {}, age(one.received), " ago")]),
-      make("td", {}, whole(one.count)))));
+    this.signals.replaceChildren(...found.signals.map(signalRow));
     const rows = Object.entries(found.counts).map(([kind, count]) => make("li", {}, counted(kind, count, "reading")));
+    if (found.held) rows.push(make("li", {}, counted("held", found.held, "reading")));
     this.aside.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
   }
 
@@ -222,10 +266,22 @@ export class Turbine {
   }
 }
 
+/** The row of a signal: its last reading, or that it never came. */
+function signalRow(one) {
+  const never = one.last === null;
+  const value = never ? (one.needed === "required" ? "never came: no estimate without it" : "never came")
+    : `${reading(one)}\u00a0${unitText(one.unit)}`.trim();
+  return make("tr", { class: never ? "never" : clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
+    make("th", { scope: "row" }, words(one.signal)),
+    make("td", {}, value, one.contradicts ? make("span", { class: "contradicts" }, " contradicts the estimate") : ""),
+    make("td", {}, never ? "" : timeOf(one.last)), make("td", {}, never ? "" : [age(one.received), " ago"]),
+    make("td", {}, whole(one.count)));
+}
+
 /** Text of the counts of rejected readings. */
 export function counted(kind, count, what) {
   const text = NOT_USED[kind] ?? kind;
-  return `${whole(count)} ${what}${count === 1 ? "" : "s"} ${count === 1 ? text.replace(/^were /, "was ") : text}`;
+  return `${whole(count)} ${what}${count === 1 ? "" : "s"} ${count === 1 ? text.replace(/^(were|are) /, (verb) => verb === "are " ? "is " : "was ") : text}`;
 }
 
 class PropertyRow {
@@ -275,12 +331,4 @@ const bare = (text) => text.replace(/\u00a0.*$/, "");
 function reading(one) {
   const size = Math.abs(one.value);
   return one.unit === "degC" ? fixed(one.value, 1) : fixed(one.value, size >= 100 ? 0 : size >= 10 || one.unit === "%" ? 1 : 2);
-}
-
-/** Limits of an axis with some margin and a level that is always in view. */
-function limits(low, high, level) {
-  let [least, most] = [low ?? 0, high ?? 1];
-  if (level !== undefined) [least, most] = [Math.min(least, level), Math.max(most, level)];
-  const room = 0.06 * (most - least) || 1;
-  return [least - room, most + room];
 }
