@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
+from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
     DISCOVERY,
@@ -234,6 +235,11 @@ def _design_faults(design: Design) -> list[str]:
             numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
             if len(numbers) != int(words[0]) or not all(is_number(one) and one > 0 for one in numbers):
                 faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
+    for name, found in design.actuator_means.items():
+        if name not in ACTUATORS or not is_number(found):
+            faults.append(
+                f"design.actuator_means: expected numbers of {', '.join(ACTUATORS)}, found {name} = {found!r}"
+            )
     faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
     return faults
 

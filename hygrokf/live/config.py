@@ -19,6 +19,7 @@ from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
+from hygrokf.live.heating import heating_sd
 from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings, texts
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.form import channel_of
@@ -291,4 +292,4 @@ def turbine_of(
 ) -> Turbine:
     """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
     errors, verdicts = standard_errors(fit), inherited(fit.results)
-    return Turbine(plan_, surface or Surface(), errors, limit, stale_s, verdicts)
+    return Turbine(plan_, surface or Surface(), errors, limit, stale_s, verdicts, heating_sd(fit))

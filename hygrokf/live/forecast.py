@@ -14,32 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.evaluation.self_switching import self_switched
-from hygrokf.live.condition import (
-    Condition,
-    Quantity,
-    Surface,
-    condition,
-    only,
-    probability_above,
-    probability_below,
-)
+from hygrokf.live.condition import Condition, Quantity, Surface, condition, only, probability_above
 from hygrokf.live.plan import Plan
-from hygrokf.live.scenarios import Scenarios
+from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import Run, prepare_run
 
 LIMIT = 0.8
 """Default limit of relative humidity [1]; a forecast gives the probability of exceeding it."""
-ENOUGH = 0.95
-"""Probability [1] with which the air must be dry enough for a restart."""
-LONGEST_H = 24.0
-"""Longest pre-heating that is considered [h]."""
-STAYS_H = 1.0
-"""[h] the air must stay dry: the peak of vapour that the heat drives out of materials must have passed."""
-STEPPED = ("active_power", "preheating")
 
 
 class NoForecast(Exception):
@@ -71,21 +55,6 @@ class ForecastMade:
     limit: float | None = None
 
 
-@dataclass(frozen=True)
-class Advice:
-    """How long to pre-heat before a restart.
-
-    `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`.
-    """
-
-    made_s: float
-    hours: float | None
-    probability: float | None
-    limit: float
-    statement: str
-
-
 def forecast(
     plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, limit: float = LIMIT
 ) -> Forecast:
@@ -101,56 +70,6 @@ def forecast(
     if humidities:
         above = np.mean([probability_above(humidity, limit) for humidity in humidities], axis=0)
     return Forecast(state.time, mixed, above, limit, scenarios.words)
-
-
-def restart(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, limit: float = LIMIT) -> Advice:
-    """How long to pre-heat from now on, at standstill and with the identified heating power.
-
-    The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
-    with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.
-    """
-    if "preheating" not in plan.model.inputs:
-        statement = "the record that identified the model has no pre-heating: its heating power is unknown"
-        return Advice(state.time, None, None, limit, statement)
-    found = conditions_by_member(plan, state, scenarios.with_preheating(LONGEST_H + STAYS_H), surface)
-    humidities = [one.surface_humidity for one in found if one.surface_humidity is not None]
-    if not humidities:
-        return Advice(state.time, None, None, limit, "the model has no humidity")
-    chance = np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0)
-    hours = (found[0].time_s - state.time) / HOUR_S
-    return advice_from(state.time, hours, chance, limit)
-
-
-def advice_from(made_s: float, hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
-    """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
-    for place in range(len(hours)):
-        if hours[place] > LONGEST_H:
-            break
-        later = (hours >= hours[place]) & (hours <= hours[place] + STAYS_H)
-        if np.all(chance[later] >= ENOUGH):
-            at, likely = float(hours[place]), float(chance[place])
-            what = f"below {100 * limit:.0f} % at the coldest surface with a probability of {percent(likely)}"
-            if place == 0:
-                return Advice(
-                    made_s, 0.0, likely, limit, f"no pre-heating is needed: relative humidity is {what}"
-                )
-            return Advice(
-                made_s, at, likely, limit, f"pre-heat for {at:.1f} h: relative humidity is then {what}"
-            )
-    best = int(np.argmax(np.where(hours <= LONGEST_H, chance, -1.0)))
-    return Advice(
-        made_s, None, float(chance[best]), limit,
-        f"not even {LONGEST_H:.0f} h of pre-heating bring relative humidity at the coldest surface below "
-        f"{100 * limit:.0f} % for {STAYS_H:.0f} h with a probability of {percent(ENOUGH)}: at best it is "
-        f"{percent(chance[best])}, after {hours[best]:.1f} h",
-    )  # fmt: skip
-
-
-def percent(probability: float) -> str:
-    """A probability as text that never claims certainty."""
-    if probability > 0.99:
-        return "over 99 %"
-    return f"{100 * probability:.0f} %" if probability >= 0.01 else "under 1 %"
 
 
 def conditions_by_member(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface) -> list[Condition]:
@@ -209,7 +128,7 @@ def _member_moments(
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
     """A driver of a member; a signal that is averaged over intervals is constant over each step of the
     scenarios."""
-    stepped = signal in STEPPED or (
+    stepped = signal in OPERATION or (
         plan.form(signal).hold == "zero-order" and not signal.startswith("ambient_")
     )
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])

@@ -13,9 +13,10 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
-from hygrokf.live.forecast import Advice, Forecast, ForecastMade, NoForecast, forecast, restart
+from hygrokf.live.forecast import Forecast, ForecastMade, NoForecast, forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift
+from hygrokf.live.restart_advice import Advice, restart
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of
@@ -61,7 +62,9 @@ def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> Fo
         scenarios = _scenarios(store, name, plan.further, history, state)
         found = forecast(plan, state, scenarios, one.surface, one.limit)
         # a running turbine needs no restart advice
-        advice = None if tracker.running else restart(plan, state, scenarios, one.surface, one.limit)
+        advice = None
+        if not tracker.running:
+            advice = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K)
     except (NoScenarios, NoForecast) as fault:
         return ForecastResult(state.time, None, None, str(fault))
     return ForecastResult(state.time, found, advice, scenarios.words)

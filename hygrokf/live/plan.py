@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import Site
@@ -193,7 +194,9 @@ def plan(
     additions = [
         (m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in (*model.states, *model.outputs)
     ]
-    design = replace(extended(fit.design, additions), ambient_noise={})
+    # a fit without these means is of an earlier version: what is unknown is off, whatever the readings so far
+    acting = {name: 0.0 for name in ACTUATORS if name in model.inputs} | dict(fit.design.actuator_means)
+    design = replace(extended(fit.design, additions), ambient_noise={}, actuator_means=acting)
     values = {p.name: fit.values.get(p.name, p.start) for p in design.model.parameters}
     return Plan(
         name=name or fit.name,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series
@@ -46,7 +47,11 @@ LEAST = 5
 """Smallest number of days needed."""
 LEVEL_H = 4.0
 """Time constant [h] with which the present power loses its influence."""
-OPERATION = ("active_power", "preheating")
+SWITCHED = ("active_power", "preheating")
+OPERATION = (*SWITCHED, *ACTUATORS)
+"""Signals whose course belongs to the operation: actuators act as on the day whose operation is taken."""
+PRESENT_S = 3 * HOUR_S
+"""[s] before now over which the mean of an actuator is its present value: thermostats switch often."""
 
 Courses = dict[str, np.ndarray]
 """Signal → values (H,) at the instants of the scenarios."""
@@ -69,16 +74,21 @@ class Scenarios:
     members: tuple[Mapping[str, np.ndarray], ...]
     words: str
 
-    def with_preheating(self, hours: float) -> Scenarios:
-        """The scenarios for the next `hours` [h], with the turbine at standstill and the pre-heating on from
-        now on."""
+    def with_preheating(self, hours: float, heaters: Mapping[str, float] | None = None) -> Scenarios:
+        """The scenarios for the next `hours` [h], with the turbine at standstill, and pre-heating and
+        `heaters` (signal -> value [SI unit]) on from now on.
+
+        Other actuators act as in the scenarios; a door is closed.
+        """
         time = np.arange(self.time_s[0], self.now_s + HOUR_S * hours + 1.0, FINE_S)
         after = time > self.now_s + 1.0
+        switched = {"active_power": 0.0, "preheating": 1.0, **(heaters or {})}
         members = []
         for member in self.members:
             chosen = {name: np.interp(time, self.time_s, values) for name, values in member.items()}
-            chosen["active_power"] = np.where(after, 0.0, chosen.get("active_power", 0.0))
-            chosen["preheating"] = after.astype(float)
+            closed = {name: 0.0 for name in ("door_open",) if name in chosen}
+            for name, value in {**closed, **switched}.items():
+                chosen[name] = np.where(after, value, chosen.get(name, 0.0))
             members.append(chosen)
         return replace(self, time_s=time, members=tuple(members))
 
@@ -341,26 +351,38 @@ def possible_operation(
     past = {name: values_held(history[name], time) for name in names}
     known = [one for one in days if np.isfinite(one.get("active_power", np.nan)).all()]
     level = _level(past["active_power"], time, now_s) if "active_power" in past else np.nan
+    # as now: without pre-heating
+    steady = {n: 0.0 if n in SWITCHED else _present(history[n], now_s) for n in names}
     if np.isnan(level) and len(known) < LEAST:
-        off = {name: np.zeros(len(time)) for name in past if name == "preheating"}
-        rest = [{n: v for n, v in one.items() if n not in OPERATION} for one in given]
-        return [{**one, **off} for one in rest], "no power is known"
-    if np.isnan(level):
+        names = [name for name in names if name != "active_power"]
+        past = {n: past[n] if n != "preheating" else np.zeros(len(time)) for n in names}
+        given = [{n: v for n, v in one.items() if n not in SWITCHED} for one in given]
+        coming = [{n: one.get(n, np.full(len(time), steady[n])) for n in names} for one in given]
+        said = "no power is known"
+    elif np.isnan(level):
         coming, said = (
             _as_on(known, given, names),
             "the present power is unknown: operation as on other days",
         )
     elif level <= 0.0:
-        coming, said = _standing_still(history, now_s, time, given, names)
+        coming, said = _standing_still(history, now_s, time, given, steady)
     else:
         alike = [one for one in known if _level(one["active_power"], time, now_s) > 0.0]
-        coming, said = _running(alike, given, names, level, time, now_s)
+        coming, said = _running(alike, given, {**steady, "active_power": level}, time, now_s)
     before = time <= now_s
     found = []
     for one, ahead in zip(given, coming, strict=True):
-        joined = {n: np.where(before & np.isfinite(v), v, np.nan_to_num(ahead[n])) for n, v in past.items()}
+        whole = {n: np.where(np.isnan(v), steady[n], v) for n, v in ahead.items()}
+        joined = {n: np.where(before & np.isfinite(v), v, whole[n]) for n, v in past.items()}
         found.append({**one, **joined})
     return found, said
+
+
+def _present(series: Series, now_s: float) -> float:
+    """Mean of an actuator over the last `PRESENT_S`; 0 if all of it is unknown."""
+    values = values_held(series, now_s - np.arange(0.0, PRESENT_S, 60.0))
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else 0.0
 
 
 def _as_on(chosen: Sequence[Courses], given: Sequence[Courses], names: Sequence[str]) -> list[Courses]:
@@ -373,33 +395,32 @@ def _as_on(chosen: Sequence[Courses], given: Sequence[Courses], names: Sequence[
 def _running(
     alike: Sequence[Courses],
     given: Sequence[Courses],
-    names: Sequence[str],
-    level: float,
+    steady: Mapping[str, float],
     time: np.ndarray,
     now_s: float,
 ) -> tuple[list[Courses], str]:
     """Operation that may follow while the turbine runs: that of days that began alike, adjusted to the
-    present power."""
+    present power, or the operation as now (`steady`)."""
     if len(alike) < LEAST:
-        steady = {n: np.full(len(time), level if n == "active_power" else 0.0) for n in names}
-        return [steady] * len(given), "operation as now"
-    found = _as_on(alike, given, names)
+        return [{n: np.full(len(time), v) for n, v in steady.items()}] * len(given), "operation as now"
+    found = _as_on(alike, given, tuple(steady))
     for one in found:
-        one["active_power"] = _shift_power(one["active_power"], level, time, now_s)
+        one["active_power"] = _shift_power(one["active_power"], steady["active_power"], time, now_s)
     return found, "operation as on days that began similarly"
 
 
 def _standing_still(
-    history: Record, now_s: float, time: np.ndarray, given: Sequence[Courses], names: Sequence[str]
+    history: Record, now_s: float, time: np.ndarray, given: Sequence[Courses], steady: Mapping[str, float]
 ) -> tuple[list[Courses], str]:
     """Operation that may follow a standstill: that after each earlier standstill of the same length, or an
     unprecedented one.
 
     Each of these is equally likely.  Of an unprecedented standstill only its age a is known: it lasts for
-    another h with probability a/(a + h), and then the operation is that of the given day.
+    another h with probability a/(a + h), with actuators as now (`steady`), and then the operation is that of
+    the given day.
     """
     age_s, moments = _standstills(history, now_s)
-    others = [{name: values_at(history[name], time - now_s + then) for name in names} for then in moments]
+    others = [{name: values_at(history[name], time - now_s + then) for name in steady} for then in moments]
     others = [one for one in others if np.isfinite(one["active_power"]).all()]
     turn = len(others) + 1
     unlike = math.ceil(len(given) / turn)
@@ -410,7 +431,7 @@ def _standing_still(
             continue
         share = (i // turn + 0.5) / unlike
         still = time <= now_s + age_s * (1.0 / share - 1.0)
-        found.append({name: np.where(still, 0.0, one.get(name, 0.0)) for name in names})
+        found.append({n: np.where(still, value, one.get(n, value)) for n, value in steady.items()})
     return found, f"standstill that may end, as {len(others)} earlier ones of this length did"
 
 

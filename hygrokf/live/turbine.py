@@ -29,7 +29,7 @@ class Turbine:
 
     `errors`: the fit's standard errors of the tracked properties; `limit` [1]: relative humidity for
     forecasts and restart advice; `stale_s` [s]: age above which its data are stale; `verdicts`: the fit's
-    verdicts on its numbers.
+    verdicts on its numbers; `heating_sd_K`: standard error of the effect of its heaters.
     """
 
     plan: Plan
@@ -38,6 +38,7 @@ class Turbine:
     limit: float = LIMIT
     stale_s: float = STALE_S
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    heating_sd_K: float = 0.0
 
 
 def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condition]:

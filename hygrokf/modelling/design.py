@@ -65,7 +65,8 @@ class Design:
     means of the features (operating, p, …) that replace an unknown power.  `humidity`: the observed humidity
     signal.  `ambient_noise`: (q, r) of the ambient signals that are smoothed before use (see `data.ambient`).
     `features`: inputs made from the record's signals, with their settings.  `priors`: (mean, sd, logarithmic)
-    of parameters, from other turbines (see `turbine_type`).
+    of parameters, from other turbines (see `turbine_type`).  `actuator_means`: means [SI unit] of the
+    logged actuators, which replace unknown values.
     """
 
     mechanisms: tuple[Chosen, ...]
@@ -79,6 +80,7 @@ class Design:
     holds: Mapping[str, str] = field(default_factory=dict)
     features: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
+    actuator_means: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -104,6 +106,8 @@ class Design:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
         stored = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        if not self.actuator_means:  # as in the files of earlier versions, from which digests are made
+            del stored["actuator_means"]
         return stored | ({"origins": own} if own else {})
 
     @classmethod
@@ -235,6 +239,7 @@ def design(
         humidity=humidity,
         ambient_noise=ambient_noise(record),
         statements=tuple(statements),
+        actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
     )
 
 
@@ -390,5 +395,6 @@ def merged(parts: Sequence[Design]) -> Design:
             holds={**first.holds, **part.holds},
             features={**first.features, **part.features},
             priors={**first.priors, **part.priors},
+            actuator_means={**first.actuator_means, **part.actuator_means},
         )
     return first

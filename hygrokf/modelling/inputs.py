@@ -88,7 +88,7 @@ def prepare_run(design: Design, record: Record) -> Run:
     for name in sorted(inputs_of & set(design.features)):
         values[name] = feature(record, name, design.features[name], time)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
-        values[name] = _further(record, name, time, model.holds[name])
+        values[name] = _further(record, name, time, model.holds[name], design.actuator_means.get(name))
     near = _spread(time, unknown_ambient, SETTLING_H)
     readings, resets = _readings(design, record, outputs, time, near)
     run = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
@@ -268,8 +268,8 @@ def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarra
     return at_times(series, time, longest_h)
 
 
-def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarray:
-    """Any other signal as an input; unknown values are replaced by the record's mean."""
+def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float | None = None) -> np.ndarray:
+    """Any other signal as an input; unknown values are replaced by a `mean`, by default the record's."""
     if name not in record:
         wanted = name
         if name == "ambient_absolute_humidity":
@@ -282,7 +282,7 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarr
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
     path = input_path(without_response(series))
     value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
-    return np.where(np.isnan(value), np.nanmean(series.value), value)
+    return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)
 
 
 def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:

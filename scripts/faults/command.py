@@ -20,6 +20,7 @@ from faults.flood import flood
 from faults.kills import killed_broker, killed_database, killed_server, killed_tracker
 from faults.outcome import Outcome, table
 from faults.payloads import malformed
+from faults.together import killed_together
 
 
 @contextmanager
@@ -41,6 +42,16 @@ def postgresql() -> Iterator[Server]:
 def _tracker_on_postgresql(folder: Path, seed: int, kills: int) -> Outcome:
     with postgresql() as server:
         return killed_tracker(folder, seed, kills, server.url(server.database()))
+
+
+def _together(folder: Path, seed: int, kills: int) -> Outcome:
+    with postgresql() as server:
+        return killed_together(folder, seed, server, kills)
+
+
+def _together_on_postgresql(folder: Path, seed: int, kills: int) -> Outcome:
+    with postgresql() as server:
+        return killed_together(folder, seed, server, kills, in_postgresql=True)
 
 
 def _database(folder: Path, seed: int, kills: int) -> Outcome:
@@ -73,6 +84,8 @@ class Scenario:
 SCENARIOS = {
     "tracker": Scenario(killed_tracker, 4, 40, "kills"),
     "tracker-postgresql": Scenario(_tracker_on_postgresql, 1, 10, "kills"),
+    "sources": Scenario(_together, 4, 50, "kills"),
+    "sources-postgresql": Scenario(_together_on_postgresql, 4, 50, "kills"),
     "broker": Scenario(killed_broker, 1, 5, "kills"),
     "opcua": Scenario(killed_server, 1, 5, "kills"),
     "postgresql": Scenario(_database, 1, 5, "kills"),

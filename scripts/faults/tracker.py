@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from builders.brokers import PATIENCE_S as CONFIRMING_S
@@ -34,17 +34,18 @@ def until(happened: Callable[[], object], words: Callable[[], object] = lambda: 
 
 class Tracker:
     """`hygrokf track` on a tracker's file, without its page; what it says goes to `track.log` beside that
-    file."""
+    file.  With `fed` its standard input is a pipe, `process.stdin`."""
 
-    def __init__(self, config: Path, *arguments: str, hook: Path | None = None) -> None:
+    def __init__(self, config: Path, *arguments: str, hook: Path | None = None, fed: bool = False) -> None:
         self.log = config.with_name("track.log")
         paths = [str(one) for one in (hook, ROOT) if one is not None]
         command = [sys.executable, "-m", "hygrokf", "track", config.name, "--no-page", *arguments]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                command, cwd=config.parent, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log
-            )
+                command, cwd=config.parent, env=environment,
+                stdin=subprocess.PIPE if fed else subprocess.DEVNULL, stdout=log, stderr=log,
+            )  # fmt: skip
 
     def kill(self) -> None:
         """It dies where it is."""
@@ -79,6 +80,9 @@ class Tracker:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait(timeout=30.0)
+        if self.process.stdin is not None:
+            with suppress(BrokenPipeError):
+                self.process.stdin.close()
 
 
 @contextmanager

@@ -3,6 +3,7 @@ them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import Surface
+from hygrokf.live.heating import heating_sd
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Course, Point, offline_course
@@ -47,13 +49,17 @@ def plan_of(fit: Fit, record: Record) -> Plan:
 
 @dataclass(frozen=True)
 class Tracked:
-    """A plant, its record, its model, and the tracker's estimates: offline, which is bit for bit the same."""
+    """A plant, its record, its model, and the tracker's estimates: offline, which is bit for bit the same.
+
+    `heating_sd_K`: standard error of the effect of the model's heaters.
+    """
 
     made: Plant
     record: Record
     plan: Plan
     course: Course
     seconds: np.ndarray
+    heating_sd_K: float
 
     def point(self, now_s: float) -> Point:
         """The newest estimate at a time [s]."""
@@ -67,12 +73,15 @@ class Tracked:
         return persistence(history, self.point(now_s).time, self.plan.further)
 
 
-def tracked(made: Plant, until_s: float) -> Tracked:
-    """A plant that is identified on its readings up to `until_s` [s]."""
-    record = to_record(made)
-    found = plan_of(identified(record, until_s), record)
+def tracked(
+    made: Plant, until_s: float, logged: Callable[[Record], Record] = lambda record: record
+) -> Tracked:
+    """A plant that is identified on its readings up to `until_s` [s]; `logged`: what its loggers report."""
+    record = logged(to_record(made))
+    fit = identified(record, until_s)
+    found = plan_of(fit, record)
     course = offline_course(found, record)
-    return Tracked(made, record, found, course, course.seconds)
+    return Tracked(made, record, found, course, course.seconds, heating_sd(fit))
 
 
 @dataclass(frozen=True)

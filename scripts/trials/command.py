@@ -26,6 +26,7 @@ class Trial:
 TRIALS = {
     "forecast": Trial(forecast.one, forecast.table, "forecasts over sixty days against what came"),
     "restart": Trial(restart.one, restart.table, "advice how long to pre-heat against how long it took"),
+    "heater": Trial(restart.of_heater, restart.table, "the same with a logged heater that has a thermostat"),
     "saturation": Trial(
         saturation.one, saturation.table, "condensation said for several surfaces against what came"
     ),

@@ -12,7 +12,8 @@ from plants.drivers import Drivers
 from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
-from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
+from hygrokf.data.record import Record
+from hygrokf.live.restart_advice import LONGEST_H, STAYS_H, restart
 from hygrokf.live.scenarios import NoScenarios
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
@@ -24,10 +25,17 @@ HEATED_MIN = 26 * 60
 STANDSTILL_DAYS = (1.5, 4.5)
 PAUSE_DAYS = (1.0, 2.5)
 """Days of operation between a pre-heating's end and the next standstill."""
+COLD = 0.25
+"""Share of the time in which the outside air is so cold that the thermostat of a logged heater is closed."""
 COLUMNS = ("hours", "probability", "humidity", "wettest", "needed", "before")
 
 
-def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
+def of_heater(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
+    """As `one`, of a plant that logs a heater's duty, with a thermostat, instead of a flag of pre-heating."""
+    return one(seed, days, learnt, heater=True)
+
+
+def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS, heater: bool = False) -> dict:
     """Advices at the ends of a plant's standstills, and how long it truly took.
 
     hours advised (−1: none is enough) with their probability, surface humidity [1] at that time, and the
@@ -35,7 +43,7 @@ def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
     advice says (−1: not within the longest); humidity before.
     """
     random = np.random.default_rng([seed, 99])
-    drivers, ends = _drivers(seed, random, days, learnt)
+    drivers, ends = _drivers(seed, random, days, learnt, heater)
     if not drivers.preheating[: round(learnt * 1440)].any():
         return {
             "seed": seed,
@@ -45,13 +53,14 @@ def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
         }
     made = build_plant(f"plant-{seed}", seed, drivers, Logging())
     minutes = made.drivers.time
-    case = tracked(made, float(minutes[0]) + learnt * DAY_S)
+    case = tracked(made, float(minutes[0]) + learnt * DAY_S, _as_heater if heater else lambda record: record)
     wet = truth(made, minutes).at_surface
     rows, silent = [], 0
     for end in ends:
         point = case.point(float(minutes[end]))
         try:
-            advice = restart(case.plan, point, case.scenarios(float(minutes[end])), SURFACE, LIMIT)
+            ahead = case.scenarios(float(minutes[end]))
+            advice = restart(case.plan, point, ahead, SURFACE, LIMIT, case.heating_sd_K)
         except NoScenarios:
             silent += 1
             continue
@@ -73,9 +82,20 @@ def _needed(humidity: np.ndarray) -> float:
     return -1.0
 
 
-def _drivers(seed: int, random: np.random.Generator, days: float, learnt: float) -> tuple[Drivers, list[int]]:
+def _as_heater(record: Record) -> Record:
+    """The record in which the duty of a heater is logged in place of the pre-heating."""
+    duty = replace(record["preheating"], signal="heater_duty")
+    return replace(record, series=tuple(duty if s.signal == "preheating" else s for s in record.series))
+
+
+def _drivers(
+    seed: int, random: np.random.Generator, days: float, learnt: float, heater: bool
+) -> tuple[Drivers, list[int]]:
     """Weather and operation with planned standstills after the identification period, and the minutes of
-    their ends."""
+    their ends.
+
+    A `heater` is also on while it is cold outside, but off at the standstills until their ends.
+    """
     drivers = own_drivers(np.random.default_rng(np.random.SeedSequence([seed, 0])), days=learnt + days + 8.0)
     drivers = with_fronts(np.random.default_rng(np.random.SeedSequence([seed, 7])), drivers)
     drivers = turbine_operation(
@@ -83,11 +103,14 @@ def _drivers(seed: int, random: np.random.Generator, days: float, learnt: float)
     )
     power, heaters, ends = drivers.power_W.copy(), drivers.preheating.copy(), []
     heaters[round(learnt * 1440) :] = 0.0
+    if heater:
+        heaters = np.maximum(heaters, drivers.ambient_K < np.quantile(drivers.ambient_K, COLD))
     at = learnt + 2.0
     while at < learnt + days:
         begin = 10 * round(at * 144)
         end = begin + 10 * round(random.uniform(*STANDSTILL_DAYS) * 144)
         power[begin : end + HEATED_MIN] = -3.0e3
+        heaters[begin:end] = 0.0
         heaters[end : end + HEATED_MIN] = 1.0
         ends.append(end)
         at = (end + HEATED_MIN) / 1440.0 + random.uniform(*PAUSE_DAYS)

@@ -17,18 +17,9 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, condition
-from hygrokf.live.forecast import (
-    ENOUGH,
-    LONGEST_H,
-    STAYS_H,
-    NoForecast,
-    advice_from,
-    conditions_by_member,
-    forecast,
-    mixture,
-    restart,
-)
+from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast, mixture
 from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.restart_advice import ENOUGH, LONGEST_H, STAYS_H, advice_from, restart
 from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
@@ -186,7 +177,7 @@ def test_dry_at_once_needs_no_heating() -> None:
     assert (advice.made_s, advice.hours, advice.probability, advice.limit) == (5.0, 0.0, 0.97, 0.6)
     assert advice.statement == (
         "no pre-heating is needed: relative humidity is below 60 % at the coldest surface with a probability "
-        "of 97 %"
+        "of 97 %, and of at least 97 % until a start within 1 h"
     )
     assert "over 99 %" in advice_from(5.0, HOURS, np.ones(len(HOURS)), 0.6).statement
 

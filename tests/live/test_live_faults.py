@@ -59,6 +59,23 @@ def test_a_tracker_on_postgresql_killed_at_random_moments(
 
 
 @needs_mosquitto
+@pytest.mark.parametrize(
+    ("count", "in_postgresql", "days"),
+    [
+        (4, False, 0.5),
+        pytest.param(50, False, 2.0, marks=pytest.mark.slow),
+        pytest.param(50, True, 2.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_tracker_of_all_sources_killed_at_random_moments(
+    tmp_path: Path, part, postgresql: Server, count: int, in_postgresql: bool, days: float
+) -> None:
+    found = part("together").killed_together(tmp_path, 1, postgresql, count, in_postgresql, days)
+    holds(found)
+    assert found.blows == count
+
+
+@needs_mosquitto
 @pytest.mark.slow
 def test_a_broker_killed_while_messages_flow(tmp_path: Path, kills: ModuleType) -> None:
     holds(kills.killed_broker(tmp_path, seed=1, kills=5))

@@ -21,7 +21,6 @@ from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import (
     Lines,
     Playback,
-    StandardInput,
     TailedFile,
     delay_and_repeat,
     file_messages,
@@ -31,6 +30,7 @@ from hygrokf.live.sources.local import (
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.standard_input import StandardInput
 from hygrokf.live.sources.stream import Delivery
 
 NOW = 1_772_367_000.0
@@ -224,6 +224,32 @@ def test_standard_input() -> None:
     assert [one.content for one in got.wait(2)] == ['{"turbine": "T1"}', {"no": "1", "table": "2"}]
     assert all(one.place == "" for one in got.found)
     eventually(lambda: stream.state[0] == "ended")
+
+
+def test_standard_input_of_a_pipe_ends_while_it_waits_for_more() -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(reading, "rb") as file, os.fdopen(writing, "wb", buffering=0) as sender:
+        stream, got = StandardInput(MAPPING, file), Collected()
+        stream.start(None, got)
+        lines = [f'{{"turbine": "T1", "time": {n}}}' for n in range(5_000)]  # more than a pipe holds
+        sender.write(("\n".join(lines) + '\n{"turb').encode())
+        eventually(lambda: len(got.found) == 5_000)
+        assert [one.content for one in got.found] == lines
+        sender.write(b'ine": "T2"}\n' + b"9" * (local.LONGEST_LINE + 10) + b"\n")
+        eventually(lambda: len(got.found) == 5_002)
+        assert got.found[5_000].content == '{"turbine": "T2"}'
+        assert got.found[5_001].content.kind == "too large"
+        began = time.monotonic()
+        stream.stop()
+        assert time.monotonic() - began < 2.0 and stream.state[0] == "stopped"
+    reading, writing = os.pipe()
+    os.write(writing, b'{"turbine": "T1"}')  # the last line need not end
+    os.close(writing)
+    with os.fdopen(reading, "rb") as file:
+        stream, got = StandardInput(MAPPING, file), Collected()
+        stream.start(None, got)
+        assert got.wait(1)[0].content == '{"turbine": "T1"}'
+        eventually(lambda: stream.state[0] == "ended")
 
 
 def some_record() -> Record:

@@ -1,4 +1,4 @@
-"""Sources on this machine: a growing file, standard input, and a record that is played back."""
+"""Sources on this machine: a growing file, and a record that is played back."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import csv
 import math
 import os
 import re
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, AnyStr
+from typing import IO, AnyStr
 
 import numpy as np
 
@@ -185,31 +184,6 @@ def _identity(file: IO[bytes]) -> str:
     return f"{found.st_dev}.{found.st_ino}"
 
 
-class StandardInput(Threaded):
-    """Lines of standard input until it ends; lines cannot be read again after a restart."""
-
-    url = "stdin"
-
-    def __init__(
-        self,
-        mapping: PayloadMapping,
-        file: IO[Any] | None = None,
-        clock: Callable[[], float] = time.time,
-    ) -> None:
-        super().__init__(mapping, clock)
-        self._file = file
-        self._lines = Lines(mapping.form)
-
-    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
-        while line := next_line(file):
-            if self._ended.is_set():
-                return
-            content = self._lines.content(line)
-            if content is not None:
-                put(Delivery(content, self.clock()))
-
-
 class Playback(Threaded):
     """Plays back messages in real time or faster by a factor.
 
@@ -351,18 +325,6 @@ class FileForm:
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
         messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
         return Playback(url, messages, mapping, self.speed)
-
-
-@dataclass(frozen=True)
-class InputForm:
-    """A [[source]] of `stdin`."""
-
-    url: str = setting(help="stdin")
-    weather: bool = setting(False, WEATHER_HELP)
-
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
-        """The stream."""
-        return StandardInput(mapping)
 
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:

@@ -1,0 +1,293 @@
+"""Logged actuators live: the same inputs as offline, their course ahead, and advice by a heater's effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders.forecast_case import DAY_S, RATED_W, START_S, cabinet_record
+from builders.record_edits import changed, without
+from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
+
+from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.fit import Fit
+from hygrokf.live.condition import Surface
+from hygrokf.live.defaults import default_mapping
+from hygrokf.live.forecast import forecast
+from hygrokf.live.heating import heaters, heating
+from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.restart_advice import LONGEST_H, restart
+from hygrokf.live.scenarios import Scenarios, persistence
+from hygrokf.live.tracker import Point, Tracker, offline_course
+from hygrokf.modelling.design import Design, design
+from hygrokf.physics.psychrometrics import absolute_humidity
+
+HOUR_S = 3600.0
+DAYS = 14.0
+NOW_S = START_S + DAYS * DAY_S
+COLD = Surface(0.3)
+HEATER_W = 400.0
+
+
+def courses_of(time: np.ndarray, seed: int) -> dict[str, np.ndarray]:
+    """Courses (T,) of every actuator, each switching in its own way."""
+    random = np.random.default_rng(seed)
+    hours = (time - START_S) / HOUR_S
+    noise = random.random(len(time))
+    return {
+        "heater_power": HEATER_W * (hours % 11.0 < 3.0),
+        "fan_duty": np.clip(0.5 + 0.5 * np.sin(hours / 3.0), 0.0, 1.0),
+        "pump_duty": np.where(hours % 7.0 < 4.0, 0.7, 0.2),
+        "dehumidifier_duty": np.where(noise > 0.6, noise, 0.0),
+        "door_open": (hours % 37.0 < 1.0).astype(float),
+    }
+
+
+def acting(record: Record, seed: int = 3, **given: np.ndarray) -> Record:
+    """A record with logged actuators, as means over its ten minutes."""
+    time = record["active_power"].time
+    found = [
+        Series(name, time, values, "zero-order", 600.0)
+        for name, values in (given or courses_of(time, seed)).items()
+    ]
+    return replace(record, series=(*record.series, *found))
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return acting(cabinet_record(4.0))
+
+
+def holed(record: Record) -> Record:
+    """Eight hours without the heater, twenty without fan and door, and the dehumidifier's last hours lost."""
+
+    def cut(series: Series) -> Series:
+        hours = (series.time - START_S) / HOUR_S
+        holes = {
+            "heater_power": (40.0, 48.0),
+            "fan_duty": (50.0, 70.0),
+            "door_open": (50.0, 70.0),
+            "dehumidifier_duty": (80.0, np.inf),
+        }
+        first, last = holes.get(series.signal, (np.inf, np.inf))
+        kept = (hours <= first) | (hours > last)
+        return replace(series, time=series.time[kept], value=series.value[kept])
+
+    return record.replace_series(*(cut(s) for s in record.series))
+
+
+# -- online and offline --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("shape", [lambda record: record, holed], ids=["whole", "holed"])
+@pytest.mark.parametrize(("late_s", "batch"), [(0.0, 97), (0.95 * LATENESS_S, 300)])
+def test_a_tracked_cabinet_with_actuators_is_the_offline_filter_bit_for_bit(
+    record: Record, shape, late_s: float, batch: int
+) -> None:
+    model, shaped = planned(record), shape(record)
+    assert set(model.model.inputs) >= set(courses_of(np.zeros(1), 0))
+    readings = arriving(readings_of(shaped), 1, late_s)
+    tracker, half = Tracker(model), len(readings) // 2
+    for first in range(0, len(readings), batch):
+        tracker.take(readings[first : first + batch])
+        course = tracker.advance() or tracker
+        if first < half <= first + batch:  # restarted halfway
+            tracker = Tracker(model, tracker.point, tracker.readings())
+    offline = offline_course(model, shaped)
+    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
+    assert tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
+    assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
+    assert np.array_equal(tracker.point.state.covariance, offline.trace.covariance[last])
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+
+
+def test_an_unknown_actuator_takes_its_mean_of_the_identified_record(record: Record) -> None:
+    model, shaped = planned(record), holed(record)
+    run = offline_course(model, shaped).run.timeline
+    hours = (run.seconds - START_S) / HOUR_S
+    for name, (first, last) in {"heater_power": (40.2, 47.8), "fan_duty": (50.2, 69.8)}.items():
+        inside = (hours > first) & (hours < last)
+        assert run.input(name)[inside] == pytest.approx(record[name].value.mean(), rel=1e-12)
+    # a short gap is bridged by the last value
+    last_value = record["dehumidifier_duty"].value[hours_of(record) <= 80.0][-1]
+    assert np.all(run.input("dehumidifier_duty")[(hours > 80.2) & (hours < 85.9)] == last_value)
+    # a fit of an earlier version has no means: what is unknown is off
+    old = replace(model.design, actuator_means={})
+    before = plan(Fit("old", old, dict(model.values)), wandering={}, forms=model.forms)
+    assert set(before.design.actuator_means.values()) == {0.0}
+    stored = model.design.to_json()
+    assert Design.from_json(stored).actuator_means == model.design.actuator_means
+    assert "actuator_means" not in old.to_json()
+
+
+def hours_of(record: Record) -> np.ndarray:
+    return (record["active_power"].time - START_S) / HOUR_S
+
+
+def test_a_tracker_waits_for_every_actuator_of_its_model(record: Record) -> None:
+    tracker = Tracker(planned(record))
+    readings = readings_of(record)[:1500]
+    tracker.take(one for one in readings if one.signal not in ("heater_power", "door_open"))
+    assert tracker.awaited() == ("door_open", "heater_power") and tracker.advance() is None
+    tracker.take(one for one in readings if one.signal in ("heater_power", "door_open"))
+    assert tracker.awaited() == () and tracker.advance() is not None
+
+
+@pytest.mark.parametrize(("raw", "value"), [(True, 1.0), ("false", 0.0), (0.25, 0.25), ("TRUE", 1.0)])
+@pytest.mark.parametrize("signal", [name for name in ACTUATORS if name != "heater_power"])
+def test_flags_and_duties_are_read_under_their_own_names(signal: str, raw: object, value: float) -> None:
+    mapping = replace(default_mapping(), turbines={"T1": "T1"})
+    (found,) = mapping.read({"turbine": "T1", "time": 1.6e9, signal: raw}, 1.6e9)
+    (reading,) = found.readings
+    assert (reading.signal, reading.value) == (signal, value)
+
+
+# -- ahead ---------------------------------------------------------------------------------------------------
+def later_record() -> Record:
+    """Two weeks in which the heater runs at standstill alone, and the fan with the power."""
+    plain = cabinet_record(DAYS)
+    still = plain["active_power"].value <= 0.0
+    return acting(
+        plain,
+        heater_power=np.where(still, HEATER_W, 0.0),
+        fan_duty=np.where(still, 0.0, 0.5),
+        door_open=np.zeros(len(still)),
+    )
+
+
+def test_actuators_act_as_on_the_day_whose_operation_is_taken() -> None:
+    record = later_record()
+    hour = np.mod(record["active_power"].time - 1.0, DAY_S) / HOUR_S
+    runs = (hour > 6.0) & (hour <= 18.0)
+    daily = changed(record, "active_power", np.where(runs, 0.5 * RATED_W, -5e3))
+    daily = changed(daily, "heater_power", np.where(runs, 0.0, HEATER_W))
+    daily = changed(daily, "fan_duty", np.where(runs, 0.5, 0.0))
+    for now_s in (NOW_S, NOW_S - 0.5 * DAY_S):  # at standstill, and in operation
+        found = persistence(daily, now_s, ("heater_power", "fan_duty", "door_open"))
+        for member in found.members:
+            still = member["active_power"] <= 0.0
+            assert still.any() and not still.all()
+            assert np.array_equal(member["heater_power"] > 0.0, still)
+            assert np.array_equal(member["fan_duty"] > 0.0, ~still)
+
+
+def test_actuators_go_on_as_now_through_an_unprecedented_standstill() -> None:
+    record = changed(later_record(), "active_power", 0.5 * RATED_W)
+    record = changed(record, "heater_power", 0.0)
+    stands = changed(record, "active_power", -5e3, NOW_S - 5 * HOUR_S)
+    # a thermostat: two thirds of the time
+    switching = np.where(np.arange(len(record["heater_power"])) % 3 > 0, HEATER_W, 0.0)
+    stands = changed(stands, "heater_power", switching, NOW_S - 5 * HOUR_S)
+    found = persistence(stands, NOW_S, ("heater_power",))
+    ahead = found.time_s > NOW_S
+    assert (np.array([m["active_power"][ahead] for m in found.members]) <= 0.0).any()
+    for member in found.members:
+        still = ahead & (member["active_power"] <= 0.0)
+        assert member["heater_power"][still] == pytest.approx(HEATER_W * 2 / 3, rel=0.02)
+        assert not member["heater_power"][ahead & ~still].any()
+    # before now they are the readings
+    past = (found.time_s <= NOW_S - 600.0) & (found.time_s > NOW_S - 3 * HOUR_S)
+    seen = found.members[0]["heater_power"][past]
+    assert set(seen) <= {0.0, HEATER_W}
+
+
+def test_pre_heating_switches_the_heater_on_and_closes_the_door() -> None:
+    record = changed(later_record(), "door_open", 1.0, NOW_S - HOUR_S)
+    found = persistence(record, NOW_S, ("heater_power", "door_open")).with_preheating(
+        25.0, {"heater_power": HEATER_W}
+    )
+    after = found.time_s > NOW_S + 1.0
+    for member in found.members:
+        assert np.all(member["heater_power"][after] == HEATER_W) and not member["door_open"][after].any()
+        assert member["door_open"][~after][-1] == 1.0
+
+
+# -- the advice ----------------------------------------------------------------------------------------------
+CABINET = {
+    "thermal_time_constant": 1.5, "resistance_ratio": 0.85, "heat_release_standstill": 5.0,
+    "heat_release_standstill_ambient": 0.0, "logged_heater_heat": 9.0, "heat_disturbance_sd": 0.2,
+    "hygric_k": 0.3, "vapour_disturbance_sd": 0.05,
+}  # fmt: skip
+STEADY_HUMIDITY = 0.74
+
+
+def cabinet(signal: str, preheating: bool = False, **given: float) -> Plan:
+    """The plan of a cabinet with a logged heater that gives 9 K at full power."""
+    plain = cabinet_record(DAYS)
+    plain = plain if preheating else without(plain, "preheating")
+    full = HEATER_W if signal == "heater_power" else 1.0
+    on = np.where(hours_of(plain) % 11.0 < 3.0, full, 0.0)
+    record = acting(plain, **{signal: on})
+    base = design(record)
+    values = {p.name: p.start for p in base.model.parameters} | CABINET | given
+    forms = {s.signal: Form(s.hold, s.interval_s) for s in record.series}
+    return plan(Fit("cabinet", base, values), wandering={}, forms=forms, rated_power_W=RATED_W)
+
+
+def steady(begin_s: float, end_s: float, *further: str) -> dict[str, np.ndarray]:
+    count = len(np.arange(begin_s, end_s + 1.0, 600.0))
+    values = {
+        "ambient_temperature": 283.15,
+        "ambient_absolute_humidity": absolute_humidity(STEADY_HUMIDITY, 283.15),
+        "active_power": 0.0,
+        **dict.fromkeys(further, 0.0),
+    }
+    return {name: np.full(count, value) for name, value in values.items()}
+
+
+def advised(one: Plan, sd_K: float = 0.0):
+    """The advice of a cabinet that has stood still for twenty days in steady weather."""
+    signals = tuple(heating(one).signals)
+    begin = NOW_S - 20 * DAY_S
+    time = np.arange(begin, NOW_S + 1.0, 600.0)
+    past = [Series(name, time, values) for name, values in steady(begin, NOW_S, *signals).items()]
+    state = Point(NOW_S, offline_course(one, Record("steady", tuple(past), None, RATED_W)).trace.last)
+    time = np.arange(NOW_S - 3 * HOUR_S, NOW_S + 30 * HOUR_S + 1.0, 600.0)
+    ahead = Scenarios(NOW_S, time, (steady(time[0], time[-1], *signals),), "steady")
+    return restart(one, state, ahead, COLD, 0.6, sd_K), forecast(one, state, ahead, COLD)
+
+
+@pytest.mark.parametrize("signal", ["heater_power", "heater_duty"])
+def test_the_advice_uses_the_heater_and_its_identified_effect(signal: str) -> None:
+    one = cabinet(signal)
+    (heater,) = heaters(one.model)
+    assert (heater.signal, heater.full) == (signal, HEATER_W if signal == "heater_power" else 1.0)
+    advice, idle = advised(one)
+    assert advice.heaters == (signal,) and advice.effect_K == (9.0, 9.0, 9.0)
+    assert 0.5 < advice.hours < LONGEST_H and advice.probability >= 0.95 and advice.stays >= 0.95
+    # the air settles 9 K warmer than without; a heater of 12 K needs less time, one of 3 K never gets there
+    assert idle.condition.surface_humidity.value[-1] > 0.6
+    stronger, _ = advised(cabinet(signal, logged_heater_heat=12.0))
+    weaker, _ = advised(cabinet(signal, logged_heater_heat=3.0))
+    assert 0.0 < stronger.hours < advice.hours and weaker.hours is None
+
+
+def test_a_heater_is_worth_as_much_as_a_pre_heating_of_the_same_effect() -> None:
+    both = cabinet("heater_duty", preheating=True, logged_heater_heat=4.0, preheating_heat=5.0)
+    assert heating(both).signals == {"preheating": 1.0, "heater_duty": 1.0}
+    advice, single = advised(both)[0], advised(cabinet("heater_duty"))[0]
+    assert advice.effect_K == (9.0, 9.0, 9.0)
+    assert advice.hours == pytest.approx(single.hours, abs=1e-9)
+    assert advice.probability == pytest.approx(single.probability, abs=0.01)
+
+
+def test_an_uncertain_effect_makes_the_advice_longer_and_states_its_bounds() -> None:
+    one = cabinet("heater_duty")
+    sure, unsure = advised(one)[0], advised(one, sd_K=0.8)[0]
+    lower, effect, upper = unsure.effect_K
+    assert effect == 9.0 and (lower, upper) == pytest.approx((9.0 - 1.96 * 0.8, 9.0 + 1.96 * 0.8), abs=1e-3)
+    strong, weak = unsure.hours_bounds
+    at_bounds = [advised(cabinet("heater_duty", logged_heater_heat=k))[0].hours for k in (upper, lower)]
+    assert [strong, weak] == pytest.approx(at_bounds)
+    assert strong < sure.hours < unsure.hours <= weak
+    for number in (f"{effect:.1f} K", f"{lower:.1f} to {upper:.1f} K", f"{strong:.1f} to {weak:.1f} h"):
+        assert number in unsure.statement
+    # an effect that may be none at all: the bound of the heater is zero, and no time is long enough
+    doubtful = advised(one, sd_K=9.0)[0]
+    assert doubtful.effect_K[0] == 0.0 and doubtful.hours is None and doubtful.hours_bounds[1] is None
+
+
+def test_what_does_not_heat_is_no_advice() -> None:
+    cooling = cabinet("heater_duty", preheating=True, logged_heater_heat=0.0, preheating_heat=-3.0)
+    advice, _ = advised(cooling)
+    assert advice.hours is None and "-3.0 K" in advice.statement
