@@ -49,6 +49,7 @@ ARGUMENTS = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
+COLOURS = 256
 LARGEST = 150_000
 """[bytes] of a picture."""
 
@@ -132,7 +133,9 @@ def _save(name: str, screenshot: bytes) -> None:
     from PIL import Image
 
     path = PICTURES / f"{name}.png"
-    Image.open(io.BytesIO(screenshot)).convert("RGB").quantize(96).save(path, optimize=True)
+    drawn = Image.open(io.BytesIO(screenshot)).convert("RGB")
+    # the colours of small parts, such as a green dot, count as much as those of the ground
+    drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}: {size / 1e3:.0f} kB", flush=True)
     if size > LARGEST:

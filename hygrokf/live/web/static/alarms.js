@@ -2,7 +2,7 @@
 
 import { askAcknowledgement, askShelf } from "./dialogs.js";
 import { ask, post } from "./server.js";
-import { age, local, make, span, timeOf, whole } from "./text.js";
+import { age, local, make, span, timeOf, whole, withTimes } from "./text.js";
 
 /** One alarm; with `linked` also a link to its turbine; `shelf` holds for its kind, if there is one. */
 export function alarmItem(alarm, linked, shelf) {
@@ -24,7 +24,7 @@ export function alarmItem(alarm, linked, shelf) {
           ? make("a", { href: `#/turbine/${encodeURIComponent(alarm.turbine)}` }, alarm.turbine) : make("a", { href: "#/data" }, where),
         linked ? " " : null, make("strong", {}, alarm.kind),
         make("span", { class: "more" }, " since ", timeOf(alarm.began), ", ", ...lasted)),
-      make("p", { class: "statement" }, alarm.statement),
+      make("p", { class: "statement" }, withTimes(alarm.statement)),
       alarm.remedy ? make("p", { class: "remedy" }, "To do: ", alarm.remedy) : null,
       alarm.acknowledged === null ? null : acknowledgedBy(alarm),
       open && shelf ? make("p", { class: "seen" }, "shelved until ", timeOf(shelf.until)) : null),

@@ -31,7 +31,12 @@ export class Data {
       make("td", { class: "word" }, ...(one.heard === null ? ["never"] : [age(one.heard), " ago"])),
       make("td", { class: "word" }, one.lag === null ? "–" : span(one.lag)),
       make("td", {}, one.words === one.url ? "" : one.words))));
-    const rows = Object.entries(found.refused).map(([kind, count]) => make("li", {}, counted(kind, count, "payload")));
+    const { "store replaced": replaced, ...refused } = found.refused;
+    if (replaced) {
+      const times = `${whole(replaced)} time${replaced === 1 ? "" : "s"}`;
+      this.store.append(make("strong", { class: "fault" }, ` The store was replaced ${times} while a tracker ran.`));
+    }
+    const rows = Object.entries(refused).map(([kind, count]) => make("li", {}, counted(kind, count, "payload")));
     this.refused.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "None.")]));
   }
 

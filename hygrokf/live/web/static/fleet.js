@@ -2,7 +2,9 @@
 
 import { areOld, sparkline } from "./spark.js";
 import { Fault, ask } from "./server.js";
-import { FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole } from "./text.js";
+import {
+  FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, span, timeOf, whole, withTimes,
+} from "./text.js";
 
 const COLUMNS = [
   // name, heading, label for narrow screens without headings
@@ -117,10 +119,13 @@ export class Fleet {
   /** Update ages and what follows from them, which change without an event. */
   tick() {
     const counts = {};
+    let worst = 0;
     for (const one of this.rows.values()) {
       one.tick();
       counts[one.state] = (counts[one.state] ?? 0) + 1;
+      if (one.state === "alarm") worst = Math.max(worst, one.row.severity);
     }
+    this.chips.get("alarm").classList.toggle("of-warning", SEVERITIES[worst] !== "alarm");
     for (const [state, chip] of this.chips) {
       chip.hidden = !counts[state] && state !== this.only;
       say(chip, `${whole(counts[state] ?? 0)} ${STATES[state]}`);
@@ -173,7 +178,7 @@ class Row {
   words(state) {
     const { row } = this;
     // the server's reason of another state would contradict the one that is shown
-    const reason = state === "ok" ? "" : state === row.state ? row.reason : state === "in doubt" ? "a number of its model is rejected"
+    const reason = state === "ok" ? "" : state === row.state ? withTimes(row.reason, near) : state === "in doubt" ? "a number of its model is rejected"
       : row.heard === null ? "never heard" : `not heard for ${span(clock() - row.heard)}`;
     const kinds = [...new Set(row.alarms.map((alarm) => alarm.kind))].filter((kind) => !reason.includes(kind));
     return [reason, ...kinds].filter(Boolean).join("; ");

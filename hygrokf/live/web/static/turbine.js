@@ -7,7 +7,7 @@ import { shownState, stateClass } from "./fleet.js";
 import { ask } from "./server.js";
 import {
   DAY_S, FRESH_S, age, celsius, chance, clock, fixed, grams, kelvin, local, make, near, percent, say, significant, span, timeOf,
-  unitText, whole, words,
+  unitText, whole, withTimes, words,
 } from "./text.js";
 
 const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
@@ -38,6 +38,10 @@ const NOT_USED = {
   "other unit": "stated another unit than the mapping",
   "unknown tag": "had a tag that is not mapped",
   "no known field": "had no field that is mapped",
+  "no value": "had no value",
+  "of no device": "were of an edge node itself, not of one of its devices",
+  "too many edge nodes": "came from more edge nodes than are followed",
+  "alias changed": "used aliases that changed in a gap",
   "no records": "had nothing at the path of their records",
   held: "are held back, stamped ahead of the clock",
   malformed: "could not be read",
@@ -173,7 +177,7 @@ export class Turbine {
     const state = shownState({ ...found, model: found.model.verdict, heard: Number.isFinite(heard) ? heard : null });
     say(this.badge, state);
     this.badge.className = stateClass(state, severity);
-    say(this.reason, state === found.state && state !== "alarm" ? `${found.reason}${found.since ? `, since ${local(found.since)}` : ""}` : "");
+    say(this.reason, state === found.state && state !== "alarm" ? `${withTimes(found.reason)}${found.since ? `, since ${local(found.since)}` : ""}` : "");
   }
 
   showChanges(found) {
