@@ -50,13 +50,16 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
         if better:
             return better[0], f"the header says {stated}, but the readings fit {better[0]}"
         return stated, f"the readings do not fit the unit {stated} of the header"
-    ranked = [one for one in (*_FIRST_CHOICE, *units) if one in units]
+    ranked = list(dict.fromkeys(one for one in (*_FIRST_CHOICE, *units) if one in units))
     if not len(finite):
         return ranked[0], "the column holds no readings"
     if signal.endswith("_power"):
         high = float(np.quantile(np.abs(finite), 0.995))
         unit = "MW" if high < 20.0 else "kW" if high < 30e3 else "W"
         return unit, f"the header states no unit; readings up to {high:.4g} fit {unit}"
+    if signal == "rain":
+        unit = "1" if float(np.max(finite)) <= 1.0 else "mm"
+        return unit, f"the header states no unit; readings up to {np.max(finite):.4g} fit {unit}"
     fits = [
         one for one in ranked if unit_mistaken(values, one, signal) is None and share_in_range(finite, one, signal) > 0.9
     ]
@@ -90,7 +93,11 @@ def like_ambient(column: Hourly, others: list[Hourly]) -> float:
     wider = [_spread(column) > _spread(one) for one in others if len(one.value) > 24]
     cold = float(np.mean(colder)) if colder else 0.5
     wide = float(np.mean(wider)) if wider else 0.5
-    return 0.45 * cold + 0.3 * wide + 0.25 * daily_share(column)
+    days = np.floor(column.hour / 24.0)
+    _, place = np.unique(days, return_inverse=True)
+    weather = float(np.std(np.bincount(place, column.value) / np.bincount(place)))
+    # outside, the mean of the day wanders by several kelvins within weeks
+    return (0.45 * cold + 0.3 * wide + 0.25 * daily_share(column)) * min(weather / 2.5, 1.0)
 
 
 def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -> float:
@@ -128,7 +135,7 @@ def warmer_share(column: Hourly, other: Hourly) -> float:
 def rated_power(values: np.ndarray, unit: str) -> float | None:
     """Rated power by the plateau at which the power stops [kW]; None where there is no plateau.
 
-    values: [unit] (N,).  A plateau holds at least 1 % of the readings within 2 % of the 99.8th percentile, and
+    values: [unit] (N,).  A plateau holds at least 0.5 % of the readings within 2 % of the 99.8th percentile, and
     more of them than the 2 % below.
     """
     power = to_si(values[np.isfinite(values)], unit, "active_power") / 1e3
@@ -137,7 +144,7 @@ def rated_power(values: np.ndarray, unit: str) -> float | None:
     top = float(np.quantile(power, 0.998))
     at = (power > 0.98 * top) & (power < 1.02 * top)
     below = (power > 0.94 * top) & (power <= 0.98 * top)
-    if top <= 0.0 or at.mean() < 0.01 or at.sum() < 1.5 * below.sum():
+    if top <= 0.0 or at.mean() < 0.005 or at.sum() < 1.5 * below.sum():
         return None
     return float(f"{np.median(power[at]):.3g}")
 

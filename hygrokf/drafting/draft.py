@@ -18,7 +18,7 @@ from hygrokf.drafting.case_text import Contents, Weather, case_text
 from hygrokf.drafting.layout import Export, read_export, weather_format
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared
-from hygrokf.drafting.stamps import clock_of, noon_of, sun_remark
+from hygrokf.drafting.stamps import noon_of, sun_remark
 from hygrokf.errors import HygrokfError
 
 
@@ -99,7 +99,7 @@ def draft_case(
     for export in joined(tables):
         try:
             ready, column, name, doubts = prepared(export, turbine)
-            sources.append(_clocked(ready, column))
+            sources.append(source_of(ready, column))
         except TableFault as broken:
             faults += [f"{export.file}: {fault}" for fault in broken.faults]
             continue
@@ -111,16 +111,6 @@ def draft_case(
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
     return _written(sources, said, chosen, found, left, weather, out, site)
-
-
-def _clocked(export: Export, column: str) -> Source:
-    """An export with its clock; whether its readings are means is told by their step and by what they are."""
-    first = source_of(export, clock_of(export, column, False))
-    kinds = {one.quantity or one.signal for one in first.named.values()}
-    operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in first.named.values())
-    averaged = any(" avg " in one.words or " mean " in one.words for one in first.named.values())
-    means = (averaged or (operation and len(kinds) > 1)) and first.clock.step_s >= 300.0
-    return replace(first, clock=clock_of(export, column, means))
 
 
 def _written(

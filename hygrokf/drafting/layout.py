@@ -8,7 +8,7 @@ import io
 import re
 import zlib
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,7 @@ class Export:
     names: the header. units: of the row below the header, empty texts where there is none.
     separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units included.
     changes: why a case cannot name the file as it stands; a copy is written then.
+    label: of the turbine within the names of columns, or "". preamble: text above the header.
     """
 
     file: Path
@@ -54,6 +55,8 @@ class Export:
     comment: str | None = None
     missing: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
+    label: str = ""
+    preamble: str = ""
 
 
 def weather_format(file: Path) -> str | None:
@@ -192,10 +195,11 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
             f"row {first + wide[0] + 1}: expected {width} cells as in the rows above, found {len(body[wide[0]])}; "
             "numbers with a decimal comma need another separator or quotes: export again"
         )
-    data = [[*row[:width], *[""] * (width - len(row))] for row in body]
+    data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for row in body]
     frame = pd.DataFrame(data, columns=_unique(names), dtype=object)
     words = {cell for row in above[1:] for cell in row if cell and cell not in MISSING}
-    return _framed(file, frame, changes, tuple(names), tuple(units), separator, comment, words)
+    export = _framed(file, frame, changes, tuple(names), tuple(units), separator, comment, words)
+    return replace(export, preamble="\n".join(" ".join(row) for row in rows[: first - len(above)]))
 
 
 def _framed(
@@ -209,18 +213,21 @@ def _framed(
     words: set[str] = frozenset(),  # type: ignore[assignment]
 ) -> Export:
     """An export with its decimal mark and the texts that are no readings."""
+    import pandas as pd
+
     names = names or tuple(map(str, frame.columns))
     if len(names) < 2:
         raise TableFault("expected a time and at least one column of readings, found one column alone")
     if len(frame) < 2:
         raise TableFault(f"expected readings, found {len(frame)} rows below the header")
-    cells = frame.apply(lambda column: column.str.strip())
-    cells = cells.where(~cells.isin(MISSING), None)
+    absent = {*MISSING, None}
+    cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
     decimal = _decimal(cells)
     marks: Counter[str] = Counter()
     for name in cells:
         given = cells[name].dropna()
-        texts = given[~given.str.fullmatch(_NUMBER.pattern)]
+        texts = given[pd.to_numeric(given, errors="coerce").isna()]
+        texts = texts[~texts.str.fullmatch(_NUMBER.pattern)] if len(texts) else texts
         if len(given) > 2 * len(texts) and texts.nunique() <= 5:
             marks.update(texts.unique())
     missing = tuple(sorted(words)) + tuple(sorted(set(marks) - words))

@@ -17,15 +17,19 @@ from hygrokf.drafting.behaviour import (
     warmer_share,
 )
 from hygrokf.drafting.layout import Export
-from hygrokf.drafting.stamps import Clock
+from hygrokf.drafting.stamps import Clock, clock_of
 from hygrokf.drafting.vocabulary import NamedColumn, name_says, place_of, words_of
 
 SURE = 0.8
 """Score from which a name needs no confirmation."""
+OUTSIDE = 0.45
+"""Score from which readings alone may be those of the outside air."""
+NEEDED = 0.3
+"""Score from which a signal that a model needs is read, with its doubts."""
 USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
-_QUANTITY_WORDS = re.compile(r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur) ")
+_QUANTITY_WORDS = re.compile(r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )")
 
 
 @dataclass(frozen=True)
@@ -93,12 +97,19 @@ def numbers_of(export: Export, time: str) -> dict[str, np.ndarray]:
     return found
 
 
-def source_of(export: Export, clock: Clock) -> Source:
-    """An export with its numbers and what its names say."""
-    values = numbers_of(export, clock.column)
+def source_of(export: Export, column: str) -> Source:
+    """An export with its clock, its numbers and what its names say; column: of the stamps.
+
+    Means over intervals are told by their names, or by what they are of.
+    """
+    values = numbers_of(export, column)
     units = dict(zip(export.cells.columns, export.units, strict=True))
-    named = {name: name_says(name, units[name]) for name in values}
-    left = {name: "text" for name in export.cells if name not in values and name != clock.column}
+    named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
+    left = {name: "text" for name in export.cells if name not in values and name != column}
+    operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
+    averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
+    reanalysis = any("ERA5" in one.why for one in named.values())
+    clock = clock_of(export, column, (operation or averaged) and not reanalysis)
     return Source(export, clock, values, named, left)
 
 
@@ -119,7 +130,8 @@ def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str
         if ambient is not None and (ambient.source, ambient.column) == (number, column):
             continue
         likeness = like_cabinet(sources[number].hourly(column), outside, load)
-        score = round(0.2 + 0.4 * likeness, 3)
+        air = 0.04 if " air " in sources[number].named[column].words else 0.0
+        score = round(0.2 + 0.4 * likeness + air, 3)
         guesses.append(_candidate(sources, "cabinet_temperature", number, column, score, "by its readings"))
     taken = _chosen([*sure, *guesses])
     guesses += _humidities(sources, taken)
@@ -181,7 +193,8 @@ def _ambient_by_values(
     for one in columns if len(columns) + len(named) > 1 else []:
         others = [*(series for key, series in all_of.items() if key != one), *named]
         score = round(0.2 + 0.4 * like_ambient(all_of[one], others), 3)
-        found.append(_candidate(sources, "ambient_temperature", *one, score, "by its readings"))
+        if score >= OUTSIDE:
+            found.append(_candidate(sources, "ambient_temperature", *one, score, "by its readings"))
     return found
 
 
@@ -257,7 +270,7 @@ def _settled(
             if share < 0.5:
                 doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
         needed = one.signal == "ambient_temperature" or one.signal.startswith("cabinet_")
-        active = one.score >= (0.2 if needed else USED)
+        active = one.score >= (NEEDED if needed else USED)
         found.append(Assigned(one, active, False, tuple(doubts), near))
         for second in seconds[:1]:
             found.append(Assigned(second, True, True, second.doubts, ()))

@@ -57,7 +57,7 @@ def joined(exports: list[Export]) -> list[Export]:
 
     result: list[Export] = []
     for export in exports:
-        same = [n for n, one in enumerate(result) if one.names == export.names and one.decimal == export.decimal]
+        same = [n for n, one in enumerate(result) if _continues(one, export)]
         if not same or export.changes:
             result.append(export)
             continue
@@ -67,6 +67,14 @@ def joined(exports: list[Export]) -> list[Export]:
         missing = tuple(dict.fromkeys((*before.missing, *export.missing)))
         result[same[0]] = replace(before, cells=cells, missing=missing, changes=(*before.changes, change))
     return result
+
+
+def _continues(before: Export, export: Export) -> bool:
+    """Whether an export has the columns of another one and hardly any of its stamps."""
+    if before.names != export.names or before.decimal != export.decimal:
+        return False
+    stamps, _ = time_columns(export)
+    return float(export.cells[stamps].isin(set(before.cells[stamps])).mean()) < 0.1
 
 
 def _with(export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None) -> Export:
@@ -156,4 +164,4 @@ def _one_label(
     kept = [one for one in export.cells if labels.get(one) not in names or labels[one] == chosen]
     units = tuple(given for one, given in zip(export.cells, export.units, strict=True) if one in kept)
     # nothing moves in the file: the case names the columns of one turbine
-    return replace(export, cells=export.cells[kept], units=units), chosen
+    return replace(export, cells=export.cells[kept], units=units, label=chosen), chosen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step, read_stamps
+from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step, read_stamps, zone_named
 from hygrokf.drafting.layout import Export, is_date
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ FORMATS = (
 )  # fmt: skip
 """strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
+_STATED_ZONE = re.compile(r"(?:time ?zone|zeitzone)\W{0,3}([A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})", re.IGNORECASE)
 _NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", re.IGNORECASE)
 
 
@@ -202,6 +204,12 @@ def _zone(
             return "UTC"
         hours, minutes = re.fullmatch(r"([+-]\d{1,2}):?(\d{2})?", offset).groups()  # type: ignore[union-attr]
         return "UTC" if int(hours) == 0 else f"{int(hours):+03d}:{minutes or '00'}"
+    stated = _STATED_ZONE.search(export.preamble)
+    if stated is not None:
+        with suppress(ValueError):
+            zone_named(stated[1])
+            remarks.append("the zone is stated above the header")
+            return stated[1]
     found, whole = holes
     if found and not whole:
         zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
@@ -236,7 +244,7 @@ def _position(
         if re.search(pattern, words):
             remarks.append(f'the header "{column}" says that stamps are at the {stamp} of the interval')
             return stamp
-    if not means:
+    if not (means and step >= 5.0 * MINUTE_S):
         return "instant"
     moments = np.sort(time[np.isfinite(time)])
     into_day = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)

@@ -57,7 +57,6 @@ OWN_NAMES: tuple[tuple[str, str, str], ...] = (
     ("wtow intl tmp", "tower_temperature", "IEC 61400-25"),
     ("wtow intl hum", "tower_relative_humidity", "IEC 61400-25"),
     ("t 2 m", "ambient_temperature", "ERA5"),
-    ("t 2 m c", "ambient_temperature", "ERA5"),
     ("td 2 m", "ambient_dew_point_temperature", "ERA5"),
     ("d 2 m", "ambient_dew_point_temperature", "ERA5"),
     ("sp", "ambient_pressure", "ERA5"),
@@ -107,7 +106,7 @@ PARTS = (
 )
 """Parts of a turbine or a building that are not the air of a place."""
 NOT_MEANT = (
-    r"reactive|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic|lost"
+    r"react|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic|lost"
     r"|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen|deviation"
 )
 """Words of quantities that no signal holds."""
@@ -182,8 +181,9 @@ def words_of(text: str) -> str:
     """The words of a name in lower case, between blanks; camel case and digits apart, umlauts written out."""
     for mark, written in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("Ä", "Ae"), ("Ö", "Oe"), ("Ü", "Ue"), ("ß", "ss")):
         text = text.replace(mark, written)
+    text = re.sub(r"(?<![A-Za-z])(T|RH)_?(cab|amb|nac|out|ext)(?![a-z])", r"\1 \2", text)
     text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
-    text = re.sub(r"([A-Za-z])(\d)|(\d)([A-Za-z])", lambda m: " ".join(filter(None, m.groups())), text)
+    text = re.sub(r"(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", text)
     return f" {re.sub(r'[^0-9a-z一-鿿]+', ' ', text.lower()).strip()} "
 
 

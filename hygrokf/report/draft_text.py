@@ -27,10 +27,10 @@ def draft_blocks(found: Draft) -> Iterator[Block]:
     yield Heading(f"doubts: {len(doubts) or 'none'}", 3)
     if doubts:
         yield Items(doubts)
-    written = "".join(f"\ncopy of a table: {one}" for one in found.copies)
-    yield Prose(
-        f"case file: {found.case}, {len(found.left)} columns not used{written}\nnext: hygrokf check {found.case}"
-    )
+    for copy in found.copies:
+        yield Prose(f"copy of a table, in a form that a case can name: {copy}")
+    yield Prose(f"case file: {found.case}, {len(found.left)} columns not used")
+    yield Prose(f"next: hygrokf check {found.case}")
 
 
 def _state(one: DraftedSignal) -> str:
