@@ -17,20 +17,20 @@ def _degrees(text: str) -> tuple[float, float]:
     except ValueError:
         latitude = longitude = 999.0
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise ArgumentTypeError(f"expected latitude and longitude in degrees such as 52.4,-0.95, found {text!r}")
+        raise ArgumentTypeError(f"expected degrees such as 52.4,-0.95, found {text!r}")
     return latitude, longitude
 
 
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "exports", type=Path, nargs="+", metavar="EXPORT", help="CSV, Parquet or Excel file, or a weather file"
+        "exports", type=Path, nargs="+", metavar="EXPORT", help="CSV, Parquet, Excel or weather file"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("case.toml"), help="the case file to write (default case.toml)"
     )
     parser.add_argument("--turbine", metavar="NAME", help="of exports that hold several turbines")
     parser.add_argument(
-        "--site", type=_degrees, metavar="LAT,LON", help="latitude and longitude [deg], as in --site=52.4,-0.95"
+        "--site", type=_degrees, metavar="LAT,LON", help="in degrees, as in --site=52.4,-0.95"
     )
     add_json(parser)
 
@@ -52,5 +52,5 @@ def _run(options: Namespace) -> int:
     return 0
 
 
-VERB = Verb("init", "draft a case file from exports: columns, units, clocks, and what is in doubt", _arguments, _run)
+VERB = Verb("init", "draft a case file from exports, with its doubts as comments", _arguments, _run)
 """The command."""

@@ -10,7 +10,23 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS, fitting_units, share_in_range, to_si, unit_mistaken
 from hygrokf.data.timestamps import HOUR_S
 
-_FIRST_CHOICE = ("degC", "%", "hPa", "kW", "g/m3", "m/s", "W/m2", "deg", "rpm", "1", "K", "Pa", "kPa", "MW", "W")
+_FIRST_CHOICE = (
+    "degC",
+    "%",
+    "hPa",
+    "kW",
+    "g/m3",
+    "m/s",
+    "W/m2",
+    "deg",
+    "rpm",
+    "1",
+    "K",
+    "Pa",
+    "kPa",
+    "MW",
+    "W",
+)
 
 
 @dataclass(frozen=True)
@@ -61,13 +77,19 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
         unit = "1" if float(np.max(finite)) <= 1.0 else "mm"
         return unit, f"the header states no unit; readings up to {np.max(finite):.4g} fit {unit}"
     fits = [
-        one for one in ranked if unit_mistaken(values, one, signal) is None and share_in_range(finite, one, signal) > 0.9
+        one
+        for one in ranked
+        if unit_mistaken(values, one, signal) is None and share_in_range(finite, one, signal) > 0.9
     ]
     if not fits:
         return ranked[0], "the header states no unit and the readings fit none"
     if SIGNALS[signal].dimension == "temperature" and fits[0] == "degC" and np.quantile(finite, 0.95) < 60.0:
         return "degC", None
-    other = f", perhaps {fits[1]}" if len(fits) > 1 and SIGNALS[signal].dimension in ("temperature", "angle") else ""
+    other = (
+        f", perhaps {fits[1]}"
+        if len(fits) > 1 and SIGNALS[signal].dimension in ("temperature", "angle")
+        else ""
+    )
     return fits[0], f"the header states no unit; the readings fit {fits[0]}{other}" if other else None
 
 
@@ -78,10 +100,17 @@ def impossible(values: np.ndarray, unit: str, signal: str) -> str | None:
         return "hardly any readings"
     if np.ptp(finite) == 0.0:
         return f"all readings are {finite[0]:g}"
-    if signal == "wind_direction" and unit == "deg" and len(finite) > 1000 and np.quantile(finite, 0.999) < 300.0:
+    if (
+        signal == "wind_direction"
+        and unit == "deg"
+        and len(finite) > 1000
+        and np.quantile(finite, 0.999) < 300.0
+    ):
         return f"readings reach {finite.max():g}, less than a whole turn of 360 deg"
     inside = share_in_range(finite, unit, signal)
-    return f"{100 * (1 - inside):.0f} % of the readings are out of the physical range" if inside < 0.7 else None
+    return (
+        f"{100 * (1 - inside):.0f} % of the readings are out of the physical range" if inside < 0.7 else None
+    )
 
 
 def like_ambient(column: Hourly, others: list[Hourly]) -> float:
@@ -101,8 +130,8 @@ def like_ambient(column: Hourly, others: list[Hourly]) -> float:
 
 
 def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -> float:
-    """How much a temperature looks like that of a closed cabinet, 0 to 1: warmer than outside, moving with the
-    outside air and with the power."""
+    """How much a temperature looks like that of a closed cabinet, 0 to 1: warmer than outside, moving with
+    the outside air and with the power."""
     if ambient is None:
         return 0.5
     mine, outside = column.beside(ambient)
@@ -135,8 +164,8 @@ def warmer_share(column: Hourly, other: Hourly) -> float:
 def rated_power(values: np.ndarray, unit: str) -> float | None:
     """Rated power by the plateau at which the power stops [kW]; None where there is no plateau.
 
-    values: [unit] (N,).  A plateau holds at least 0.5 % of the readings within 2 % of the 99.8th percentile, and
-    more of them than the 2 % below.
+    values: [unit] (N,).  A plateau holds at least 0.5 % of the readings within 2 % of the 99.8th
+    percentile, and half as many again as the 4 % below.
     """
     power = to_si(values[np.isfinite(values)], unit, "active_power") / 1e3
     if len(power) < 100:
@@ -157,5 +186,3 @@ def _correlation(one: np.ndarray, other: np.ndarray) -> float:
     if len(one) < 24 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return 0.0
     return float(np.corrcoef(one, other)[0, 1])
-
-

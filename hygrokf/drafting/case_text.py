@@ -29,8 +29,8 @@ class Contents:
     """All that a drafted case says.
 
     name: of the enclosure. files: paths of the sources, relative to the case. said: doubts of each source
-    besides those of its clock. rated_kW: by the plateau of the power [kW], None where there is none; power: the
-    largest readings [kW] or None where no power was found.
+    besides those of its clock. rated_kW: by the plateau of the power [kW], None where there is none.
+    power_kW: its largest readings [kW], None where no power was found.
     site: latitude and longitude [deg], or None. sun: what the irradiance says of the clock.
     """
 
@@ -57,7 +57,7 @@ def _lines(case: Contents) -> Iterator[str]:
     yield "# `hygrokf check` on this file. docs/case_file.md describes all keys."
     yield f"name = {_text(case.name)}"
     if case.rated_kW is not None:
-        yield f"rated_power_kW = {case.rated_kW:g}  # where the power stops rising: confirm it by the type plate"
+        yield f"rated_power_kW = {case.rated_kW:g}  # where the power stops rising; see the type plate"
     elif case.power_kW is not None:
         yield from _doubt(f"the power shows no plateau; its largest readings are {case.power_kW:.4g} kW")
         yield "# rated_power_kW = "
@@ -74,7 +74,10 @@ def _lines(case: Contents) -> Iterator[str]:
     if not case.weather and "ambient_temperature" not in signals:
         yield from ("", *_doubt("no ambient temperature was found, and every model needs it: add its export"))
     if not any(one.startswith("cabinet_") for one in signals):
-        yield from ("", *_doubt("no reading of the cabinet was found; `hygrokf fit` needs one: add its export"))
+        yield from (
+            "",
+            *_doubt("no reading of the cabinet was found; `hygrokf fit` needs one: add its export"),
+        )
     for number in range(len(case.sources)):
         for compare in (False, True):
             lines = [one for one in case.found if one.best.source == number and one.compare is compare]
@@ -102,7 +105,9 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
     )
     yield "[[source]]"
     if export.changes:
-        yield from _comment(f"# a copy of {export.file.name}, in a form that a case can name: {'; '.join(export.changes)}")
+        yield from _comment(
+            f"# a copy of {export.file.name}, in a form that a case can name: {'; '.join(export.changes)}"
+        )
     yield f"file = {_text(case.files[number])}"
     yield f"time = {_text(clock.column)}"
     if clock.time_format is not None:
@@ -168,5 +173,7 @@ def _doubt(text: str) -> Iterator[str]:
 def _comment(text: str) -> Iterator[str]:
     """Lines of a comment; no text of a file can end it."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    lines = textwrap.wrap(plain, _WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False)
+    lines = textwrap.wrap(
+        plain, _WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False
+    )
     yield from lines

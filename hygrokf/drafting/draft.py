@@ -76,7 +76,8 @@ def draft_case(
 ) -> Draft:
     """Draft a case file from exports and write it, with copies of those tables that a case cannot name.
 
-    exports: CSV, Parquet or Excel files, and weather files (EPW, ERA5). out: the case file; copies go beside it.
+    exports: CSV, Parquet or Excel files, and weather files (EPW, ERA5). out: the case file; copies go
+        beside it.
     turbine: of exports that hold several. site: latitude and longitude [deg].
 
     Raises DraftFault with the faults of all exports.
@@ -106,7 +107,9 @@ def draft_case(
         said.append(doubts)
         chosen.append(name)
     if turbine is not None and not faults and not any(chosen):
-        faults.append(f"--turbine {turbine}: expected an export of several turbines, found none; leave it out")
+        faults.append(
+            f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
+        )
     if faults:
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
@@ -201,9 +204,7 @@ def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, 
     return None, None
 
 
-def _sun(
-    number: int, source: Source, found: list[Assigned], site: tuple[float, float] | None
-) -> str | None:
+def _sun(number: int, source: Source, found: list[Assigned], site: tuple[float, float] | None) -> str | None:
     for one in found:
         if one.best.source == number and one.best.signal == "global_horizontal_irradiance":
             noon = noon_of(source.clock.time, source.values[one.best.column])

@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 import re
+import zipfile
 import zlib
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -28,7 +29,10 @@ _DATE = re.compile(
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$|[+-]?\d{1,3}(,\d{3})+\.\d+$")
 _OTHER_KINDS = (
-    (b"\xd0\xcf\x11\xe0", "an old Excel file (.xls) or one with a password: save it as .xlsx without a password"),
+    (
+        b"\xd0\xcf\x11\xe0",
+        "an old Excel file (.xls) or one with a password: save it as .xlsx without a password",
+    ),
     (b"%PDF", "a PDF document: export the table as CSV"),
     (b"\x89PNG", "a picture: export the table as CSV"),
     (b"{", "JSON: export the table as CSV"),
@@ -41,7 +45,8 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns are `names`, made unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units included.
+    separator, decimal, comment: of a text file. missing: texts that are no readings, those of the row of units
+    included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
     """
@@ -132,7 +137,9 @@ def unit_in_export(text: str) -> str | None:
     return known or (unit_named(bare) if bare else None)
 
 
-_FURTHER_UNITS = re.compile(r"(k?v(a|ar)?|k?va?r?h|k?a|hz|[km]?wh|bar|s|sec|min|h|mm|l/min|date|time|ts|rn|avg|smp)$", re.I)
+_FURTHER_UNITS = re.compile(
+    r"(k?v(a|ar)?|k?va?r?h|k?a|hz|[km]?wh|bar|s|sec|min|h|mm|l/min|date|time|ts|rn|avg|smp)$", re.I
+)
 
 
 def _unit_like(cell: str) -> bool:
@@ -145,7 +152,9 @@ def _separator(text: str) -> str:
     lines = text[:200_000].splitlines()[:_HEAD]
     best = (0, 0, ",")
     for separator in SEPARATORS:
-        rows = [row for row in csv.reader(lines, delimiter=separator) if any(map(is_date, row)) and len(row) > 1]
+        rows = [
+            row for row in csv.reader(lines, delimiter=separator) if any(map(is_date, row)) and len(row) > 1
+        ]
         if not rows:
             continue
         width, count = Counter(map(len, rows)).most_common(1)[0]
@@ -172,7 +181,7 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
         raise TableFault("expected a column of stamps and one of readings, found no row with both")
     width = Counter(len(head[number]) for number in dated).most_common(1)[0][0]
     first = next(number for number in dated if len(head[number]) == width)
-    above = []
+    above: list[list[str]] = []
     while first - len(above) > 0 and len(above) < 4:
         row = [cell.strip() for cell in rows[first - len(above) - 1]]
         if len(row) > width + 1 or len(row) < 2 or sum(map(bool, row)) < 0.5 * min(width, len(row)):
@@ -192,7 +201,7 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     wide = [n for n, row in enumerate(body) if len(row) > width and any(c.strip() for c in row[width:])]
     if wide:
         raise TableFault(
-            f"row {first + wide[0] + 1}: expected {width} cells as in the rows above, found {len(body[wide[0]])}; "
+            f"row {first + wide[0] + 1}: expected {width} cells as above, found {len(body[wide[0]])}; "
             "numbers with a decimal comma need another separator or quotes: export again"
         )
     data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for row in body]
@@ -244,7 +253,9 @@ def _decimal(cells: pandas.DataFrame) -> str:
         given = cells[name].dropna().iloc[:5000]
         thousands = given[given.str.fullmatch(_THOUSANDS.pattern)]
         if len(thousands):
-            raise TableFault(f'column "{name}": found "{thousands.iloc[0]}": export without thousands separators')
+            raise TableFault(
+                f'column "{name}": found "{thousands.iloc[0]}": export without thousands separators'
+            )
         for mark in ",.":
             found = given[given.str.fullmatch(rf"[+-]?\d*[{mark}]\d+([eE][+-]?\d+)?")]
             counts[mark] += len(found)
@@ -252,7 +263,7 @@ def _decimal(cells: pandas.DataFrame) -> str:
                 examples.setdefault(mark, f'"{found.iloc[0]}" in column "{name}"')
     if len(examples) == 2:
         raise TableFault(
-            f"expected one decimal mark, found both: {examples[','] } and {examples['.']}; "
+            f"expected one decimal mark, found both: {examples[',']} and {examples['.']}; "
             "export again with one of them"
         )
     return "," if counts[","] else "."
@@ -285,15 +296,12 @@ def _excel_rows(content: bytes) -> list[list[str]]:
     import pandas as pd
 
     try:
-        import openpyxl
+        frame = pd.read_excel(io.BytesIO(content), header=None, dtype=object, engine="openpyxl")
     except ImportError:
         raise TableFault(
             'Excel files need the extra "excel": pip install "hygrokf[excel]"; or export the table as CSV'
         ) from None
-    del openpyxl
-    try:
-        frame = pd.read_excel(io.BytesIO(content), header=None, dtype=object, engine="openpyxl")
-    except (KeyError, ValueError, OSError, zlib.error) as broken:
+    except (KeyError, ValueError, OSError, zlib.error, zipfile.BadZipFile) as broken:
         raise TableFault(f"is a ZIP archive but no Excel table: {broken}") from None
     return [[_cell_text(cell) for cell in row] for row in frame.itertuples(index=False)]
 

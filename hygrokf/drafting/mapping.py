@@ -29,7 +29,9 @@ NEEDED = 0.3
 USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
-_QUANTITY_WORDS = re.compile(r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )")
+_QUANTITY_WORDS = re.compile(
+    r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )"
+)
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ class Assigned:
 class Source:
     """An export whose columns are numbers.
 
-    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no signal.
+    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no
+    signal.
     """
 
     export: Export
@@ -151,7 +154,13 @@ def _by_name(number: int, source: Source) -> list[Candidate]:
 
 
 def _candidate(
-    sources: list[Source], signal: str, at: int, column: str, score: float, why: str, number: int | None = None
+    sources: list[Source],
+    signal: str,
+    at: int,
+    column: str,
+    score: float,
+    why: str,
+    number: int | None = None,
 ) -> Candidate:
     """A candidate with its unit; number: of the source, by default its place `at` in `sources`."""
     source = sources[at]

@@ -16,10 +16,14 @@ if TYPE_CHECKING:
     import pandas
 
 _TURBINE = re.compile(r"turbine|wtg| wec | wea |anlage|asset|device|station|maschine| unit id | plant ")
-_TAG = re.compile(r" tag|signal|variable|channel|kanal|messstelle|parameter| point| sensor|quantity|groesse|^ name $")
+_TAG = re.compile(
+    r" tag|signal|variable|channel|kanal|messstelle|parameter| point| sensor|quantity|groesse|^ name $"
+)
 _VALUE = re.compile(r"value|wert|reading|messwert")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
-_LABEL = re.compile(r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE)
+_LABEL = re.compile(
+    r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE
+)
 
 
 def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | None, tuple[str, ...]]:
@@ -43,7 +47,9 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
     if was is not None:
         export = _with(export, export.cells.assign(**{column: text}), f"stamps in {was}")
     if not column.strip():
-        export = _with(export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name")
+        export = _with(
+            export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
+        )
         column = "time"
     if len(set(export.names)) < len(export.names):
         export = _with(export, export.cells, "columns of the same name")
@@ -77,7 +83,9 @@ def _continues(before: Export, export: Export) -> bool:
     return float(export.cells[stamps].isin(set(before.cells[stamps])).mean()) < 0.1
 
 
-def _with(export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None) -> Export:
+def _with(
+    export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None
+) -> Export:
     """An export with other cells, and why."""
     old = dict(zip(export.cells.columns, export.units, strict=True)) | (units or {})
     names = tuple(map(str, cells.columns))
@@ -104,7 +112,9 @@ def _one_turbine(
             )
         if turbine is None:
             rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
-            doubts.append(f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one')
+            doubts.append(
+                f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
+            )
         rows = cells[cells[key] == chosen].drop(columns=[key]).reset_index(drop=True)
         return _with(export, rows, f'rows of turbine "{chosen}" alone'), chosen
     if turbine is not None and any(cells[key].nunique() == 1 for key in keys):
@@ -119,7 +129,9 @@ def _wide(export: Export, column: str) -> Export:
     sample = {one: cells[one].dropna().iloc[:500] for one in rest}
     unit = next((one for one in rest if _UNIT.match(words_of(one))), None)
     numbers = [one for one in rest if len(sample[one]) and sample[one].map(is_number).mean() > 0.9]
-    values = [one for one in numbers if _VALUE.search(words_of(one))] or (numbers if len(numbers) == 1 else [])
+    values = [one for one in numbers if _VALUE.search(words_of(one))] or (
+        numbers if len(numbers) == 1 else []
+    )
     if not values:
         return export
     tags = [one for one in rest if one not in (*numbers, unit) and 2 <= cells[one].nunique() <= 500]
@@ -157,7 +169,8 @@ def _one_label(
     chosen = names[0] if turbine is None else turbine
     if chosen not in names:
         raise TableFault(
-            f'expected columns of turbine "{chosen}", found those of {", ".join(names)}{suggestion(chosen, names)}'
+            f'expected columns of turbine "{chosen}", found those of {", ".join(names)}'
+            f"{suggestion(chosen, names)}"
         )
     if turbine is None:
         doubts.append(f'the columns of "{chosen}" are taken, of {", ".join(names)}: --turbine selects others')

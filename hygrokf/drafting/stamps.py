@@ -1,4 +1,4 @@
-"""The stamps of an export: their column and format, their place in the interval, and what tells their zone."""
+"""The stamps of an export: column and format, place in the interval, and what tells their zone."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ FORMATS = (
 )  # fmt: skip
 """strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
-_STATED_ZONE = re.compile(r"(?:time ?zone|zeitzone)\W{0,3}([A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})", re.IGNORECASE)
+_STATED_ZONE = re.compile(
+    r"(?:time ?zone|zeitzone)\W{0,3}([A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})", re.IGNORECASE
+)
 _NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", re.IGNORECASE)
 
 
@@ -38,8 +40,8 @@ _NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", r
 class Clock:
     """The stamps of one export.
 
-    column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the file,
-    read as UTC where the stamps have no offset.
+    column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
+    file, read as UTC where the stamps have no offset.
     timezone: of the stamps, None where they carry offsets. stamp: their meaning. step_s: most frequent step.
     doubts: choices to confirm. remarks: what was seen and rests on evidence.
     """
@@ -60,10 +62,10 @@ def time_columns(export: Export) -> tuple[str, str | None]:
     Raises TableFault where there is none.
     """
     sample = export.cells.iloc[np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)]
-    found = []
+    found: list[tuple[int, int, str]] = []
     for name in sample:
         given = sample[name].dropna()
-        if len(given) < 0.5 * len(sample) or given.nunique() < 2 and len(sample) > 200:
+        if len(given) < 0.5 * len(sample) or (given.nunique() < 2 and len(sample) > 200):
             continue
         if given.map(is_date).mean() > 0.9:
             words = name.lower()
@@ -76,13 +78,18 @@ def time_columns(export: Export) -> tuple[str, str | None]:
             found.append((named + utc - end, -len(found), name))
     if not found:
         raise TableFault(
-            f"expected a column of stamps such as 2020-12-01 00:00, found none among {', '.join(sample)[:200]}"
+            "expected a column of stamps such as 2020-12-01 00:00, found none among "
+            f"{', '.join(sample)[:200]}"
         )
     column = max(found)[2]
     if not sample[column].dropna().str.contains(":").any():
         for name in sample:
             given = sample[name].dropna()
-            if name != column and len(given) and given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9:
+            if (
+                name != column
+                and len(given)
+                and given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9
+            ):
                 return column, name
     return column, None
 
@@ -217,12 +224,14 @@ def _zone(
         if zone is not None:
             remarks.append(f"{where}: the clock follows the summer time of {zone} or a zone like it")
             return zone
-        doubts.append(f"{where}: name the IANA zone of the site, such as America/Chicago; UTC is only assumed")
+        doubts.append(
+            f"{where}: name the IANA zone of the site, such as America/Chicago; UTC is only assumed"
+        )
         return "UTC"
     if whole and not found:
         doubts.append(
-            "no hour is missing where summer time begins: the clock has a fixed offset, which the file does not "
-            "state; UTC is assumed"
+            "no hour is missing where summer time begins: the clock has a fixed offset, which the file does "
+            "not state; UTC is assumed"
         )
     else:
         doubts.append("the file does not state the zone of its stamps; UTC is assumed")
@@ -240,7 +249,10 @@ def _position(
 ) -> str:
     """The meaning of the stamps: an instant, or the start or end of an interval."""
     words = re.sub(r"[_\W]+", " ", column.lower())
-    for stamp, pattern in (("start", r"\b(start|begin|beginning|beginn|von|from)\b"), ("end", r"\b(end|ende|bis)\b")):
+    for stamp, pattern in (
+        ("start", r"\b(start|begin|beginning|beginn|von|from)\b"),
+        ("end", r"\b(end|ende|bis)\b"),
+    ):
         if re.search(pattern, words):
             remarks.append(f'the header "{column}" says that stamps are at the {stamp} of the interval')
             return stamp
@@ -255,7 +267,9 @@ def _position(
         remarks.append(f"the stamps missing where summer time begins are {stamp}s of intervals")
         return stamp
     if minutes and tuple(into_day) == (minutes, 0):
-        remarks.append("the file begins one step after midnight and ends at midnight: stamps are ends of intervals")
+        remarks.append(
+            "the file begins one step after midnight and ends at midnight: stamps are ends of intervals"
+        )
         return "end"
     if minutes and tuple(into_day) == (0, last_of_day):
         remarks.append("the file begins at midnight and ends one step before: stamps are starts of intervals")
@@ -285,7 +299,9 @@ def sun_remark(noon_h: float, longitude_deg: float | None) -> str | None:
     ahead = noon_h - 12.0
     if longitude_deg is not None:
         offset = ahead + longitude_deg / 15.0
-        return f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E it is UTC{offset:+.1f} h"
+        return (
+            f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E UTC{offset:+.1f} h"
+        )
     east = -15.0 * ahead
     shown = ", ".join(f"{offset:+d} h: {east + 15.0 * offset:.0f}° E" for offset in (0, 1, 2))
     return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{shown}"

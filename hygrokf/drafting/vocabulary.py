@@ -74,7 +74,10 @@ QUANTITIES: tuple[tuple[str, str], ...] = (
     ("wind_direction", r"wind ?dir|wd dir| wd |windricht|风向"),
     ("diffuse_horizontal_irradiance", r"diffuse? |rdif| dhi |diffusstrahl"),
     ("direct_normal_irradiance", r"direct normal| dni "),
-    ("global_horizontal_irradiance", r"global|irradia| ghi |rglob|solar rad|short ?wave|globalstrahl|hor sol"),
+    (
+        "global_horizontal_irradiance",
+        r"global|irradia| ghi |rglob|solar rad|short ?wave|globalstrahl|hor sol",
+    ),
     ("rotor_speed", r"rotor ?(speed|rpm)|rotordrehzahl|rot spd|rotor rotation"),
     ("generator_speed", r"generator ?(speed|rpm)|generatordrehzahl|gen spd"),
     ("pressure", r"pressure| press? |luftdruck|气压"),
@@ -89,8 +92,16 @@ QUANTITIES: tuple[tuple[str, str], ...] = (
 """Quantity (a signal where it needs no place) and the pattern of its words; the first that fits counts."""
 
 PLACES: tuple[tuple[str, str, float], ...] = (
-    ("cabinet", r"cabinet|schrank| cab |ctl pnl|control panel|enclosure|cubicle|controller|控制柜|变流器柜|柜", 0.95),
-    ("ambient", r"ambient|outside|outdoor| amb | out |external| ext | env |aussen|umgebung|weather|wetter| met |环境", 0.95),
+    (
+        "cabinet",
+        r"cabinet|schrank| cab |ctl pnl|control panel|enclosure|cubicle|controller|控制柜|变流器柜|柜",
+        0.95,
+    ),
+    (
+        "ambient",
+        r"ambient|outside|outdoor| amb | out |external| ext | env |aussen|umgebung|weather|wetter| met |环境",
+        0.95,
+    ),
     ("ambient", r" fmi | knmi | dwd | era ?5 ", 0.85),
     ("coolant", r"coolant|cooling water| wtr |kuehlwasser|kuehlmittel|冷却", 0.85),
     ("nacelle", r"nacelle| nac |gondel|maschinenhaus|机舱", 0.95),
@@ -100,14 +111,15 @@ PLACES: tuple[tuple[str, str, float], ...] = (
 """Place, the pattern of its words, and how far a name with it and a quantity is trusted (0 to 1)."""
 
 PARTS = (
-    r"gear|getriebe|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub |spinner|pitch"
-    r"|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink|pipe|fan |lueft"
-    r"|insulation|inverter averages"
+    r"gear|getriebe|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub |spinner"
+    r"|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink|pipe|fan "
+    r"|lueft|insulation|inverter averages"
 )
 """Parts of a turbine or a building that are not the air of a place."""
 NOT_MEANT = (
-    r"react|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic|lost"
-    r"|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen|deviation"
+    r"react|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
+    r"|lost|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen"
+    r"|deviation"
 )
 """Words of quantities that no signal holds."""
 _STATISTIC = r" (min|max|std|sd|stddev|stdev|minimum|maximum|stdabw|count|sum|range) "
@@ -166,7 +178,11 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
     place, score = place_of(words)
     part = re.search(PARTS, words) is not None
     signal = _signal(quantity, place, words)
-    if quantity in ("temperature", "relative_humidity") and part and place not in ("cabinet", "ambient", "coolant"):
+    if (
+        quantity in ("temperature", "relative_humidity")
+        and part
+        and place not in ("cabinet", "ambient", "coolant")
+    ):
         return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
     if part and quantity == "power":
         return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
@@ -179,7 +195,15 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
 
 def words_of(text: str) -> str:
     """The words of a name in lower case, between blanks; camel case and digits apart, umlauts written out."""
-    for mark, written in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("Ä", "Ae"), ("Ö", "Oe"), ("Ü", "Ue"), ("ß", "ss")):
+    for mark, written in (
+        ("ä", "ae"),
+        ("ö", "oe"),
+        ("ü", "ue"),
+        ("Ä", "Ae"),
+        ("Ö", "Oe"),
+        ("Ü", "Ue"),
+        ("ß", "ss"),
+    ):
         text = text.replace(mark, written)
     text = re.sub(r"(?<![A-Za-z])(T|RH)_?(cab|amb|nac|out|ext)(?![a-z])", r"\1 \2", text)
     text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
@@ -212,7 +236,11 @@ def _signal(quantity: str, place: str, words: str) -> str:
     if quantity == "power":
         if re.search(r"heater|heiz", words):
             return "heater_power"
-        return "auxiliary_power" if re.search(r"auxil|own consum|eigenverb|eigenbedarf", words) else "active_power"
+        return (
+            "auxiliary_power"
+            if re.search(r"auxil|own consum|eigenverb|eigenbedarf", words)
+            else "active_power"
+        )
     if quantity == "pressure":
         return "ambient_pressure"
     if quantity in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
@@ -233,10 +261,10 @@ def _unit_apart(name: str, below: str) -> tuple[str, str, str | None]:
     """Name without its unit, the unit as written, and its name in `UNITS`."""
     if below.strip().strip("[]()-"):
         return name, below, unit_in_export(below)
-    for inside in reversed(_BRACKETS.findall(name)):
-        known = unit_in_export(inside)
+    for bracket in reversed(list(_BRACKETS.finditer(name))):
+        known = unit_in_export(bracket[1])
         if known is not None:
-            return name.replace(inside, ""), inside, known
+            return name[: bracket.start()] + name[bracket.end() :], bracket[1], known
     # loggers: "Temp, °C (LGR S/N: 123, SEN S/N: 123)"
     after = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
     if after is not None and unit_in_export(after[2]) is not None:

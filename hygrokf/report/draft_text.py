@@ -20,7 +20,8 @@ def draft_blocks(found: Draft) -> Iterator[Block]:
     if found.signals:
         head = ("signal", "column", "unit", "file", "score", "in the case as")
         rows = tuple(
-            (one.signal, one.column, one.unit, one.file, f"{one.score:.2f}", _state(one)) for one in found.signals
+            (one.signal, one.column, one.unit, one.file, f"{one.score:.2f}", _state(one))
+            for one in found.signals
         )
         yield Table("signals", head, rows, left=(0, 1, 2, 3, 5))
     doubts = (*found.doubts, *(f"{one.signal}: {doubt}" for one in found.signals for doubt in one.doubts))

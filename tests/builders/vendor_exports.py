@@ -32,7 +32,9 @@ def _truth() -> dict[str, np.ndarray]:
         "cabinet_relative_humidity": np.clip(38.0 - loaded / 200.0 + wander, 8.0, 80.0).round(1),
         "active_power": power.round(1),
         "wind_speed": wind.round(2),
-        "wind_direction": np.mod(200.0 + 90.0 * np.sin(hour / 20.0) + 170.0 * np.sin(hour / 3.0), 360.0).round(0),
+        "wind_direction": np.mod(
+            200.0 + 90.0 * np.sin(hour / 20.0) + 170.0 * np.sin(hour / 3.0), 360.0
+        ).round(0),
         "rotor_speed": np.clip(power / 130.0, 0.0, 15.8).round(2),
         "generator_speed": np.clip(power / 1.2, 0.0, 1710.0).round(0),
         "ambient_pressure": (985.0 + 5.0 * np.sin(hour / 30.0)).round(1),
@@ -48,8 +50,8 @@ TIMES = [START + number * STEP for number in range(ROWS)]
 class Made:
     """An export, and what it holds.
 
-    files: name -> content. expected: signal -> its column. timezone: of the stamps, as a case states it, where the file tells
-    it. edits: whether the file cannot tell its zone or the place of its stamps.
+    files: name -> content. expected: signal -> its column. asked: whether the file leaves a choice to confirm
+    about its stamps or turbine. enclosure: whether it has readings of the cabinet.
     """
 
     make: str
@@ -109,7 +111,7 @@ def greenbyte() -> Made:
         ("Rotor speed (RPM)", "rotor_speed"),
         ("Generator RPM (RPM)", "generator_speed"),
     ]
-    above = "# This file was exported on 2022-01-01.\n# Turbine: One\n# Time zone: UTC\n# Time interval: 10 minutes\n#\n"
+    above = "# This file was exported on 2022-01-01.\n# Turbine: One\n# Time zone: UTC\n#\n"
     kept = {
         "wind_speed": "Wind speed (m/s)",
         "wind_direction": "Wind direction (°)",
@@ -302,8 +304,11 @@ def hobo() -> Made:
 
 def ibutton() -> Made:
     files = {}
-    for name, key, unit in (("cabinet_T", "cabinet_temperature", "C"), ("cabinet_RH", "cabinet_relative_humidity", "%RH")):
-        above = "1-Wire/iButton Part Number: DS1923\n1-Wire/iButton Registration Number: 5A0000\nMission in Progress? false\n\n"
+    for name, key, unit in (
+        ("cabinet_T", "cabinet_temperature", "C"),
+        ("cabinet_RH", "cabinet_relative_humidity", "%RH"),
+    ):
+        above = "1-Wire/iButton Part Number: DS1923\nMission in Progress? false\n\n"
         lines = [f"{m:%d/%m/%y %H:%M:%S},{unit},{TRUTH[key][row]:g}" for row, m in enumerate(TIMES)]
         files[f"{name}.csv"] = (above + "Date/Time,Unit,Value\n" + "\n".join(lines) + "\n").encode()
     expected = {"cabinet_temperature": "Value", "cabinet_relative_humidity": "Value"}
@@ -311,6 +316,6 @@ def ibutton() -> Made:
 
 
 MAKES: tuple[Callable[[], Made], ...] = (
-    greenbyte, vestas, senvion, enercon, german, iec_narrow, gb_t, openoa, fleet_columns, testo, rotronic, hobo,
-    ibutton,
+    greenbyte, vestas, senvion, enercon, german, iec_narrow, gb_t, openoa, fleet_columns, testo, rotronic,
+    hobo, ibutton,
 )  # fmt: skip
