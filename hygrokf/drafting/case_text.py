@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.data.masks import detect_resolution
 from hygrokf.data.timestamps import duration_text, stamp_text
+from hygrokf.drafting.layout import texts_in
 from hygrokf.drafting.mapping import Assigned, Source
 
 _WIDTH = 100
@@ -126,8 +127,11 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield f"decimal = {_text(export.decimal)}"
     if export.comment is not None:
         yield f"comment = {_text(export.comment)}"
-    if export.missing:
-        yield f"missing = {json.dumps(list(export.missing), ensure_ascii=False)}"
+    texts = set().union(*(texts_in(export, one.best.column) for one in lines))
+    if len(texts) > 8:
+        yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
+    if export.missing or texts:
+        yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
     for one in lines:

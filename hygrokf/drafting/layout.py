@@ -184,7 +184,7 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     above: list[list[str]] = []
     while first - len(above) > 0 and len(above) < 4:
         row = [cell.strip() for cell in rows[first - len(above) - 1]]
-        if len(row) > width + 1 or len(row) < 2 or sum(map(bool, row)) < 0.5 * min(width, len(row)):
+        if len(row) > width + 1 or len(row) < 2 or sum(map(bool, row)) < 0.4 * min(width, len(row)):
             break
         above.append((row + [""] * width)[:width])
     above = above[::-1]
@@ -221,9 +221,7 @@ def _framed(
     comment: str | None = None,
     words: set[str] = frozenset(),  # type: ignore[assignment]
 ) -> Export:
-    """An export with its decimal mark and the texts that are no readings."""
-    import pandas as pd
-
+    """An export with its decimal mark."""
     names = names or tuple(map(str, frame.columns))
     if len(names) < 2:
         raise TableFault("expected a time and at least one column of readings, found one column alone")
@@ -232,17 +230,20 @@ def _framed(
     absent = {*MISSING, None}
     cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
     decimal = _decimal(cells)
-    marks: Counter[str] = Counter()
-    for name in cells:
-        given = cells[name].dropna()
-        texts = given[pd.to_numeric(given, errors="coerce").isna()]
-        texts = texts[~texts.str.fullmatch(_NUMBER.pattern)] if len(texts) else texts
-        if len(given) > 2 * len(texts) and texts.nunique() <= 5:
-            marks.update(texts.unique())
-    missing = tuple(sorted(words)) + tuple(sorted(set(marks) - words))
+    missing = tuple(sorted(words))
     return Export(
         file, cells, names, units or ("",) * len(names), separator, decimal, comment, missing, changes
     )
+
+
+def texts_in(export: Export, column: str) -> set[str]:
+    """Texts within a column of numbers, such as "Bad Input"."""
+    import pandas as pd
+
+    given = export.cells[column].dropna()
+    texts = given[pd.to_numeric(given, errors="coerce").isna()]
+    texts = texts[~texts.isin(["true", "false", "True", "False"])]
+    return set(texts[~texts.str.fullmatch(_NUMBER.pattern)].unique()) if len(texts) else set()
 
 
 def _decimal(cells: pandas.DataFrame) -> str:

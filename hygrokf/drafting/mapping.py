@@ -106,9 +106,19 @@ def source_of(export: Export, column: str) -> Source:
     Means over intervals are told by their names, or by what they are of.
     """
     values = numbers_of(export, column)
+    several = {
+        name
+        for name, header in zip(export.cells, export.names, strict=False)
+        if export.names.count(header) > 1
+    }
+    values = {name: one for name, one in values.items() if name not in several or export.changes}
     units = dict(zip(export.cells.columns, export.units, strict=True))
     named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
-    left = {name: "text" for name in export.cells if name not in values and name != column}
+    left = {
+        name: "several columns have this name" if name in several else "text"
+        for name in export.cells
+        if name not in values and name != column
+    }
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
     reanalysis = any("ERA5" in one.why for one in named.values())

@@ -51,8 +51,6 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
             export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
         )
         column = "time"
-    if len(set(export.names)) < len(export.names):
-        export = _with(export, export.cells, "columns of the same name")
     export, labelled = _one_label(export, column, turbine, doubts)
     return export, column, chosen or labelled, tuple(doubts)
 

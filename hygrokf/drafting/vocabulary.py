@@ -112,8 +112,8 @@ PLACES: tuple[tuple[str, str, float], ...] = (
 
 PARTS = (
     r"gear|getriebe|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub |spinner"
-    r"|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink|pipe|fan "
-    r"|lueft|insulation|inverter averages"
+    r"|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink|pipe"
+    r"|fan |slip ring|lueft|insulation|inverter averages"
 )
 """Parts of a turbine or a building that are not the air of a place."""
 NOT_MEANT = (
@@ -169,6 +169,11 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
     quantity = _quantity(words)
     if not quantity and known in ("Pa", "hPa", "kPa"):
         quantity = "pressure"
+    if not quantity and known == "m/s" and " wind " in words:
+        quantity = "wind_speed"
+    if not quantity and known == "rpm":
+        machine = re.search(r" (rotor|generator) ", words)
+        quantity = "" if machine is None else f"{machine[1]}_speed"
     if not quantity and known in ("degC", "degF", "K"):
         quantity = "temperature"
     if not quantity and known == "%" and re.search(r"rf|rh", stated.lower()):
