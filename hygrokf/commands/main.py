@@ -31,7 +31,8 @@ from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
-    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
+    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB,
+    report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
 

@@ -19,10 +19,11 @@ _WIDTH = 100
 
 @dataclass(frozen=True)
 class Weather:
-    """A weather file: its path in the case, and its `format`."""
+    """A weather file: its path in the case, its `format`, and whether it is a typical year."""
 
     file: str
     format: str
+    typical: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,9 @@ def _lines(case: Contents) -> Iterator[str]:
                 yield from _left(case, number)
     for weather in case.weather:
         yield from ("", "[[source]]", f"file = {_text(weather.file)}", f'format = "{weather.format}"')
-        if weather.format == "epw":
-            yield from _doubt("a typical year mixes years: state year = … where it shall stand for one")
+        if weather.typical:
+            yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
+            yield f"year = {_year(case)}"
     yield from _period(case)
 
 
@@ -154,6 +156,12 @@ def _left(case: Contents, number: int) -> Iterator[str]:
     rest = [f"{column} ({why})" for (source, column), why in case.left.items() if source == number]
     if rest:
         yield from _comment("# not used: " + ", ".join(rest))
+
+
+def _year(case: Contents) -> int:
+    """The calendar year in the middle of the exports; 2019 without one."""
+    times = [float(np.nanmedian(one.clock.time)) for one in case.sources]
+    return int(stamp_text(times[0])[:4]) if times else 2019
 
 
 def _period(case: Contents) -> Iterator[str]:

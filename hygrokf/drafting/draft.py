@@ -15,9 +15,9 @@ from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
 from hygrokf.drafting.case_text import Contents, Weather, case_text
-from hygrokf.drafting.layout import Export, read_export, weather_format
+from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
-from hygrokf.drafting.reshape import joined, prepared
+from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import noon_of, sun_remark
 from hygrokf.errors import HygrokfError
 
@@ -89,15 +89,17 @@ def draft_case(
         try:
             kind = weather_format(file)
             if kind is not None:
-                weather.append(Weather(_relative(file, out), kind))
+                weather.append(Weather(_relative(file, out), kind, kind == "epw" and is_typical_year(file)))
             else:
                 tables.append(read_export(file))
         except TableFault as broken:
             faults += [f"{file}: {fault}" for fault in broken.faults]
+    together = joined(tables)
+    faults += same_layout(together)
     sources: list[Source] = []
     said: list[tuple[str, ...]] = []
     chosen: list[str | None] = []
-    for export in joined(tables):
+    for export in together:
         try:
             ready, column, name, doubts = prepared(export, turbine)
             sources.append(source_of(ready, column))

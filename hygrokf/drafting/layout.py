@@ -43,7 +43,7 @@ _OTHER_KINDS = (
 class Export:
     """A table as its file holds it.
 
-    file: its path. cells: text of the rows, None where a cell is empty; its columns are `names`, made unique.
+    file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
     separator, decimal, comment: of a text file. missing: texts that are no readings, those of the row of units
     included.
@@ -70,6 +70,12 @@ def weather_format(file: Path) -> str | None:
     if content.startswith(b"LOCATION"):
         return "epw"
     return "era5" if content.startswith((b"\x89HDF", b"CDF")) else None
+
+
+def is_typical_year(file: Path) -> bool:
+    """Whether the months of an EPW file are of different years."""
+    years = {line.split(b",")[0] for line in _unpacked(file).splitlines()[8:] if line.count(b",") > 20}
+    return len(years) > 1
 
 
 def read_export(file: Path) -> Export:

@@ -272,6 +272,7 @@ def _settled(
 ) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
     taken = _chosen(candidates)
     outside = next((one for one in taken.values() if one.signal == "ambient_temperature"), None)
+    turbine = any(one.signal == "active_power" for one in taken.values())
     found, used = [], set(taken)
     for one in taken.values():
         rest = sorted((c for c in candidates if c.signal == one.signal and c != one), key=lambda c: -c.score)
@@ -289,6 +290,8 @@ def _settled(
             if share < 0.5:
                 doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
         needed = one.signal == "ambient_temperature" or one.signal.startswith("cabinet_")
+        # among the many temperatures of a turbine, one without a name may be that of any part
+        needed = needed and (one.score > 0.65 or not turbine)
         active = one.score >= (NEEDED if needed else USED)
         found.append(Assigned(one, active, False, tuple(doubts), near))
         for second in seconds[:1]:

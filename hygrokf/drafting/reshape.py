@@ -73,6 +73,19 @@ def joined(exports: list[Export]) -> list[Export]:
     return result
 
 
+def same_layout(exports: list[Export]) -> list[str]:
+    """Faults of exports that have the columns and the stamps of another one: they are of another turbine."""
+    faults = []
+    for number, export in enumerate(exports):
+        for before in exports[:number]:
+            if before.names == export.names and len(export.names) > 4:
+                faults.append(
+                    f"{export.file}: expected one turbine, found the columns and stamps of "
+                    f"{before.file.name} again; draft one case for each turbine"
+                )
+    return faults
+
+
 def _continues(before: Export, export: Export) -> bool:
     """Whether an export has the columns of another one and hardly any of its stamps."""
     if before.names != export.names or before.decimal != export.decimal:

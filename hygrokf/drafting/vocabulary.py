@@ -111,9 +111,9 @@ PLACES: tuple[tuple[str, str, float], ...] = (
 """Place, the pattern of its words, and how far a name with it and a quantity is trusted (0 to 1)."""
 
 PARTS = (
-    r"gear|getriebe|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub |spinner"
-    r"|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink|pipe"
-    r"|fan |slip ring|lueft|insulation|inverter averages"
+    r"gear|getr|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub "
+    r"|spinner|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink"
+    r"|pipe|fan |slip ring|lueft|insulation|inverter averages"
 )
 """Parts of a turbine or a building that are not the air of a place."""
 NOT_MEANT = (

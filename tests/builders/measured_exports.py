@@ -19,7 +19,7 @@ _WEATHER = {
 
 
 def _attic(side: str) -> dict[str, tuple[str, ...]]:
-    """Any air of the attic may stand for the enclosure; the sensor outside or the weather station for outside."""
+    """Any air of the attic may be the enclosure's; a sensor outside or the weather station's that outside."""
     air = ("airmiddle", "airtop")
     rooms = tuple(
         f"roof{place}_{kind}" for place in ("middle", "south", "north", "east", "west") for kind in air
@@ -121,8 +121,8 @@ def counts(signals: dict[str, tuple[str, bool]], expected: dict[str, tuple[str, 
 
 
 def export_of(name: str, folder: Path, rows: int | None = None) -> Path:
-    """The first rows of a measured file in a folder (all for None), in the layout of its source for those named
-    so."""
+    """The first rows of a measured file in a folder, all for None; in the layout of its source where the name
+    says so."""
     rebuilt = {"controller, as in its source": _controller, "sister turbine, as in its source": _sister}
     if name in rebuilt:
         return rebuilt[name](folder, rows)
@@ -172,7 +172,9 @@ def _sister(folder: Path, rows: int | None) -> Path:
     head += "                 ;   m/s;  rpm;      kW;   °C;   °C;   °C;   °C;       ;    V;    V;          \n"
     lines = []
     for number, row in enumerate(table.itertuples(index=False)):
-        numbers = ";".join(f"{value:g}" for value in row[2:10]).replace(".", ",")
+        power, wind, rotor, generator, bearing, gearbox, outside, status = row[2:10]
+        ordered = (wind, rotor, power, generator, bearing, outside, gearbox, status)
+        numbers = ";".join(f"{value:g}" for value in ordered).replace(".", ",")
         loose = "," * (number % 5)
         lines.append(f"{pd.Timestamp(row.time):%d.%m.%Y, %H:%M};{numbers};400,7;401,4;0{loose}\n")
     path = folder / "Turbine1.csv"

@@ -1,4 +1,4 @@
-"""Exports in the layouts of makes and loggers: the draft is read without an edit and gives the readings made."""
+"""Exports in the layouts of makes and loggers: drafts are read without an edit and give the readings made."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def test_frames_of_parquet_and_of_csv_give_the_same_draft(tmp_path):
 
 
 def test_an_excel_table_is_copied_or_its_extra_is_named(tmp_path):
-    pd = pytest.importorskip("pandas")
+    import pandas as pd
+
     pytest.importorskip("openpyxl", reason='the extra "excel" is not installed')
     hours = pd.date_range("2021-01-01", periods=60, freq="h")
     frame = pd.DataFrame(
@@ -88,7 +89,7 @@ def test_turbines_of_one_file_are_told_apart(tmp_path):
         for name, extra in (("A1", 0.0), ("A2", 10.0))
     ]
     (tmp_path / "park.csv").write_text(
-        "Turbine;Time;Cabinet temperature [°C];Outside temperature [°C]\n".replace(";", ",") + "\n".join(rows)
+        "Turbine,Time,Cabinet temperature [°C],Outside temperature [°C]\n" + "\n".join(rows)
     )
     draft = draft_case([tmp_path / "park.csv"], tmp_path / "case.toml", turbine="A2")
     assert not any("turbine" in doubt for doubt in draft.doubts)

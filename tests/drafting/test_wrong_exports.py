@@ -87,3 +87,11 @@ def test_a_turbine_that_the_export_lacks_is_named_with_those_that_it_has(tmp_pat
     (tmp_path / "park.csv").write_text("Turbine,time,Outside temperature (degC)\n" + rows)
     with pytest.raises(DraftFault, match=re.escape("T1, T2")):
         draft_case([tmp_path / "park.csv"], tmp_path / "case.toml", turbine="T3")
+
+
+def test_exports_of_two_turbines_are_not_mixed(tmp_path):
+    rows = "".join(f"2020-01-01 0{hour}:00,{hour}.5,{hour}.1,{hour}.2,{hour}.3\n" for hour in range(9))
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("time,Power (kW),Cabinet (°C),Outside (°C),Nacelle (°C)\n" + rows)
+    with pytest.raises(DraftFault, match="one case for each turbine"):
+        draft_case([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "case.toml")
