@@ -45,7 +45,7 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, comment: of a text file. missing: texts that are no readings, those of the row of units
+    separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units
     included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
