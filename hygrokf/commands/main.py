@@ -18,6 +18,7 @@ from hygrokf.commands import (
     export,
     fit,
     fleet,
+    init,
     report,
     restore,
     simulate,
@@ -29,8 +30,9 @@ from hygrokf.errors import HygrokfError
 from hygrokf.version import __version__
 
 VERBS = (
-    demo.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB, climate.VERB,
-    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
+    demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
+    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB,
+    report.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
 
