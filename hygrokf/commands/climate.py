@@ -26,7 +26,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="weather of one site: ERA5 or EPW files, one after the other, or a case file (.toml)",
+        help="weather of one site: files of ERA5, MERRA-2, Open-Meteo, EPW or TRY, or a case file (.toml)",
     )
     parser.add_argument(
         "--region",

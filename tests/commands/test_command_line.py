@@ -116,9 +116,7 @@ def test_a_process_ends_soon_after_its_last_line(folder):
         "sys.exit(main())\n"
     )
     command = [sys.executable, "-c", script]
-    done = subprocess.run(
-        command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=60
-    )
+    done = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "True\n")
 
 
