@@ -41,7 +41,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--power-curve", type=Path, metavar="CURVE.toml", help="power over the weather's wind speed"
     )
     how.add_argument("--standstill", action="store_true", help="no power all year")
-    parser.add_argument("--limits", type=Path, metavar="LIMITS.toml", help="limits for the climate")
+    parser.add_argument(
+        "--limits",
+        metavar="LIMITS.toml|CLASS",
+        help='limits for the climate: a file, or a class such as "IEC 60721-3-3 3K3"',
+    )
     parser.add_argument(
         "--test", type=Path, metavar="TEST.toml", help="length, law and chamber of the test profile"
     )
@@ -76,7 +80,7 @@ def _surface(text: str) -> Surface:
 
 def _run(options: argparse.Namespace) -> int:
     from hygrokf.climate.chamber import read_test_plan
-    from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.classes import limits_of
     from hygrokf.climate.power import read_power_curve
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import read_power, read_region
@@ -94,7 +98,7 @@ def _run(options: argparse.Namespace) -> int:
     power: Record | PowerCurve | None = read_power(options.power) if options.power else None
     if options.power_curve:
         power = read_power_curve(options.power_curve)
-    limits = read_limits(options.limits) if options.limits else ()
+    limits = limits_of(options.limits) if options.limits else ()
     plan = read_test_plan(options.test) if options.test else None
     regions = [read_region(name, files, power) for name, files in groups]
     for region in regions:

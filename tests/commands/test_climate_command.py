@@ -192,3 +192,14 @@ def test_weather_that_does_not_suffice_is_named(folder: Path) -> None:
     said = climate(folder, "refused", "--weather", folder / "single.toml", "--standstill")
     assert said.status == 2 and "site (single.toml)" in said.err
     assert not (folder / "refused").exists()
+
+
+def test_a_class_as_limits(folder: Path) -> None:
+    weather = folder / "weather.toml"
+    said = climate(folder, "class", "--weather", weather, "--standstill", "--limits", "3K3")
+    assert said.status == 0
+    limits = json.loads((folder / "class" / "climate.json").read_text())["regions"][0]["limits"]
+    assert [one["level"] for one in limits] == [40.0, 5.0, 85.0, 5.0]
+    assert all(one["name"].startswith("IEC 60721-3-3 3K3: ") for one in limits)
+    unknown = climate(folder, "none", "--weather", weather, "--standstill", "--limits", "3K22")
+    assert unknown.status == 2 and "IEC 60721-3-3 3K3" in unknown.err

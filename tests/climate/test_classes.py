@@ -1,0 +1,48 @@
+"""Classes of climatic conditions as limits by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hygrokf.climate.classes import CLASSES, ClassFault, limits_of
+from hygrokf.climate.limits import QUANTITIES, expect_names
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.mark.parametrize(
+    "name", ["IEC 60721-3-3 3K3", "EN 60721-3-3 class 3K3", "DIN EN 60721-3-3 3k3", "3K3"]
+)
+def test_a_class_by_its_names(name: str) -> None:
+    found = {(one.quantity, one.side): one.level for one in limits_of(name)}
+    assert found == {
+        ("temperature_degC", "above"): 40.0,
+        ("temperature_degC", "below"): 5.0,
+        ("relative_humidity_percent", "above"): 85.0,
+        ("relative_humidity_percent", "below"): 5.0,
+    }
+    assert all(one.hours_a_year == 0.0 and one.during == "all" for one in limits_of(name))
+
+
+@pytest.mark.parametrize("one", CLASSES, ids=lambda one: one.name)
+def test_every_class_has_sources_in_the_docs(one) -> None:
+    expect_names(one.limits)
+    assert {limit.quantity for limit in one.limits} <= set(QUANTITIES)
+    text = (DOCS / "climate.md").read_text(encoding="utf-8")
+    assert one.sources and f"| {one.name} " in text
+    for limit in one.limits:
+        assert f"{limit.side} {limit.level:g} {QUANTITIES[limit.quantity]}" in text
+
+
+def test_a_file_is_read_as_before() -> None:
+    assert len(limits_of(DOCS / "climate_limits.toml")) == 5
+
+
+@pytest.mark.parametrize(
+    "name", ["IEC 60721-3-3 3K22", "IEC 60721-3-4 4K4H", "IEC 62477-1", "60721-3-4 3K3", ""]
+)
+def test_a_class_without_public_numbers_is_refused(name: str) -> None:
+    with pytest.raises(ClassFault, match="IEC 60721-3-3 3K3"):
+        limits_of(name or "no-such-class")
