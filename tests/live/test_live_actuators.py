@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.actuated import HEATER_W as PLANT_HEATER_W
+from builders.actuated import actuated
 from builders.forecast_case import DAY_S, RATED_W, START_S, cabinet_record
+from builders.live_case import expect_offline
 from builders.record_edits import changed, without
 from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
+from hygrokf import identify
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.record import Record, Series
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Surface
+from hygrokf.live.config import turbine_of
 from hygrokf.live.defaults import default_mapping
 from hygrokf.live.forecast import forecast
 from hygrokf.live.heating import heaters, heating
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.restart_advice import LONGEST_H, restart
 from hygrokf.live.scenarios import Scenarios, persistence
+from hygrokf.live.service import Service
+from hygrokf.live.sources.local import Playback, record_mapping, record_messages
+from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import Point, Tracker, offline_course
+from hygrokf.live.turbines import Turbine
 from hygrokf.modelling.design import Design, design
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -140,6 +150,41 @@ def test_flags_and_duties_are_read_under_their_own_names(signal: str, raw: objec
     (found,) = mapping.read({"turbine": "T1", "time": 1.6e9, signal: raw}, 1.6e9)
     (reading,) = found.readings
     assert (reading.signal, reading.value) == (signal, value)
+
+
+def through_a_service(record: Record, turbine: Turbine, folder: Path) -> None:
+    """Play a record into a store, and hold the store against the offline filter."""
+    url = f"sqlite:{folder / 'live.db'}"
+    stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), 0.0)
+    Service({"T1": turbine}, [stream], url).run(until_ended=True)
+    expect_offline(url, record, turbine)
+    store = open_store(url, read_only=True)
+    stored = {name for (name,) in store.rows("SELECT DISTINCT signal FROM observation")}
+    store.close()
+    assert stored == set(record.signals)
+
+
+def test_actuators_from_a_source_into_the_store_are_the_offline_filter(
+    record: Record, tmp_path: Path
+) -> None:
+    through_a_service(record, Turbine(planned(record)), tmp_path)
+
+
+@pytest.mark.slow
+def test_an_identified_cabinet_with_a_heater_and_a_door_is_tracked_as_offline(tmp_path: Path) -> None:
+    """A plant of another make, identified on 40 days; the heater's effect is known with its error."""
+    whole, _, made = actuated(41003, "heater_duty", "door_open", days=52.0)
+    until_s = whole.start_s + 40.0 * DAY_S
+    fit = identify(replace(whole.window(whole.start_s, until_s), until_s=None), starts=1, profiles=False)
+    forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in whole.series}
+    one = turbine_of(
+        fit, plan(fit, forms=forms, site=whole.site, rated_power_W=whole.rated_power_W, lateness_s=LATENESS_S)
+    )
+    true_K = PLANT_HEATER_W * made.cabinet.outer_resistance
+    found = {heater.signal: one.plan.values[heater.parameter] for heater in heaters(one.plan.model)}
+    assert found["heater_duty"] == pytest.approx(true_K, abs=4.0 * one.heating_sd_K)
+    assert 0.0 < one.heating_sd_K < 0.3 * true_K
+    through_a_service(whole.window(until_s, whole.end_s), one, tmp_path)
 
 
 # -- ahead ---------------------------------------------------------------------------------------------------

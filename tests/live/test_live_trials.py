@@ -94,6 +94,19 @@ def test_heating_that_it_took_is_where_it_stays_dry() -> None:
     assert module._needed(np.full(module.HEATED_MIN, 0.7)) == -1.0
 
 
+def test_the_heater_of_a_trial_has_a_thermostat_and_waits_for_the_end_of_a_standstill() -> None:
+    module = part("restart")
+    drivers, ends = module._drivers(3, np.random.default_rng(3), 6.0, 4.0, heater=True)
+    plain, same = module._drivers(3, np.random.default_rng(3), 6.0, 4.0, heater=False)
+    assert ends == same and np.array_equal(plain.power_W, drivers.power_W)
+    cold = drivers.ambient_K < np.quantile(drivers.ambient_K, module.COLD)
+    learnt = np.arange(len(cold)) < 4 * 1440
+    assert drivers.preheating[cold & learnt].all() and cold[learnt].any()
+    for end in ends:
+        assert not drivers.preheating[end - 1440 : end].any()
+        assert drivers.preheating[end : end + module.HEATED_MIN].all()
+
+
 def condensation(margin: np.ndarray, said: np.ndarray, seeds: int = 5) -> list[dict]:
     """Lines of the trial of condensation: the second surface a day ahead, known scenarios, with these
     margins."""
@@ -289,6 +302,15 @@ def test_it_is_dry_when_the_advice_said_so() -> None:
     advised = rows[rows[:, 0] > 0.0]
     assert len(advised) > 80
     assert 0.90 <= np.mean(advised[:, 2] < module.LIMIT) <= 0.98
+
+
+@pytest.mark.slow
+def test_it_is_dry_when_the_advice_by_a_logged_heater_said_so() -> None:
+    module = part("restart")
+    rows = np.array([row for line in lines_of("heater", range(9001, 9013)) for row in line["rows"]])
+    advised = rows[rows[:, 0] > 0.0]
+    assert len(advised) > 60
+    assert 0.86 <= np.mean(advised[:, 2] < module.LIMIT) <= 0.99
 
 
 @pytest.mark.slow
