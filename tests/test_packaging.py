@@ -48,6 +48,7 @@ LATE = {
     "xarray",
     "h5netcdf",
     "h5py",
+    "openpyxl",
 }
 """Packages that cost too much to be loaded before a command needs them."""
 IMPORT_NAMES = {

@@ -12,7 +12,7 @@ from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_unit
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
 from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
 from hygrokf.errors import suggestion
-from hygrokf.weather.reading import FORMATS
+from hygrokf.weather.reading import FORMATS, TYPICAL
 
 STAMPS = ("instant", "start", "middle", "end")
 """Meanings of a stamp: an instant, or a position in the averaging interval."""
@@ -205,9 +205,9 @@ class StatedWeather:
 
     @across("year", "format")
     def stamps(self) -> str | None:
-        if self.year is None or self.format != "era5":
+        if self.year is None or self.format in TYPICAL:
             return None
-        return "year is for typical years (epw); this file has its own stamps"
+        return "year is for typical years (epw, try); this file has its own stamps"
 
     @across("lapse_rate_K_per_km", "to_site_altitude")
     def use_of_lapse_rate(self) -> str | None:

@@ -23,7 +23,7 @@ from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.fit import Fit
-from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.reading import TYPICAL, form_of, read_weather
 
 DUTIES = ("preheating", *ACTUATORS)
 """Signals of what is switched in a cabinet; they go with the power."""
@@ -44,7 +44,7 @@ class Region:
 def read_region(
     name: str, files: Sequence[str | os.PathLike[str]], power: Record | PowerCurve | None = None
 ) -> Region:
-    """The weather of one region: ERA5 or EPW files, put after each other, or one case file with ambient
+    """The weather of one region: weather files, put after each other, or one case file with ambient
     signals.
 
     A typical year is placed in `TYPICAL_YEAR`; with a record of `power` it is repeated once for each year of
@@ -60,7 +60,7 @@ def read_region(
     if cases:
         weather = read_case(paths[0], cabinet=False)
     else:
-        typical = len(paths) == 1 and form_of(paths[0]) == "epw"
+        typical = len(paths) == 1 and form_of(paths[0]) in TYPICAL
         years = years_of_power(power["active_power"]) if typical and isinstance(power, Record) else 1
         weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
         if years > 1:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import Progress, UserFault, expect_own_directory, faults_of, show_reported
 from hygrokf.commands.inputs import stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
@@ -26,7 +26,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="weather of one site: ERA5 or EPW files, one after the other, or a case file (.toml)",
+        help="weather of one site: files of ERA5, MERRA-2, Open-Meteo, EPW or TRY, or a case file (.toml)",
     )
     parser.add_argument(
         "--region",
@@ -99,13 +99,15 @@ def _run(options: argparse.Namespace) -> int:
     regions = [read_region(name, files, power) for name, files in groups]
     for region in regions:
         for warning in region.weather.warnings:
-            print(f"warning: {region.name}: {warning}", file=sys.stderr)
-    with faults_of(options.fit), Progress(4 * len(regions)) as progress:
-        study = climate_profile(
-            fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
-            surface=options.surface, progress=progress,
-        )  # fmt: skip
-    page = write_climate_report(study, options.out)
+            activity().note(f"warning: {region.name}: {warning}")
+    with Progress(4 * len(regions) + 1) as progress:
+        with faults_of(options.fit):
+            study = climate_profile(
+                fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
+                surface=options.surface, progress=progress,
+            )  # fmt: skip
+        progress("draw the report")
+        page = write_climate_report(study, options.out)
     return show_reported(page, plain(study), climate_text(study), options.json)
 
 

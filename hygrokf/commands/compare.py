@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from hygrokf.commands.console import UserFault, expect_own_directory, show_reported
+from hygrokf.commands.console import Progress, UserFault, expect_own_directory, show_reported
 from hygrokf.commands.inputs import identified, record_of, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data.files import COMPARISON
@@ -97,7 +97,9 @@ def _run(options: Namespace) -> int:
         found = compare(columns)
     except ValueError as fault:
         raise UserFault(str(fault)) from fault
-    page = write_comparison(found, options.out)
+    with Progress(1) as progress:
+        progress("draw the report")
+        page = write_comparison(found, options.out)
     return show_reported(page, found.results, comparison_text(found.results), options.json)
 
 

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from hygrokf.commands.activity import Loudness, activity
 from hygrokf.data.files import DISCOVERY, FIT, RESULTS, is_stream
 from hygrokf.errors import HygrokfError
 
-USER_FAULT, INTERRUPTED = 2, 130
-"""Exit status after an input error, and after an interruption."""
+FOUND, USER_FAULT, INTERRUPTED = 1, 2, 130
+"""Exit status where the command ran and found a fault, after an input error, and after an interruption."""
 
 
 class UserFault(HygrokfError):
@@ -20,25 +21,31 @@ class UserFault(HygrokfError):
 
 
 class Progress:
-    """A progress bar on standard error, to be used in a `with`; silent where that is not a terminal."""
+    """The steps of a command, to be used in a `with`: a bar where standard error is a terminal.
+
+    With --verbose the steps are lines instead; with --quiet they are not shown.
+    """
 
     def __init__(self, total: int) -> None:
         from tqdm import tqdm
 
+        shown = activity().loudness is Loudness.NORMAL and activity().on_terminal
         self._bar = tqdm(
-            total=total, file=sys.stderr, disable=None, bar_format="{l_bar}{bar}| {elapsed} {postfix}"
+            total=total, file=sys.stderr, disable=not shown, bar_format="{l_bar}{bar}| {elapsed} {postfix}"
         )
 
     def __call__(self, text: str) -> None:
+        activity().step(text)
         self._bar.set_postfix_str(text, refresh=False)
         if self._bar.n < self._bar.total - 1:
             self._bar.update()
 
     def tell(self, text: str) -> None:
-        """Print a line that stays above the bar."""
+        """Print a line that stays above the bar; not with --quiet."""
         from tqdm import tqdm
 
-        tqdm.write(printable(text), file=sys.stderr)
+        with tqdm.external_write_mode(file=sys.stderr):
+            activity().note(printable(text))
 
     def __enter__(self) -> Progress:
         return self
@@ -70,7 +77,7 @@ def show(found: object, text: str, as_json: bool) -> None:
 def show_reported(page: Path, found: object, text: str, as_json: bool) -> int:
     """Print a result and, on standard error, the path of its page; returns the exit status 0."""
     show(found, text, as_json)
-    print(f"report: {page}", file=sys.stderr)
+    activity().note(f"report: {page}")
     return 0
 
 

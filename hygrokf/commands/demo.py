@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from argparse import ArgumentParser, Namespace
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import UserFault, expect_own_directory, show_reported
 from hygrokf.commands.inputs import identified, record_of, written
 from hygrokf.commands.verb import Verb, add_json, add_out, whole
@@ -28,7 +28,7 @@ def _run(options: Namespace) -> int:
             f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
         )
     case = write_case(synthetic_turbine(seed=options.seed), options.out)
-    print(f"synthetic turbine written: {case}", file=sys.stderr)
+    activity().note(f"synthetic turbine written: {case}")
     fit = identified(record_of(case), case)
     page = written(fit, options.out)
     return show_reported(page, fit.results, report_text(fit.results), options.json)

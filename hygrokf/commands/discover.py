@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
 from hygrokf.commands.inputs import own_causes, record_of
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out, add_starts, seconds
@@ -48,8 +48,10 @@ def _run(options: Namespace) -> int:
     for cause in own:
         if cause.name not in tried:
             needs = f"; it needs {cause.needs}" if cause.needs else ""
-            print(f"note: {cause.name} was not tried: this record cannot show it{needs}", file=sys.stderr)
-    page = write_discovery_report(found, options.out)
+            activity().note(f"note: {cause.name} was not tried: this record cannot show it{needs}")
+    with Progress(1) as progress:
+        progress("draw the report")
+        page = write_discovery_report(found, options.out)
     return show_reported(page, found.results, discovery_text(found.results), options.json)
 
 

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import show
+from hygrokf.commands.console import FOUND, show
 from hygrokf.commands.inputs import load_causes
 from hygrokf.commands.track import add_tracked, tracked_config
 from hygrokf.commands.verb import Verb, add_json, add_library
@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
     file = next((path for path in options.what if path.suffix == ".toml"), None)
     found = examine(config, file, options.wait, not options.no_page, options.notify)
     show(as_data(found), as_text(found), options.json)
-    return int(any(one.level == "fault" for one in found))
+    return FOUND if any(one.level == "fault" for one in found) else 0
 
 
 def _try(options: argparse.Namespace, streams: Sequence[Stream]) -> int:
@@ -65,7 +65,7 @@ def _try(options: argparse.Namespace, streams: Sequence[Stream]) -> int:
 
     found = try_payloads(streams, options.tried, options.wait)
     show(as_data(found), as_text(found), options.json)
-    return int(not any(one.used for one in found))
+    return 0 if any(one.used for one in found) else FOUND
 
 
 VERB = Verb(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
 from hygrokf.commands.inputs import identified, record_of, written
 from hygrokf.commands.verb import Verb, add_json, add_out, add_starts
@@ -40,7 +40,7 @@ def _run(options: Namespace) -> int:
     record = record_of(options.case)
     fit = identified(record, options.case, options.criterion, options.starts, options.kind)
     if former and former != record.name:
-        print(f"note: --out {options.out}: replaces the fit of {printable(former)}", file=sys.stderr)
+        activity().note(f"note: --out {options.out}: replaces the fit of {printable(former)}")
     page = written(fit, options.out)
     return show_reported(page, fit.results, report_text(fit.results), options.json)
 

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import Progress, UserFault, expect_own_directory, show_reported
+from hygrokf.commands.console import FOUND, Progress, UserFault, expect_own_directory, show_reported
 from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FLEET
 
@@ -45,7 +45,7 @@ def _run(options: Namespace) -> int:
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
     data = {"rows": [dict(row) for row in found.results.rows]}
     show_reported(found.page, data, fleet_text(found.results), options.json)
-    return int(bool(found.missing))
+    return FOUND if found.missing else 0
 
 
 VERB = Verb("fleet", "run one of these tasks for many turbines: one table and one page", _arguments, _run)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import Progress, faults_of
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
 
     record = read_case(case, cabinet=cabinet)
     for warning in record.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        activity().note(f"warning: {warning}")
     return record
 
 
@@ -77,5 +77,8 @@ def written(fit: Fit, out: Path) -> Path:
     from hygrokf.identification.fit import write_fit
     from hygrokf.report.fit_page import write_report
 
-    write_fit(fit, out)
-    return write_report(out)
+    with Progress(2) as progress:
+        progress("write the fit")
+        write_fit(fit, out)
+        progress("draw the report")
+        return write_report(out)

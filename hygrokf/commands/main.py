@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import atexit
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -11,6 +13,7 @@ from hygrokf.commands import (
     check,
     climate,
     compare,
+    completion,
     demo,
     discover,
     doctor,
@@ -18,25 +21,33 @@ from hygrokf.commands import (
     export,
     fit,
     fleet,
+    help,
+    init,
     report,
     restore,
     simulate,
     track,
     transfer,
 )
+from hygrokf.commands.activity import Activity, running
 from hygrokf.commands.console import INTERRUPTED, USER_FAULT, printable, system_words
+from hygrokf.commands.verb import Verb, add_loudness
 from hygrokf.errors import HygrokfError
 from hygrokf.version import __version__
 
 VERBS = (
-    demo.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB, climate.VERB,
-    compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, report.VERB,
+    demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
+    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB,
+    report.VERB, help.VERB, completion.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""
 
+FIRST = (init.VERB, check.VERB, fit.VERB, discover.VERB, climate.VERB)
+"""The commands that `hygrokf` alone shows."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status (0, 2 for an input error, 130 when interrupted)."""
+    """Run one command; returns the exit status, see docs/command_line.md."""
     # the filter's matrices are small: more BLAS threads would only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -44,13 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # a terminal that cannot show ≤ or τ gets a question mark instead of a traceback
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if not hasattr(options, "run"):
-        parser.print_help()
-        return 0
+    if arguments is None:
+        # a process of its own need not collect the objects of the libraries when it ends, which takes longer
+        # than many a command
+        atexit.register(gc.freeze)
+    options = _parser().parse_args(arguments)
     try:
-        status: int = options.run(options)
+        status = _run(options) if hasattr(options, "verb") else _overview()
         if sys.stdout is not None:  # None where the shell has closed it
             sys.stdout.flush()
         return status
@@ -77,9 +88,33 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for verb in VERBS:
         command = commands.add_parser(verb.name, help=verb.help, description=verb.help)
-        command.set_defaults(run=verb.run)
+        command.set_defaults(verb=verb, parser=parser)
         verb.arguments(command)
+        add_loudness(command)
     return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Run the chosen command; returns its exit status."""
+    verb: Verb = options.verb
+    this = Activity(f"hygrokf {verb.name}", options.loudness, beats=not verb.service)
+    with running(this):
+        status = verb.run(options)
+        if not verb.service:
+            this.end()
+    return status
+
+
+def _overview() -> int:
+    """Print the commands that matter most, and where the others are."""
+    print("usage: hygrokf COMMAND …\n")
+    for verb in FIRST:
+        print(f"  {verb.name:<10}{verb.help}")
+    print(
+        "\nhygrokf help: all commands\nhygrokf help COMMAND: the arguments of one\n"
+        "hygrokf demo --out demo: try it on a synthetic turbine"
+    )
+    return 0
 
 
 if __name__ == "__main__":

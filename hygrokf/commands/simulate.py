@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from argparse import ArgumentParser, Namespace
 
+from hygrokf.commands.activity import activity
 from hygrokf.commands.console import expect_file, expect_other, faults_of, show
 from hygrokf.commands.inputs import record_of, stored_fit
 from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out
@@ -32,7 +32,7 @@ def _run(options: Namespace) -> int:
         text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
     write_text_whole(options.out, text)
     for sentence in summary.statements:
-        print(f"note: {sentence}", file=sys.stderr)
+        activity().note(f"note: {sentence}")
     lines = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
     show(summary, "\n".join(lines), options.json)
     return 0

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import argparse
 import logging
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hygrokf.commands.activity import Loudness, activity
 from hygrokf.commands.console import (
     INTERRUPTED,
     USER_FAULT,
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from hygrokf.live.service import Service
 
 LOG = logging.getLogger("hygrokf.track")
+_LEVELS = {Loudness.QUIET: logging.WARNING, Loudness.NORMAL: logging.INFO, Loudness.VERBOSE: logging.DEBUG}
+"""From which level on the log is written."""
 
 
 def add_tracked(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +106,7 @@ def _run(options: argparse.Namespace) -> int:
     """Track until a signal ends it; with a JSON log, whatever ends it is a log entry, too."""
     from hygrokf.live.log import log_to_stderr
 
-    with log_to_stderr(options.log):
+    with log_to_stderr(options.log, _LEVELS[activity().loudness]):
         if options.log != "json":
             return _track(options)
         try:
@@ -133,7 +135,7 @@ def _track(options: argparse.Namespace) -> int:
         if options.log == "json":
             LOG.info(text.partition(":")[0], extra=beside)
         else:
-            print(text, file=sys.stderr, flush=True)
+            activity().note(text)
 
     def begun(service: Service, page: str | None) -> None:
         names = ", ".join(list(config.turbines)[:5]) + (" …" if len(config.turbines) > 5 else "")
@@ -164,4 +166,6 @@ def _demo_config(options: argparse.Namespace) -> Config:
     return Config(turbines, (demo_stream(record, live_s, options.speed),), store, page)
 
 
-VERB = Verb("track", "follow cabinets live: condition, forecast, alarms, on a page", _arguments, _run)
+VERB = Verb(
+    "track", "follow cabinets live: condition, forecast, alarms, on a page", _arguments, _run, service=True
+)

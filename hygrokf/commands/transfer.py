@@ -45,7 +45,9 @@ def _run(options: Namespace) -> int:
             pooled = pool_types(fits)
         except HygrokfError as fault:
             unpooled = f"\n\nno type of turbine was made: {fault}"
-    page, results = write_transfer(found, options.out, pooled), transfer_results(found, pooled)
+    with Progress(1) as progress:
+        progress("draw the report")
+        page, results = write_transfer(found, options.out, pooled), transfer_results(found, pooled)
     return show_reported(page, results, transfer_text(results) + unpooled, options.json)
 
 

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import math
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+
+from hygrokf.commands.activity import Loudness
 
 
 @dataclass(frozen=True)
 class Verb:
     """A command: its name and help, the function that adds its arguments, and the one that runs it.
 
-    `run` returns the exit status.
+    `run` returns the exit status.  A `service` runs until it is told to end, and writes a log of its own.
     """
 
     name: str
     help: str
     arguments: Callable[[ArgumentParser], None]
     run: Callable[[Namespace], int]
+    service: bool = False
+
+
+def parsers_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
+    """The parsers of the commands of the command line's parser, by name."""
+    (commands,) = (one for one in parser._actions if isinstance(one, _SubParsersAction))
+    return dict(commands.choices)
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -54,6 +63,19 @@ def add_out(parser: ArgumentParser, help: str) -> None:
 
 def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_loudness(parser: ArgumentParser) -> None:
+    """Add --quiet and --verbose."""
+    group = parser.add_argument_group("messages").add_mutually_exclusive_group()
+    for short, long, loudness, help in (
+        ("-q", "--quiet", Loudness.QUIET, "print the result and errors only: no progress, notes, warnings"),
+        ("-v", "--verbose", Loudness.VERBOSE, "print each step on a line of its own, with the time taken"),
+    ):
+        group.add_argument(
+            short, long, dest="loudness", action="store_const", const=loudness, default=Loudness.NORMAL,
+            help=help,
+        )  # fmt: skip
 
 
 def add_library(parser: ArgumentParser) -> None:

@@ -133,7 +133,7 @@ class _CsvSource:
             raise TableFault("is an Excel file or a ZIP archive; export it as CSV text")
         if content[:4] == b"PAR1":
             raise TableFault("is a Parquet file; name it .parquet")
-        self.content, self.encoding = _decodable(content)
+        self.content, self.encoding = decodable(content)
         self.separator, self.decimal, self.comment = separator, decimal, comment
         self.missing = missing
         self.layout = _Layout(0, ())
@@ -291,7 +291,7 @@ class _CsvSource:
         return [found[int(row)] for row in rows if int(row) in found]
 
 
-def _decodable(content: bytes) -> tuple[bytes, str]:
+def decodable(content: bytes) -> tuple[bytes, str]:
     """The bytes in an encoding that pandas reads, without byte-order mark, and the name of the encoding."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         try:

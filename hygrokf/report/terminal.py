@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import shutil
+import sys
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from hygrokf.identification.verdict_terms import PLAIN_MARKS, VERDICTS
 from hygrokf.identification.wording import one_line
@@ -26,11 +28,24 @@ from hygrokf.report.blocks import (
 )
 
 TEXT_WIDTH = 100
+"""Most columns of a text, and those of one that is printed to a file."""
+NARROWEST = 40
 KEY = "Reliable ({}), with caution ({}), not reliable ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
 
 
-def page_text(page: Page, width: int = TEXT_WIDTH) -> str:
-    """What a terminal prints of a page: its name, its warnings, and the blocks of `brief`."""
+def terminal_width() -> int:
+    """Columns for text on standard output: those of the terminal, from `NARROWEST` to `TEXT_WIDTH`."""
+    if sys.stdout is None or not sys.stdout.isatty():
+        return TEXT_WIDTH
+    return min(max(shutil.get_terminal_size((TEXT_WIDTH, 24)).columns, NARROWEST), TEXT_WIDTH)
+
+
+def page_text(page: Page, width: int | None = None) -> str:
+    """What a terminal prints of a page: its name, its warnings, and the blocks of `brief`.
+
+    width: [columns]; None: see `terminal_width`.
+    """
+    width = width or terminal_width()
     warnings = [block for block in page.lead if isinstance(block, Banner)]
     synthetic = any(block.word == "SYNTHETIC" for block in warnings)
     name = f"{page.name}{' (SYNTHETIC: nothing measured)' if synthetic else ''}"
@@ -38,8 +53,12 @@ def page_text(page: Page, width: int = TEXT_WIDTH) -> str:
     return "\n\n".join([_paragraph(name, width), *blocks_text((*others, *page.brief), width)])
 
 
-def blocks_text(blocks: Iterable[Block], width: int = TEXT_WIDTH) -> list[str]:
-    """The text of each block; a figure has none."""
+def blocks_text(blocks: Iterable[Block], width: int | None = None) -> list[str]:
+    """The text of each block; a figure has none.
+
+    width: [columns]; None: see `terminal_width`.
+    """
+    width = width or terminal_width()
     return [text for block in blocks if (text := block_text(block, width))]
 
 
@@ -88,25 +107,59 @@ def _paragraph(text: str, width: int, indent: str = "") -> str:
 
 
 def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
-    """A table in fixed width; names of rows that do not fit take several lines."""
+    """A table in fixed width.
+
+    Names of rows that do not fit take several lines; where the longest word of a name does not fit beside the
+    other columns, each row is a paragraph of its own instead, so that no name and no number is cut.
+    """
     chosen = table.brief or tuple(range(len(table.columns)))
-    head = [table.columns[i] for i in chosen]
-    rows = [[one_line(row[i]) for i in chosen] for row in table.rows]
-    widths = [max(cells(text) for text in column) for column in zip(head, *rows, strict=True)]
-    first = max(width - sum(widths[1:]) - 2 * (len(widths) - 1), 12)
-    if widths[0] > first:
-        widths[0] = first
-        rows = [line for row in rows for line in _name_wrapped(row, first)]
+    rows = [[one_line(row[i]) for i in chosen] for row in ([*table.columns], *table.rows)]
+    widths = [max(cells(text) for text in column) for column in zip(*rows, strict=True)]
+    room = width - sum(widths[1:]) - 2 * (len(widths) - 1)
+    if widths[0] > room:
+        if room < max(_longest_word(row[0]) for row in rows):
+            return _paragraphs(table, chosen, rows, width)
+        widths[0] = room
+        rows = [line for row in rows for line in _name_wrapped(row, room)]
     left = {place for place, i in enumerate(chosen) if i in table.left}
     lines = [table.heading] if table.heading else []
     if table.groups and not table.brief:
         lines.append(_group_line(table.groups, widths))
-    for row in (head, *rows):
+    for row in rows:
         parts = [_padded(text, widths[k], k in left) for k, text in enumerate(row)]
         lines.append("  ".join(parts).rstrip())
     if table.note:
         lines += wrapped(table.note, width)
     return "\n".join(shortened(line, width) for line in lines)
+
+
+def _longest_word(name: str) -> int:
+    """Columns of a name's longest word, with its indent and that of a continued line."""
+    text = name.lstrip()
+    longest = max((cells(word) for word in text.split()), default=0)
+    return longest + len(name) - len(text) + (2 if " " in text else 0)
+
+
+def _paragraphs(table: Table, chosen: Sequence[int], rows: list[list[str]], width: int) -> str:
+    """A table as a paragraph for each row: its name, then each column with its value.
+
+    chosen: places of the columns. rows: the head and the rows, as text.
+    """
+    groups = [heading for heading, count in table.groups for _ in range(count)]
+    head, *others = rows
+    terms = [
+        f"{groups[i]}, {name}" if i < len(groups) and groups[i].strip() else name
+        for i, name in zip(chosen, head, strict=True)
+    ]
+    lines = wrapped(table.heading, width) if table.heading else []
+    for row in others:
+        lines += wrapped(row[0], width, "  ")
+        for term, text in zip(terms[1:], row[1:], strict=True):
+            if text.strip() not in ("", "–"):
+                lines += [f"  {line}" for line in wrapped(f"{term}: {text}", width - 2, "  ")]
+    if table.note:
+        lines += wrapped(table.note, width)
+    return "\n".join(lines)
 
 
 def _name_wrapped(row: list[str], width: int) -> list[list[str]]:

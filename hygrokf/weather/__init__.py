@@ -1,5 +1,5 @@
-"""Weather files (ERA5, EPW) as records, converted to a site's height and clock; comparison of the clocks of
-two sources.
+"""Weather files (ERA5, MERRA-2, Open-Meteo, EPW, TRY) as records, converted to a site's height and clock;
+comparison of the clocks of two sources.
 
 Nothing here knows a model or a case file.
 """

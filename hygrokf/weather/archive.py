@@ -27,7 +27,8 @@ MOST_RATIO = 200.0
 a thousandth."""
 RATIO_FROM = 2**20
 """Size from which the ratio is checked [bytes]: a small file may hold a single value, and does no harm."""
-MOST_MEMBERS = 100
+MOST_MEMBERS = 400
+"""Most files in an archive: a year of daily files."""
 _PIECE = 2**20
 
 
@@ -35,7 +36,7 @@ _PIECE = 2**20
 class Content:
     """One file, or one member of an archive.
 
-    name: of the file, with that of the member in brackets. kind: "netcdf4", "netcdf3", "csv" or "epw".
+    name: of the file, with that of the member in brackets. kind: as in `kind_of`.
     data: all of its bytes.
     """
 
@@ -59,7 +60,7 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
 
 
 def kind_of(data: bytes) -> str:
-    """Kind of a file by its first bytes: "netcdf4", "netcdf3", "epw" or "csv".
+    """Kind of a file by its first bytes: "netcdf4", "netcdf3", "epw", "json" or "csv" (any table of text).
 
     Raises TableFault for another kind, which it names.
     """
@@ -78,6 +79,8 @@ def kind_of(data: bytes) -> str:
     if data[:4] == b"PK\x03\x04":
         raise TableFault("is a ZIP archive in a ZIP archive; unpack it")
     head = data[:4096].removeprefix(b"\xef\xbb\xbf")
+    if head.lstrip()[:1] in (b"{", b"[") and b'"hourly' in data:
+        return "json"
     if head.lstrip()[:1] in (b"<", b"{"):
         raise TableFault(
             f"expected weather data, found {_shown(head)}: an error page saved in place of the file?"

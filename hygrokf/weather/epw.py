@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import calendar
 import csv
 import io
 import math
@@ -17,10 +16,11 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import signal_named, to_si
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
 from hygrokf.weather.fields import impossible_range, saturation_doubt
+from hygrokf.weather.typical_year import expect_hour, local_seconds, placed_in_year
 
 _HEADER = 8
 _COLUMNS = {
@@ -95,7 +95,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     if year is not None:
         lines, said = _placed(lines, year)
         warnings += said
-    time = _local_seconds(lines.calendar) - zone_h * HOUR_S
+    time = local_seconds(lines.calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault(f"line {repeated + _HEADER + 1}: the hours must be consecutive, this hour is not")
@@ -191,7 +191,7 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
             if len(row) < _FEWEST_COLUMNS:
                 raise ValueError(f"expected at least {_FEWEST_COLUMNS} cells, found {len(row)}")
             stamps[place] = [int(float(cell)) for cell in row[:4]]
-            _expect_hour(*stamps[place])
+            expect_hour(*stamps[place])
             for column in used:
                 if column < len(row) and row[column].strip():
                     table[place, column] = float(row[column])
@@ -219,16 +219,6 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
     return _Lines(stamps, value)
 
 
-def _expect_hour(year: int, month: int, day: int, hour: int) -> None:
-    """Raise ValueError for an impossible date or hour."""
-    if not 1 <= hour <= 24:
-        raise ValueError(f"expected an hour 1 … 24, found {hour}")
-    if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
-        raise ValueError(f"expected a date, found {year}, {month}, {day}")
-    if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
-        raise ValueError(f"month {month} has no day {day}")
-
-
 def _expected_hours(periods: Sequence[str]) -> int | None:
     """Hours of the header's period without 29 February; None where it states no period."""
     days = []
@@ -247,36 +237,13 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
 
 def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
     """The hours moved to one calendar year, with warnings; 29 February is added or left out as it needs."""
-    if not 1900 <= year <= 2200:
-        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
-    month, day = lines.calendar[:, 1], lines.calendar[:, 2]
-    leap_day = (month == 2) & (day == 29)
-    before = np.flatnonzero((month == 2) & (day == 28))
-    keep, said = np.arange(len(month)), []
-    stamps = lines.calendar.copy()
-    stamps[:, 0] = year
-    if calendar.isleap(year) and not leap_day.any() and len(before) == 24:
-        keep = np.insert(keep, before[-1] + 1, before)
-        stamps = stamps[keep]
-        stamps[before[-1] + 1 : before[-1] + 25, 2] = 29
-        said.append(f"{year} is a leap year: 28 February is repeated as 29 February")
-    elif not calendar.isleap(year) and leap_day.any():
-        keep = np.flatnonzero(~leap_day)
-        stamps = stamps[keep]
-        said.append(f"{year} is not a leap year: 29 February is left out")
+    stamps, keep, said = placed_in_year(lines.calendar, year)
     own = sorted({int(one) for one in lines.calendar[:, 0]})
     if own != [year]:
         said.append(
             f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}"
         )
     return _Lines(stamps, {signal: one[keep] for signal, one in lines.value.items()}), said
-
-
-def _local_seconds(stamps: np.ndarray) -> np.ndarray:
-    """Ends of hours as seconds since 1970-01-01T00:00 of the local clock [s]."""
-    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
-    return days * DAY_S + stamps[:, 3] * HOUR_S
 
 
 def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:

@@ -75,10 +75,14 @@ def _content_record(one: Content, file: str, site: Site | None, digest: str, alo
     """The record of one member; None for a further member without a known field, such as one of waves."""
     if one.kind == "epw":
         raise TableFault('is an EPW file; state format = "epw"')
+    if one.kind == "json":
+        raise TableFault('is JSON of Open-Meteo; state format = "open_meteo"')
     if one.kind == "csv":
         points = _csv_fields(one.data, file, site, alone)
     else:
         dataset = open_dataset(one.data, one.kind)
+        if "QV2M" in dataset.data_vars:
+            raise TableFault('is a file of MERRA-2; state format = "merra2"')
         if not alone and not any(short_name(str(name)) for name in dataset.data_vars):
             return None
         points = point_fields(dataset, file, site)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import warnings as python_warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,19 +85,25 @@ def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> 
     return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
 
 
-def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -> PointFields:
+def point_fields(
+    dataset: xarray.Dataset,
+    file: str,
+    site: Site | None = None,
+    known: Callable[[str], str | None] = short_name,
+) -> PointFields:
     """Fields of a data set at the site.
 
     dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
         other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
         (2m_temperature).
     file: name for messages. site: the nearest grid cell with data is used; may be None for a single cell.
+    known: the short name of a field, such as "t2m", "z"; None for one that is not used.
 
     Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
     ensemble members, levels.
     """
     time_name = _time_name(dataset)
-    used = {str(name): short for name in dataset.data_vars if (short := short_name(str(name)))}
+    used = {str(name): short for name in dataset.data_vars if (short := known(str(name)))}
     if not used:
         listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
         raise TableFault(f"no field of weather that is known here; found {listed}")

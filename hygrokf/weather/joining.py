@@ -121,6 +121,8 @@ def _as_before(before: Sequence[Series], values: Sequence[np.ndarray], part: Ser
     """Values of a part (T,), or earlier ones of the same stamps where only packing makes them differ."""
     value = part.value.copy()
     for earlier, known in zip(before, values, strict=True):
+        if earlier.time[-1] < part.time[0]:  # most of many daily files share no stamp
+            continue
         _, i, j = np.intersect1d(earlier.time, part.time, return_indices=True)
         both = np.concatenate([known, part.value])
         both = both[np.isfinite(both)]

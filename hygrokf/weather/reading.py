@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import calendar
 import dataclasses
+import gzip
 import os
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,10 +23,17 @@ from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.gridded import FAR_KM, distance_km
 from hygrokf.weather.joining import joined
+from hygrokf.weather.merra2 import read_merra2
+from hygrokf.weather.open_meteo import read_open_meteo
+from hygrokf.weather.reference_year import is_try, read_try
 
-FORMATS = ("era5", "epw")
+FORMATS = ("era5", "epw", "merra2", "open_meteo", "try")
+TYPICAL = ("epw", "try")
+"""Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
 SHOWN_GAPS = 3
+_HEAD = 2**14
+"""Bytes of a file by which its format is known."""
 
 
 def read_weather_file(
@@ -39,7 +48,7 @@ def read_weather_file(
 ) -> Record:
     """Record of ambient signals of a site from one weather file, in SI units and UTC.
 
-    path: of ERA5 or EPW. form: "era5" or "epw"; None: see `form_of`.
+    path: of one of the `FORMATS`. form: its format; None: see `form_of`.
     site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
     year: calendar year of a typical year. altitude_m: [m] height of the weather, where the file states none
         or a wrong one.
@@ -52,11 +61,7 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    if kind == "epw":
-        record = _warned_of_distance(read_epw(file, year), site)
-    else:
-        record = read_era5(file, site)
-    record = _within_range(record)
+    record = _within_range(_read(file, kind, site, year))
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m
@@ -87,20 +92,70 @@ def read_weather_file(
     return record
 
 
+def _read(file: Path, kind: str, site: Site | None, year: int | None) -> Record:
+    """The record of a file of one of the `FORMATS`, as its reader makes it."""
+    match kind:
+        case "epw":
+            return _warned_of_distance(read_epw(file, year), site)
+        case "try":
+            return _warned_of_distance(read_try(file, year), site)
+        case "open_meteo":
+            return _warned_of_distance(read_open_meteo(file), site)
+        case "merra2":
+            return read_merra2(file, site)
+    return read_era5(file, site)
+
+
 def form_of(path: Path) -> str:
-    """The format, "epw" or "era5", by the name of a file, its first bytes, or the names in a ZIP archive."""
-    if path.name.lower().endswith((".epw", ".epw.gz")):
+    """The format of a file, one of `FORMATS`, by its name, its first bytes, or the names in a ZIP archive."""
+    name = path.name.lower()
+    if name.endswith((".epw", ".epw.gz")):
         return "epw"
+    if name.startswith("merra2"):
+        return "merra2"
     try:
         with open(path, "rb") as stream:
-            head = stream.read(12)
+            head = stream.read(_HEAD)
+        if head[:2] == b"\x1f\x8b":
+            with gzip.open(path) as stream:
+                head = stream.read(_HEAD)
         if head[:4] == b"PK\x03\x04":
             with zipfile.ZipFile(path) as archive:
-                names = archive.namelist()
-            return "epw" if any(name.lower().endswith(".epw") for name in names) else "era5"
-    except (OSError, ValueError, zipfile.BadZipFile):  # the reader reports the fault
+                names = [name.lower().rpartition("/")[2] for name in archive.namelist()]
+            if any(name.startswith("merra2") for name in names):
+                return "merra2"
+            if any(name.endswith(".epw") for name in names):
+                return "epw"
+            return "try" if names and all(name.startswith("try") for name in names) else "era5"
+    except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile):  # the reader reports the fault
         return "era5"
-    return "epw" if head.removeprefix(b"\xef\xbb\xbf").upper().startswith(b"LOCATION,") else "era5"
+    return _form_by_head(path, head)
+
+
+def _form_by_head(path: Path, head: bytes) -> str:
+    """The format by the first bytes of an unpacked file."""
+    if head[:8] == b"\x89HDF\r\n\x1a\n":
+        return "merra2" if _has_merra2(path) else "era5"
+    if head[:3] == b"CDF":  # the header names the fields
+        return "merra2" if b"T2M" in head else "era5"
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if text.upper().startswith(b"LOCATION,"):
+        return "epw"
+    first = text.partition(b"\n")[0]
+    if b"utc_offset_seconds" in (head if text[:1] in (b"{", b"[") else first):
+        return "open_meteo"
+    return "try" if is_try(head.decode("latin-1")) else "era5"
+
+
+def _has_merra2(path: Path) -> bool:
+    """Whether a file of NetCDF-4 has the temperature of MERRA-2; its fields are not read."""
+    try:
+        import h5py
+
+        with h5py.File(path) as file:
+            return "T2M" in file
+    except (ImportError, OSError):  # the reader reports the fault
+        return False
 
 
 def _within_range(record: Record) -> Record:
@@ -135,9 +190,10 @@ def read_weather(
 ) -> Record:
     """Record of ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several follow each other.
+    paths: of one of the `FORMATS`, known by name and first bytes; several follow each other, such as a file
+        for each day or year.
     site: of the cabinet; needed where a file holds a grid.
-    year: first calendar year of a typical year (EPW); needed where its months are of different years.
+    year: first calendar year of a typical year (EPW, TRY); needed where its months are of different years.
     years: calendar years from `year` on over which a typical year is repeated; 29 February repeats the 28th.
     altitude_m, to_site_altitude, lapse_rate: as in `read_weather_file`.
 
@@ -157,9 +213,11 @@ def read_weather(
         raise ValueError("years repeats one typical year; give one file, or years = 1")
     records, faults = [], []
     for file in files:
-        typical = form_of(file) == "epw"
+        typical = form_of(file) in TYPICAL
         if years > 1 and not typical:
-            faults.append(f"{file.name}: only a typical year (.epw) is repeated; this file has its own years")
+            faults.append(
+                f"{file.name}: only a typical year (EPW, TRY) is repeated; this file has its own years"
+            )
             continue
         for place in range(years):
             try:

@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from illustrations.causes import causes
+from illustrations.drafts import drafts
 from illustrations.house_plan import house_plan
 from illustrations.live_page import live_page
 from illustrations.measured import attic, climate, clocks, uk
@@ -27,7 +28,7 @@ SYNTHETIC = {
 }
 
 
-WITH_DATA = {"attic": attic, "uk": uk, "clocks": clocks, "climate": climate}
+WITH_DATA = {"attic": attic, "uk": uk, "clocks": clocks, "climate": climate, "drafts": drafts}
 
 
 def main(description: str | None) -> None:
@@ -44,7 +45,7 @@ def main(description: str | None) -> None:
     options = parser.parse_args()
     wanted = options.only or [*SYNTHETIC, *(WITH_DATA if options.data else ())]
     if set(wanted) & set(WITH_DATA) and options.data is None:
-        parser.error("attic, uk, clocks and climate need the data directory")
+        parser.error("attic, uk, clocks, climate and drafts need the data directory")
     with tempfile.TemporaryDirectory() as directory:
         for name in wanted:
             if name in SYNTHETIC:

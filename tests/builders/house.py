@@ -15,7 +15,7 @@ FLOORS = (
     "physics",
     "engine data",
     "weather estimation modelling",
-    "cases evaluation",
+    "cases evaluation drafting",
     "identification",
     "discovery transfer climate live fleet",
     "report",

@@ -148,7 +148,8 @@ def test_all_faults_of_the_form_at_once(folder: Path) -> None:
     )
     said = faults(folder, SITE, CABINET, wrong)
     for words in (
-        'case.toml, line 12: format must be one of era5, epw, found "era6"; did you mean "era5"?',
+        "case.toml, line 12: format must be one of era5, epw, merra2, open_meteo, try, "
+        'found "era6"; did you mean "era5"',
         "line 13: a source with format needs no time; remove it",
         "line 15: altitude_m must be a number within -500 … 9000",
         "line 16: lapse_rate_K_per_km must be a number within -20 … 20",
@@ -156,7 +157,7 @@ def test_all_faults_of_the_form_at_once(folder: Path) -> None:
         "line 18: compare must be true or false",
         "line 19: clock_correction",
         'unknown key "height" in a [[source]] with format',
-        "a source with format brings the signals that its file has",
+        "a source with format supplies all signals of its file",
     ):
         assert words in said, said
     assert "year is for typical years" in faults(folder, SITE, CABINET, ERA5, "year = 2019\n")

@@ -45,6 +45,7 @@ def test_version_and_no_command_at_all():
     said = run("")
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith("usage: hygrokf")
+    assert len(re.findall(r"^  \w", said.out, re.MULTILINE)) == 5
 
 
 def test_demo_makes_fits_and_reports(tmp_path):

@@ -136,3 +136,25 @@ def test_the_name_of_a_row_is_wrapped_and_never_cut() -> None:
     rows = table_text(table, 34).splitlines()[1:]
     assert " ".join(row[:18].strip() for row in rows) == "a name that needs more than its room"
     assert all(row.startswith("  ") for row in rows) and rows[0].endswith(" 1.234567890123")
+
+
+@pytest.mark.parametrize("width", [100, 60, 40])
+def test_no_name_and_no_number_of_a_table_is_cut_at_any_width(width: int) -> None:
+    """A narrow terminal gets a paragraph for each row; names stand in one piece, to be copied."""
+    names = ("absolute_humidity_measurement_noise", "thermal_time_constant")
+    columns = ("parameter", "value", "standard error", "lower bound", "upper bound", "unit")
+    rows = tuple((name, "0.1234", "0.0123", "0.1001", "0.1467", "g/m³") for name in names)
+    text = table_text(Table("Parameters", columns, rows, left=(0,)), width)
+    assert all(cells(line) <= width for line in text.splitlines())
+    assert "…" not in text
+    for part in (*names, "0.1234", "0.1467"):
+        assert any(part in line for line in text.splitlines())
+    assert ("value: 0.1234" in text) == (width < 100)
+
+
+def test_a_group_of_columns_is_named_in_a_narrow_table() -> None:
+    rows = (("model_of_the_cabinet_air", "1" * 20, "2"),)
+    table = Table("", ("", "a", "b"), rows, groups=(("", 1), ("both", 2)))
+    assert table_text(table, 40).splitlines() == [
+        "model_of_the_cabinet_air", f"  both, a: {'1' * 20}", "  both, b: 2",
+    ]  # fmt: skip

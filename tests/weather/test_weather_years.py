@@ -140,7 +140,7 @@ def test_heights(tmp_path: Path) -> None:
     plain = read_weather(path)
     difference = moved["ambient_temperature"].value - plain["ambient_temperature"].value
     assert np.nanmax(np.abs(difference + 3.9)) < 1e-9 and moved.site.altitude_m == 850.0
-    with pytest.raises(TableFault, match=r"state altitude_m in \[site\]"):
+    with pytest.raises(TableFault, match=r"needs altitude_m in \[site\]"):
         read_weather_file(path, site=Site(48.5, 5.5), to_site_altitude=True)
     grid = made.new_file(tmp_path / "era5.nc")
     with pytest.raises(TableFault, match="needs the altitude of the weather"):

@@ -1,0 +1,223 @@
+"""A case file drafted from exports."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.data.columns import TableFault
+from hygrokf.data.files import write_text_whole
+from hygrokf.data.signals import to_si
+from hygrokf.data.timestamps import summer_time_holes
+from hygrokf.drafting.behaviour import rated_power
+from hygrokf.drafting.case_text import Contents, Weather, case_text
+from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
+from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
+from hygrokf.drafting.reshape import joined, prepared, same_layout
+from hygrokf.drafting.stamps import noon_of, sun_remark
+from hygrokf.errors import HygrokfError
+
+
+class DraftFault(HygrokfError):
+    """Exports that no case can be drafted from; the message holds every reason."""
+
+
+@dataclass(frozen=True)
+class DraftedSignal:
+    """A signal of the draft.
+
+    file: path in the case. score: 0 to 1. active: whether the case reads it; else it is commented out.
+    compare: whether it is only compared with another source.
+    """
+
+    signal: str
+    file: str
+    column: str
+    unit: str
+    score: float
+    active: bool
+    compare: bool
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LeftColumn:
+    """A column without a signal, and why."""
+
+    file: str
+    column: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A drafted case.
+
+    case: path of the case file. copies: tables written beside it. doubts: of the clocks and of the selection.
+    """
+
+    case: str
+    copies: tuple[str, ...]
+    signals: tuple[DraftedSignal, ...]
+    left: tuple[LeftColumn, ...]
+    doubts: tuple[str, ...]
+
+
+def draft_case(
+    exports: Sequence[Path],
+    out: Path,
+    *,
+    turbine: str | None = None,
+    site: tuple[float, float] | None = None,
+) -> Draft:
+    """Draft a case file from exports and write it, with copies of those tables that a case cannot name.
+
+    exports: CSV, Parquet or Excel files, and weather files (EPW, ERA5). out: the case file; copies go
+        beside it.
+    turbine: of exports that hold several. site: latitude and longitude [deg].
+
+    Raises DraftFault with the faults of all exports.
+    """
+    faults: list[str] = []
+    tables: list[Export] = []
+    weather: list[Weather] = []
+    for file in exports:
+        try:
+            kind = weather_format(file)
+            if kind is not None:
+                weather.append(Weather(_relative(file, out), kind, kind == "epw" and is_typical_year(file)))
+            else:
+                tables.append(read_export(file))
+        except TableFault as broken:
+            faults += [f"{file}: {fault}" for fault in broken.faults]
+    together = joined(tables)
+    faults += same_layout(together)
+    sources: list[Source] = []
+    said: list[tuple[str, ...]] = []
+    chosen: list[str | None] = []
+    for export in together:
+        try:
+            ready, column, name, doubts = prepared(export, turbine)
+            sources.append(source_of(ready, column))
+        except TableFault as broken:
+            faults += [f"{export.file}: {fault}" for fault in broken.faults]
+            continue
+        said.append(doubts)
+        chosen.append(name)
+    if turbine is not None and not faults and not any(chosen):
+        faults.append(
+            f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
+        )
+    if faults:
+        raise DraftFault("\n".join(faults))
+    found, left = assigned(sources)
+    return _written(sources, said, chosen, found, left, weather, out, site)
+
+
+def _written(
+    sources: list[Source],
+    said: list[tuple[str, ...]],
+    chosen: list[str | None],
+    found: list[Assigned],
+    left: dict[tuple[int, str], str],
+    weather: list[Weather],
+    out: Path,
+    site: tuple[float, float] | None,
+) -> Draft:
+    files, copies = [], []
+    for source in sources:
+        path = source.export.file
+        if source.export.changes:
+            path = out.parent / f"{out.stem}_{path.name.split('.')[0]}.csv"
+            copies.append(path)
+        files.append(_relative(path, out))
+    clocks = [(*doubts, *_offset_doubt(source)) for source, doubts in zip(sources, said, strict=True)]
+    rated, largest = _power(sources, found)
+    name = next((one for one in chosen if one), None) or _name(sources, out)
+    contents = Contents(
+        name,
+        tuple(files),
+        tuple(_with_copy_marks(one) for one in sources),
+        tuple(clocks),
+        tuple(found),
+        left,
+        tuple(weather),
+        rated,
+        largest,
+        site,
+        tuple(_sun(number, source, found, site) for number, source in enumerate(sources)),
+    )
+    for source, target in zip((one for one in sources if one.export.changes), copies, strict=True):
+        separator = ";" if source.export.decimal == "," else ","
+        write_text_whole(target, source.export.cells.to_csv(index=False, sep=separator, lineterminator="\n"))
+    write_text_whole(out, case_text(contents))
+    return Draft(
+        str(out),
+        tuple(map(str, copies)),
+        tuple(
+            DraftedSignal(
+                one.best.signal,
+                files[one.best.source],
+                one.best.column,
+                one.best.unit,
+                one.best.score,
+                one.active,
+                one.compare,
+                one.doubts,
+            )
+            for one in found
+        ),
+        tuple(LeftColumn(files[number], column, why) for (number, column), why in left.items()),
+        tuple(
+            f"{file}: {doubt}"
+            for file, source, doubts in zip(files, sources, clocks, strict=True)
+            for doubt in (*source.clock.doubts, *doubts)
+        ),
+    )
+
+
+def _with_copy_marks(source: Source) -> Source:
+    """The source as its copy will be read, where there is one."""
+    if not source.export.changes:
+        return source
+    separator = ";" if source.export.decimal == "," else ","
+    return replace(source, export=replace(source.export, separator=separator, comment=None))
+
+
+def _offset_doubt(source: Source) -> tuple[str, ...]:
+    """Doubts of a clock whose offsets contradict its stamps."""
+    if source.clock.timezone is not None:
+        return ()
+    time = source.clock.time
+    return summer_time_holes(np.sort(time[np.isfinite(time)]))
+
+
+def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, float | None]:
+    """Rated power by the plateau, and the largest readings of the power [kW]."""
+    for one in found:
+        if one.best.signal == "active_power" and one.active and not one.compare:
+            values = sources[one.best.source].values[one.best.column]
+            shown = to_si(values[np.isfinite(values)], one.best.unit, "active_power") / 1e3
+            return rated_power(values, one.best.unit), float(np.quantile(shown, 0.999))
+    return None, None
+
+
+def _sun(number: int, source: Source, found: list[Assigned], site: tuple[float, float] | None) -> str | None:
+    for one in found:
+        if one.best.source == number and one.best.signal == "global_horizontal_irradiance":
+            noon = noon_of(source.clock.time, source.values[one.best.column])
+            return sun_remark(noon, None if site is None else site[1])
+    return None
+
+
+def _name(sources: list[Source], out: Path) -> str:
+    return sources[0].export.file.name.split(".")[0] if sources else out.stem
+
+
+def _relative(file: Path, out: Path) -> str:
+    """Path of a file as the case names it."""
+    return Path(os.path.relpath(file.absolute(), out.absolute().parent)).as_posix()

@@ -1,0 +1,321 @@
+"""The layout of an export: separator, header, row of units, decimal mark; its cells as text."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+import zipfile
+import zlib
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hygrokf.data.columns import MISSING, TableFault
+from hygrokf.data.signals import unit_named
+from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
+
+if TYPE_CHECKING:
+    import pandas
+
+SEPARATORS = (";", "\t", ",", "|")
+_HEAD = 150
+_DATE = re.compile(
+    r"\d{1,4}[-/.]\s?(\d{1,2}|[A-Za-z]{3})[-/.]\s?\d{1,4}(\D|$)"
+    r"|(19|20)\d{6}([ T]?\d{4,6})?$|1\d{9}(\.\d*)?$|1\d{12}$"
+)
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$|[+-]?\d{1,3}(,\d{3})+\.\d+$")
+_OTHER_KINDS = (
+    (
+        b"\xd0\xcf\x11\xe0",
+        "an old Excel file (.xls) or one with a password: save it as .xlsx without a password",
+    ),
+    (b"%PDF", "a PDF document: export the table as CSV"),
+    (b"\x89PNG", "a picture: export the table as CSV"),
+    (b"{", "JSON: export the table as CSV"),
+)
+
+
+@dataclass(frozen=True)
+class Export:
+    """A table as its file holds it.
+
+    file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
+    names: the header. units: of the row below the header, empty texts where there is none.
+    separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units
+    included.
+    changes: why a case cannot name the file as it stands; a copy is written then.
+    label: of the turbine within the names of columns, or "". preamble: text above the header.
+    """
+
+    file: Path
+    cells: pandas.DataFrame
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    separator: str = ","
+    decimal: str = "."
+    comment: str | None = None
+    missing: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    label: str = ""
+    preamble: str = ""
+
+
+def weather_format(file: Path) -> str | None:
+    """The `format` of a weather file, by its first bytes; None for a table."""
+    content = _unpacked(file)[:8]
+    if content.startswith(b"LOCATION"):
+        return "epw"
+    return "era5" if content.startswith((b"\x89HDF", b"CDF")) else None
+
+
+def is_typical_year(file: Path) -> bool:
+    """Whether the months of an EPW file are of different years."""
+    years = {line.split(b",")[0] for line in _unpacked(file).splitlines()[8:] if line.count(b",") > 20}
+    return len(years) > 1
+
+
+def read_export(file: Path) -> Export:
+    """The table of an export: CSV text of any separator (also compressed), Parquet or Excel (.xlsx).
+
+    Raises TableFault for what is no table, in one message with the remedy.
+    """
+    content = _unpacked(file)
+    if content[:4] == b"PAR1":
+        return _framed(file, _parquet(content), ())
+    if content[:4] == b"PK\x03\x04":
+        rows = _excel_rows(content)
+        return _laid_out(file, rows, ",", ("an Excel file",))
+    for mark, kind in _OTHER_KINDS:
+        if content.lstrip()[: len(mark)] == mark:
+            raise TableFault(f"expected a table, found {kind}")
+    if re.match(rb"\s*<(!doctype|html|\?xml)", content[:300], re.IGNORECASE):
+        raise TableFault("expected a table, found a web page or XML: log in and download the export again")
+    content, encoding = decodable(content)
+    text = content.decode(encoding)
+    if sum(not one.isprintable() and one not in "\r\n\t" for one in text[:5000]) > 50:
+        raise TableFault("expected a table, found bytes that are not text: export it as CSV")
+    separator = _separator(text)
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator)]
+    except csv.Error as broken:
+        raise TableFault(f"cannot be read as CSV: {broken}") from None
+    readable = file.name.lower().endswith(SUFFIXES)
+    return _laid_out(file, rows, separator, () if readable else (f"the ending {file.suffix}",))
+
+
+def _unpacked(file: Path) -> bytes:
+    content = file_bytes(file)
+    if content[:2] == b"\x1f\x8b":
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as broken:
+            raise TableFault(f"cannot be decompressed: {broken}") from None
+    if not content.strip():
+        raise TableFault("the file is empty")
+    return content
+
+
+def is_date(cell: str) -> bool:
+    """Whether a cell looks like a stamp."""
+    return _DATE.match(cell.strip()) is not None
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal point or comma."""
+    return _NUMBER.match(cell.strip()) is not None
+
+
+def unit_in_export(text: str) -> str | None:
+    """The name in `UNITS` of a unit as exports write it; None if unknown."""
+    bare = re.sub(r"\s+", " ", text.strip().strip("[](){}").strip()).replace("_", " ")
+    spelled = bare.lower().replace(" ", "").replace(".", "")
+    known = {
+        "%rf": "%", "%rh": "%", "rh%": "%", "%rel": "%", "percent": "%", "pct": "%", "prozent": "%",
+        "degc": "degC", "gradc": "degC", "grdc": "degC", "ºc": "degC", "°c": "degC", "degf": "degF",
+        "u/min": "rpm", "rpm": "rpm", "min-1": "rpm", "1/min": "rpm", "umin": "rpm", "mps": "m/s",
+        "ms": "m/s", "ms-1": "m/s", "m/sec": "m/s", "wm2": "W/m2", "w/m^2": "W/m2", "w/qm": "W/m2",
+        "deg": "deg", "grad": "deg", "hpa": "hPa", "mbar": "hPa", "frac": "1",
+    }.get(spelled)  # fmt: skip
+    return known or (unit_named(bare) if bare else None)
+
+
+_FURTHER_UNITS = re.compile(
+    r"(k?v(a|ar)?|k?va?r?h|k?a|hz|[km]?wh|bar|s|sec|min|h|mm|l/min|date|time|ts|rn|avg|smp)$", re.I
+)
+
+
+def _unit_like(cell: str) -> bool:
+    bare = cell.strip().strip("[](){}").strip()
+    return not bare or bare == "-" or unit_in_export(bare) is not None or bool(_FURTHER_UNITS.match(bare))
+
+
+def _separator(text: str) -> str:
+    """The separator that gives most lines a stamp and the same number of cells."""
+    lines = text[:200_000].splitlines()[:_HEAD]
+    best = (0, 0, ",")
+    for separator in SEPARATORS:
+        rows = [
+            row for row in csv.reader(lines, delimiter=separator) if any(map(is_date, row)) and len(row) > 1
+        ]
+        if not rows:
+            continue
+        width, count = Counter(map(len, rows)).most_common(1)[0]
+        whole = count if sum(map(is_date, rows[-1])) < width else 0
+        best = max(best, (whole, width, separator))
+    if best[0] == 0:
+        one = [line for line in lines if any(is_date(part) for part in re.split(r"[;,\t|]", line))]
+        if not one:
+            raise TableFault(
+                "expected a column of stamps such as 2020-12-01 00:00, found none in the first "
+                f"{len(lines)} lines: export the time with the readings"
+            )
+        raise TableFault("expected a time and at least one column of readings, found one column alone")
+    return best[2]
+
+
+def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[str, ...]) -> Export:
+    """The table of rows of cells: header and row of units are above the first row with a stamp."""
+    import pandas as pd
+
+    head = rows[: 2 * _HEAD]
+    dated = [number for number, row in enumerate(head) if len(row) > 1 and any(map(is_date, row))]
+    if not dated:
+        raise TableFault("expected a column of stamps and one of readings, found no row with both")
+    width = Counter(len(head[number]) for number in dated).most_common(1)[0][0]
+    first = next(number for number in dated if len(head[number]) == width)
+    above: list[list[str]] = []
+    while first - len(above) > 0 and len(above) < 4:
+        row = [cell.strip() for cell in rows[first - len(above) - 1]]
+        if len(row) > width + 1 or len(row) < 2 or sum(map(bool, row)) < 0.4 * min(width, len(row)):
+            break
+        above.append((row + [""] * width)[:width])
+    above = above[::-1]
+    while len(above) > 1 and all(map(_unit_like, above[0])):
+        above = above[1:]
+    if not above or all(map(is_number, filter(None, above[0]))):
+        above, changes = [[f"column {n + 1}" for n in range(width)]], (*changes, "no header")
+    names = [above[0][0].removeprefix("#").strip() or above[0][0], *above[0][1:]]
+    below = [row for row in above[1:] if sum(map(_unit_like, row)) > 0.6 * len(row)]
+    units = below[0] if below else [""] * width
+    body = [row for row in rows[first:] if any(cell.strip() for cell in row)]
+    comment = "#" if any(row[0].lstrip().startswith("#") and not is_date(row[0]) for row in body) else None
+    body = [row for row in body if not (comment and row[0].lstrip().startswith(comment))]
+    wide = [n for n, row in enumerate(body) if len(row) > width and any(c.strip() for c in row[width:])]
+    if wide:
+        raise TableFault(
+            f"row {first + wide[0] + 1}: expected {width} cells as above, found {len(body[wide[0]])}; "
+            "numbers with a decimal comma need another separator or quotes: export again"
+        )
+    data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for row in body]
+    frame = pd.DataFrame(data, columns=_unique(names), dtype=object)
+    words = {cell for row in above[1:] for cell in row if cell and cell not in MISSING}
+    export = _framed(file, frame, changes, tuple(names), tuple(units), separator, comment, words)
+    return replace(export, preamble="\n".join(" ".join(row) for row in rows[: first - len(above)]))
+
+
+def _framed(
+    file: Path,
+    frame: pandas.DataFrame,
+    changes: tuple[str, ...],
+    names: tuple[str, ...] = (),
+    units: tuple[str, ...] = (),
+    separator: str = ",",
+    comment: str | None = None,
+    words: set[str] = frozenset(),  # type: ignore[assignment]
+) -> Export:
+    """An export with its decimal mark."""
+    names = names or tuple(map(str, frame.columns))
+    if len(names) < 2:
+        raise TableFault("expected a time and at least one column of readings, found one column alone")
+    if len(frame) < 2:
+        raise TableFault(f"expected readings, found {len(frame)} rows below the header")
+    absent = {*MISSING, None}
+    cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
+    decimal = _decimal(cells)
+    missing = tuple(sorted(words))
+    return Export(
+        file, cells, names, units or ("",) * len(names), separator, decimal, comment, missing, changes
+    )
+
+
+def texts_in(export: Export, column: str) -> set[str]:
+    """Texts within a column of numbers, such as "Bad Input"."""
+    import pandas as pd
+
+    given = export.cells[column].dropna()
+    texts = given[pd.to_numeric(given, errors="coerce").isna()]
+    texts = texts[~texts.isin(["true", "false", "True", "False"])]
+    return set(texts[~texts.str.fullmatch(_NUMBER.pattern)].unique()) if len(texts) else set()
+
+
+def _decimal(cells: pandas.DataFrame) -> str:
+    """The decimal mark.  Raises TableFault for thousands separators and where both marks occur."""
+    examples: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    for name in cells:
+        given = cells[name].dropna().iloc[:5000]
+        thousands = given[given.str.fullmatch(_THOUSANDS.pattern)]
+        if len(thousands):
+            raise TableFault(
+                f'column "{name}": found "{thousands.iloc[0]}": export without thousands separators'
+            )
+        for mark in ",.":
+            found = given[given.str.fullmatch(rf"[+-]?\d*[{mark}]\d+([eE][+-]?\d+)?")]
+            counts[mark] += len(found)
+            if len(found):
+                examples.setdefault(mark, f'"{found.iloc[0]}" in column "{name}"')
+    if len(examples) == 2:
+        raise TableFault(
+            f"expected one decimal mark, found both: {examples[',']} and {examples['.']}; "
+            "export again with one of them"
+        )
+    return "," if counts[","] else "."
+
+
+def _unique(names: list[str]) -> list[str]:
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return result
+
+
+def _parquet(content: bytes) -> pandas.DataFrame:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise TableFault('Parquet files need the extra "parquet": pip install "hygrokf[parquet]"') from None
+    try:
+        frame = parquet.ParquetFile(pyarrow.BufferReader(content)).read().to_pandas(ignore_metadata=True)
+    except pyarrow.ArrowException as broken:
+        raise TableFault(f"cannot be read as Parquet: {str(broken).splitlines()[0]}") from None
+    return frame.apply(lambda column: column.map(_cell_text))
+
+
+def _excel_rows(content: bytes) -> list[list[str]]:
+    """Cells of the first sheet of an .xlsx file as text."""
+    import pandas as pd
+
+    try:
+        frame = pd.read_excel(io.BytesIO(content), header=None, dtype=object, engine="openpyxl")
+    except ImportError:
+        raise TableFault(
+            'Excel files need the extra "excel": pip install "hygrokf[excel]"; or export the table as CSV'
+        ) from None
+    except (KeyError, ValueError, OSError, zlib.error, zipfile.BadZipFile) as broken:
+        raise TableFault(f"is a ZIP archive but no Excel table: {broken}") from None
+    return [[_cell_text(cell) for cell in row] for row in frame.itertuples(index=False)]
+
+
+def _cell_text(cell: object) -> str:
+    import pandas as pd
+
+    if cell is None or (pd.api.types.is_scalar(cell) and pd.isna(cell)):
+        return ""
+    return f"{cell!r}" if isinstance(cell, float) else str(cell)

@@ -1,0 +1,305 @@
+"""Which column holds which signal: by its name and by what its readings do, with the runners-up."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hygrokf.drafting.behaviour import (
+    Hourly,
+    hourly,
+    impossible,
+    like_ambient,
+    like_cabinet,
+    unit_by_values,
+    warmer_share,
+)
+from hygrokf.drafting.layout import Export
+from hygrokf.drafting.stamps import Clock, clock_of
+from hygrokf.drafting.vocabulary import NamedColumn, name_says, place_of, words_of
+
+SURE = 0.8
+"""Score from which a name needs no confirmation."""
+OUTSIDE = 0.45
+"""Score from which readings alone may be those of the outside air."""
+NEEDED = 0.3
+"""Score from which a signal that a model needs is read, with its doubts."""
+USED = 0.7
+"""Score from which a signal that no model needs is read without an edit."""
+_NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
+_QUANTITY_WORDS = re.compile(
+    r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )"
+)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A column that may hold a signal.
+
+    source: its number among the sources. score: 0 to 1. why: in words. doubts: to confirm.
+    """
+
+    signal: str
+    source: int
+    column: str
+    unit: str
+    score: float
+    why: str
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Assigned:
+    """The column of a signal.
+
+    active: whether the case reads it without an edit. compare: whether it is only compared. runners_up: next
+    best columns.
+    """
+
+    best: Candidate
+    active: bool
+    compare: bool
+    doubts: tuple[str, ...]
+    runners_up: tuple[Candidate, ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """An export whose columns are numbers.
+
+    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no
+    signal.
+    """
+
+    export: Export
+    clock: Clock
+    values: dict[str, np.ndarray]
+    named: dict[str, NamedColumn]
+    left: dict[str, str] = field(default_factory=dict)
+
+    def hourly(self, column: str) -> Hourly:
+        return hourly(self.clock.time, self.values[column])
+
+
+def numbers_of(export: Export, time: str) -> dict[str, np.ndarray]:
+    """Columns of numbers: column -> readings (N,), NaN where a cell is no number."""
+    import pandas as pd
+
+    found = {}
+    for name in export.cells:
+        text = export.cells[name]
+        if name == time or text.notna().sum() < 2:
+            continue
+        if export.decimal == ",":
+            text = text.str.replace(",", ".", regex=False)
+        values = pd.to_numeric(text.replace({"true": "1", "false": "0"}), errors="coerce").to_numpy(float)
+        if np.isfinite(values).sum() > 0.5 * text.notna().sum():
+            found[name] = values
+    return found
+
+
+def source_of(export: Export, column: str) -> Source:
+    """An export with its clock, its numbers and what its names say; column: of the stamps.
+
+    Means over intervals are told by their names, or by what they are of.
+    """
+    values = numbers_of(export, column)
+    several = {
+        name
+        for name, header in zip(export.cells, export.names, strict=False)
+        if export.names.count(header) > 1
+    }
+    values = {name: one for name, one in values.items() if name not in several or export.changes}
+    units = dict(zip(export.cells.columns, export.units, strict=True))
+    named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
+    left = {
+        name: "several columns have this name" if name in several else "text"
+        for name in export.cells
+        if name not in values and name != column
+    }
+    operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
+    averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
+    reanalysis = any("ERA5" in one.why for one in named.values())
+    clock = clock_of(export, column, (operation or averaged) and not reanalysis)
+    return Source(export, clock, values, named, left)
+
+
+def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
+    """The column of every signal found, and why each other column holds none."""
+    sure = [one for number, source in enumerate(sources) for one in _by_name(number, source)]
+    ambient, power = _best(sure, "ambient_temperature"), _best(sure, "active_power")
+    open_temperatures = _unplaced(sources, "temperature")
+    guesses: list[Candidate] = [*_by_file(sources, open_temperatures)]
+    placed = {(one.source, one.column) for one in guesses}
+    open_temperatures = [one for one in open_temperatures if one not in placed]
+    if ambient is None and not any(one.signal == "ambient_temperature" for one in guesses):
+        guesses += _ambient_by_values(sources, open_temperatures, sure)
+    ambient = ambient or _best(guesses, "ambient_temperature")
+    outside = None if ambient is None else sources[ambient.source].hourly(ambient.column)
+    load = None if power is None else sources[power.source].hourly(power.column)
+    for number, column in open_temperatures:
+        if ambient is not None and (ambient.source, ambient.column) == (number, column):
+            continue
+        likeness = like_cabinet(sources[number].hourly(column), outside, load)
+        air = 0.04 if " air " in sources[number].named[column].words else 0.0
+        score = round(0.2 + 0.4 * likeness + air, 3)
+        guesses.append(_candidate(sources, "cabinet_temperature", number, column, score, "by its readings"))
+    taken = _chosen([*sure, *guesses])
+    guesses += _humidities(sources, taken)
+    return _settled(sources, _checked([*sure, *guesses], sources))
+
+
+def _by_name(number: int, source: Source) -> list[Candidate]:
+    found = []
+    for column, named in source.named.items():
+        if not named.signal:
+            continue
+        if _NO_UNIT_HERE.search(words_of(column)):
+            source.left[column] = f"may be {named.signal}, in a unit that a case does not know: convert it"
+            continue
+        found.append(_candidate([source], named.signal, 0, column, named.score, named.why, number))
+    return found
+
+
+def _candidate(
+    sources: list[Source],
+    signal: str,
+    at: int,
+    column: str,
+    score: float,
+    why: str,
+    number: int | None = None,
+) -> Candidate:
+    """A candidate with its unit; number: of the source, by default its place `at` in `sources`."""
+    source = sources[at]
+    unit, doubt = unit_by_values(source.values[column], signal, source.named[column].unit)
+    said = () if doubt is None else (doubt,)
+    return Candidate(signal, at if number is None else number, column, unit, score, why, said)
+
+
+def _unplaced(sources: list[Source], quantity: str) -> list[tuple[int, str]]:
+    """Columns of a quantity whose place their names do not tell."""
+    return [
+        (number, column)
+        for number, source in enumerate(sources)
+        for column, named in source.named.items()
+        if named.quantity == quantity and not named.signal and not named.place
+    ]
+
+
+def _by_file(sources: list[Source], columns: list[tuple[int, str]]) -> list[Candidate]:
+    """Columns of loggers, whose place the name of the file tells."""
+    found = []
+    for number, column in columns:
+        place, score = place_of(words_of(sources[number].export.file.name.split(".")[0]))
+        if place in ("cabinet", "ambient", "nacelle", "tower") and sum(n == number for n, _ in columns) == 1:
+            quantity = sources[number].named[column].quantity
+            trusted = min(score, SURE)
+            why = "by the name of its file"
+            found.append(_candidate(sources, f"{place}_{quantity}", number, column, trusted, why))
+    return found
+
+
+def _ambient_by_values(
+    sources: list[Source], columns: list[tuple[int, str]], sure: list[Candidate]
+) -> list[Candidate]:
+    """Temperatures without a place, by how much they look like that of the outside air."""
+    all_of = {one: sources[one[0]].hourly(one[1]) for one in columns}
+    named = [sources[one.source].hourly(one.column) for one in sure if one.signal.endswith("_temperature")]
+    found = []
+    for one in columns if len(columns) + len(named) > 1 else []:
+        others = [*(series for key, series in all_of.items() if key != one), *named]
+        score = round(0.2 + 0.4 * like_ambient(all_of[one], others), 3)
+        if score >= OUTSIDE:
+            found.append(_candidate(sources, "ambient_temperature", *one, score, "by its readings"))
+    return found
+
+
+def _humidities(sources: list[Source], taken: dict[tuple[int, str], Candidate]) -> list[Candidate]:
+    """Humidities without a place: that of the temperature with the same name, or of the same logger."""
+    found = list(_by_file(sources, _unplaced(sources, "relative_humidity")))
+    done = {(one.source, one.column) for one in found}
+    for number, column in _unplaced(sources, "relative_humidity"):
+        if (number, column) in done:
+            continue
+        stem = _stem(sources[number].named[column].words)
+        for (source, other), candidate in taken.items():
+            place, _, quantity = candidate.signal.rpartition("_")
+            if source != number or quantity != "temperature":
+                continue
+            alone = len(_unplaced(sources[number : number + 1], "relative_humidity")) == 1
+            same = _stem(sources[number].named[other].words) == stem
+            if same or (alone and candidate.why != "by its name" and place in ("cabinet", "ambient")):
+                score, why = min(candidate.score, 0.75), f'beside "{other}"'
+                found.append(_candidate(sources, f"{place}_relative_humidity", number, column, score, why))
+    return found
+
+
+def _stem(words: str) -> str:
+    return re.sub(r"\s+", " ", _QUANTITY_WORDS.sub(" ", words)).strip()
+
+
+def _best(candidates: list[Candidate], signal: str) -> Candidate | None:
+    return max((one for one in candidates if one.signal == signal), key=lambda one: one.score, default=None)
+
+
+def _chosen(candidates: list[Candidate]) -> dict[tuple[int, str], Candidate]:
+    """(source, column) -> the candidate that takes it: best first, each signal and each column once."""
+    taken: dict[tuple[int, str], Candidate] = {}
+    signals: set[str] = set()
+    for one in sorted(candidates, key=lambda one: -one.score):
+        if one.signal not in signals and (one.source, one.column) not in taken:
+            taken[one.source, one.column] = one
+            signals.add(one.signal)
+    return taken
+
+
+def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candidate]:
+    """Candidates with lower scores where their readings cannot be those of the signal."""
+    checked = []
+    for one in candidates:
+        against = impossible(sources[one.source].values[one.column], one.unit, one.signal)
+        if against is not None:
+            one = replace(one, score=0.3 * one.score, doubts=(*one.doubts, against))
+        checked.append(one)
+    return checked
+
+
+def _settled(
+    sources: list[Source], candidates: list[Candidate]
+) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
+    taken = _chosen(candidates)
+    outside = next((one for one in taken.values() if one.signal == "ambient_temperature"), None)
+    turbine = any(one.signal == "active_power" for one in taken.values())
+    found, used = [], set(taken)
+    for one in taken.values():
+        rest = sorted((c for c in candidates if c.signal == one.signal and c != one), key=lambda c: -c.score)
+        near = tuple(c for c in rest if c.score > one.score - 0.15 and (c.source, c.column) not in used)
+        seconds = tuple(c for c in near if c.source != one.source and c.score >= SURE)
+        near = tuple(c for c in near if c not in seconds)
+        doubts = [*one.doubts]
+        if one.score < SURE:
+            doubts.insert(0, f"{one.why}, score {one.score:.2f}")
+        if near:
+            doubts.append("next: " + ", ".join(f'"{c.column}" ({c.score:.2f})' for c in near[:4]))
+        if one.signal == "cabinet_temperature" and outside is not None:
+            air = sources[outside.source].hourly(outside.column)
+            share = warmer_share(sources[one.source].hourly(one.column), air)
+            if share < 0.5:
+                doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
+        needed = one.signal == "ambient_temperature" or one.signal.startswith("cabinet_")
+        # among the many temperatures of a turbine, one without a name may be that of any part
+        needed = needed and (one.score > 0.65 or not turbine)
+        active = one.score >= (NEEDED if needed else USED)
+        found.append(Assigned(one, active, False, tuple(doubts), near))
+        for second in seconds[:1]:
+            found.append(Assigned(second, True, True, second.doubts, ()))
+            used.add((second.source, second.column))
+    left = {}
+    for number, source in enumerate(sources):
+        for column in (*source.values, *source.left):
+            if (number, column) not in used:
+                left[number, column] = source.left.get(column) or source.named[column].why
+    return found, left

@@ -1,0 +1,191 @@
+"""Exports in a form that a case can name: one turbine, one column a quantity, one column of stamps."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hygrokf.data.columns import TableFault
+from hygrokf.drafting.layout import Export, is_number
+from hygrokf.drafting.stamps import as_text, time_columns
+from hygrokf.drafting.vocabulary import words_of
+from hygrokf.errors import suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+_TURBINE = re.compile(r"turbine|wtg| wec | wea |anlage|asset|device|station|maschine| unit id | plant ")
+_TAG = re.compile(
+    r" tag|signal|variable|channel|kanal|messstelle|parameter| point| sensor|quantity|groesse|^ name $"
+)
+_VALUE = re.compile(r"value|wert|reading|messwert")
+_UNIT = re.compile(r"^ (unit|units|einheit) $")
+_LABEL = re.compile(
+    r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE
+)
+
+
+def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | None, tuple[str, ...]]:
+    """An export that a case can name, after selection of one turbine and reordering of its cells.
+
+    turbine: to select, or None for the first.
+
+    Returns the export, whose `changes` say why a copy is needed; its column of stamps; the turbine selected
+    (None where the file holds one alone); doubts.  Raises TableFault.
+    """
+    doubts: list[str] = []
+    column, hours = time_columns(export)
+    export, chosen = _one_turbine(export, column, hours, turbine, doubts)
+    if hours is not None:
+        joined = export.cells[column].str.cat(export.cells[hours], sep=" ")
+        cells = export.cells.drop(columns=[column, hours])
+        export = _with(export, cells.assign(time=joined)[["time", *cells]], "date and time in two columns")
+        column = "time"
+    export = _wide(export, column)
+    text, was = as_text(export.cells[column])
+    if was is not None:
+        export = _with(export, export.cells.assign(**{column: text}), f"stamps in {was}")
+    if not column.strip():
+        export = _with(
+            export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
+        )
+        column = "time"
+    export, labelled = _one_label(export, column, turbine, doubts)
+    return export, column, chosen or labelled, tuple(doubts)
+
+
+def joined(exports: list[Export]) -> list[Export]:
+    """Exports, those with the same columns joined to one: files of consecutive months or years."""
+    import pandas as pd
+
+    result: list[Export] = []
+    for export in exports:
+        same = [n for n, one in enumerate(result) if _continues(one, export)]
+        if not same or export.changes:
+            result.append(export)
+            continue
+        before = result[same[0]]
+        cells = pd.concat([before.cells, export.cells], ignore_index=True)
+        change = f"joined with {export.file.name}"
+        missing = tuple(dict.fromkeys((*before.missing, *export.missing)))
+        result[same[0]] = replace(before, cells=cells, missing=missing, changes=(*before.changes, change))
+    return result
+
+
+def same_layout(exports: list[Export]) -> list[str]:
+    """Faults of exports that have the columns and the stamps of another one: they are of another turbine."""
+    faults = []
+    for number, export in enumerate(exports):
+        for before in exports[:number]:
+            if before.names == export.names and len(export.names) > 4:
+                faults.append(
+                    f"{export.file}: expected one turbine, found the columns and stamps of "
+                    f"{before.file.name} again; draft one case for each turbine"
+                )
+    return faults
+
+
+def _continues(before: Export, export: Export) -> bool:
+    """Whether an export has the columns of another one and hardly any of its stamps."""
+    if before.names != export.names or before.decimal != export.decimal:
+        return False
+    stamps, _ = time_columns(export)
+    return float(export.cells[stamps].isin(set(before.cells[stamps])).mean()) < 0.1
+
+
+def _with(
+    export: Export, cells: pandas.DataFrame, change: str, units: dict[str, str] | None = None
+) -> Export:
+    """An export with other cells, and why."""
+    old = dict(zip(export.cells.columns, export.units, strict=True)) | (units or {})
+    names = tuple(map(str, cells.columns))
+    of_names = tuple(old.get(name, "") for name in names)
+    return replace(export, cells=cells, names=names, units=of_names, changes=(*export.changes, change))
+
+
+def _one_turbine(
+    export: Export, column: str, hours: str | None, turbine: str | None, doubts: list[str]
+) -> tuple[Export, str | None]:
+    """The rows of one turbine, where a column names several."""
+    cells = export.cells
+    keys = [one for one in cells if one not in (column, hours) and _TURBINE.search(words_of(one))]
+    for key in keys:
+        names = list(cells[key].dropna().unique())
+        stamps = [column] if hours is None else [column, hours]
+        if not 2 <= len(names) <= 1000 or cells.duplicated(stamps).mean() < 0.3:
+            continue
+        chosen = names[0] if turbine is None else turbine
+        if chosen not in names:
+            raise TableFault(
+                f'column "{key}": expected the turbine "{chosen}", found {", ".join(names[:20])}'
+                f"{suggestion(chosen, names)}"
+            )
+        if turbine is None:
+            rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
+            doubts.append(
+                f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
+            )
+        rows = cells[cells[key] == chosen].drop(columns=[key]).reset_index(drop=True)
+        return _with(export, rows, f'rows of turbine "{chosen}" alone'), chosen
+    if turbine is not None and any(cells[key].nunique() == 1 for key in keys):
+        return export, turbine
+    return export, None
+
+
+def _wide(export: Export, column: str) -> Export:
+    """One column a tag, from rows of stamp, tag and value; units of a column of units."""
+    cells = export.cells
+    rest = [one for one in cells if one != column]
+    sample = {one: cells[one].dropna().iloc[:500] for one in rest}
+    unit = next((one for one in rest if _UNIT.match(words_of(one))), None)
+    numbers = [one for one in rest if len(sample[one]) and sample[one].map(is_number).mean() > 0.9]
+    values = [one for one in numbers if _VALUE.search(words_of(one))] or (
+        numbers if len(numbers) == 1 else []
+    )
+    if not values:
+        return export
+    tags = [one for one in rest if one not in (*numbers, unit) and 2 <= cells[one].nunique() <= 500]
+    tags.sort(key=lambda one: _TAG.search(words_of(one)) is None)
+    if not tags or cells[column].duplicated().mean() < 0.3:
+        if unit is None or cells[unit].nunique() != 1:
+            return export
+        units = tuple(
+            str(cells[unit].dropna().iloc[0]) if name == values[0] else given
+            for name, given in zip(cells, export.units, strict=True)
+        )
+        return replace(export, units=units)
+    tag = tags[0]
+    rows = cells.dropna(subset=[tag, column])
+    table = rows.pivot_table(index=column, columns=tag, values=values[0], aggfunc="first", sort=False)
+    units_of = {} if unit is None else rows.dropna(subset=[unit]).groupby(tag)[unit].first().to_dict()
+    table = table.reset_index().rename_axis(columns=None)
+    return _with(export, table.where(table.notna(), None), "one row a value", units_of)
+
+
+def _one_label(
+    export: Export, column: str, turbine: str | None, doubts: list[str]
+) -> tuple[Export, str | None]:
+    """The columns of one turbine, where the names of columns hold several."""
+    labels = {one: found[1] for one in export.cells if one != column and (found := _LABEL.search(one))}
+    stems: dict[str, list[str]] = {}
+    for name, label in labels.items():
+        stem = name.replace(label, "", 1).strip(" _.-")
+        if re.search(r"[A-Za-z]", stem):
+            stems.setdefault(stem, []).append(label)
+    several = [found for found in stems.values() if len(found) > 1]
+    if not several:
+        return export, None
+    names = list(dict.fromkeys(label for found in several for label in found))
+    chosen = names[0] if turbine is None else turbine
+    if chosen not in names:
+        raise TableFault(
+            f'expected columns of turbine "{chosen}", found those of {", ".join(names)}'
+            f"{suggestion(chosen, names)}"
+        )
+    if turbine is None:
+        doubts.append(f'the columns of "{chosen}" are taken, of {", ".join(names)}: --turbine selects others')
+    kept = [one for one in export.cells if labels.get(one) not in names or labels[one] == chosen]
+    units = tuple(given for one, given in zip(export.cells, export.units, strict=True) if one in kept)
+    # nothing moves in the file: the case names the columns of one turbine
+    return replace(export, cells=export.cells[kept], units=units, label=chosen), chosen

@@ -1,0 +1,307 @@
+"""The stamps of an export: column and format, place in the interval, and what tells their zone."""
+
+from __future__ import annotations
+
+import math
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.columns import TableFault
+from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step, read_stamps, zone_named
+from hygrokf.drafting.layout import Export, is_date
+
+if TYPE_CHECKING:
+    import pandas
+
+FORMATS = (
+    "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%d.%m.%Y",
+    "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d/%m/%y %H:%M:%S", "%d/%m/%y %H:%M",
+    "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%y %H:%M:%S", "%m/%d/%y %H:%M",
+    "%m/%d/%Y %I:%M:%S %p", "%m/%d/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
+    "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
+    "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
+    "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
+    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H%M", "%Y%m%d %H:%M",
+)  # fmt: skip
+"""strptime formats of exports, besides ISO 8601."""
+_TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
+_STATED_ZONE = re.compile(
+    r"(?:time ?zone|zeitzone)\W{0,3}([A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})", re.IGNORECASE
+)
+_NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The stamps of one export.
+
+    column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
+    file, read as UTC where the stamps have no offset.
+    timezone: of the stamps, None where they carry offsets. stamp: their meaning. step_s: most frequent step.
+    doubts: choices to confirm. remarks: what was seen and rests on evidence.
+    """
+
+    column: str
+    time_format: str | None
+    time: np.ndarray
+    timezone: str | None
+    stamp: str
+    step_s: float
+    doubts: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def time_columns(export: Export) -> tuple[str, str | None]:
+    """The column of stamps or dates, and the one of times of day where the two are apart.
+
+    Raises TableFault where there is none.
+    """
+    sample = export.cells.iloc[np.linspace(0, len(export.cells) - 1, min(len(export.cells), 200)).astype(int)]
+    found: list[tuple[int, int, str]] = []
+    for name in sample:
+        given = sample[name].dropna()
+        if len(given) < 0.5 * len(sample) or (given.nunique() < 2 and len(sample) > 200):
+            continue
+        if given.map(is_date).mean() > 0.9:
+            words = name.lower()
+            numeric = given.str.fullmatch(r"[\d.]+").all() and not given.str.contains(r"\..*\.").any()
+            named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|ts\b|_ts|时间", words))
+            if numeric and not named:
+                continue
+            utc = "utc" in words or "gmt" in words
+            end = bool(re.search(r"\bend|ende\b|bis\b|_end|received|insert", words))
+            found.append((named + utc - end, -len(found), name))
+    if not found:
+        raise TableFault(
+            "expected a column of stamps such as 2020-12-01 00:00, found none among "
+            f"{', '.join(sample)[:200]}"
+        )
+    column = max(found)[2]
+    if not sample[column].dropna().str.contains(":").any():
+        for name in sample:
+            given = sample[name].dropna()
+            if (
+                name != column
+                and len(given)
+                and given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9
+            ):
+                return column, name
+    return column, None
+
+
+def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
+    """Stamps that a case can read, from Unix seconds or milliseconds; and what they were."""
+    import pandas as pd
+
+    given = stamps.dropna()
+    if not given.str.fullmatch(r"1\d{9}(\.\d*)?|1\d{12}").all():
+        return stamps, None
+    milli = given.str.len().median() == 13 and not given.str.contains(".", regex=False).any()
+    number = pd.to_numeric(stamps) * (1 if milli else 1000)
+    text = pd.to_datetime(number.round(), unit="ms").dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if milli else 'seconds'}"
+
+
+def clock_of(export: Export, column: str, means: bool) -> Clock:
+    """The clock of an export.
+
+    means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
+    """
+    text = export.cells[column]
+    forms = _forms(text)
+    if not forms:
+        raise TableFault(
+            f'column "{column}": expected stamps such as 2020-12-01 00:00 or 01.12.2020 00:00, found '
+            f'"{text.dropna().iloc[0]}"; export the time in ISO 8601'
+        )
+    doubts: list[str] = []
+    remarks: list[str] = []
+    form, time = forms[0]
+    if len(forms) > 1:
+        others = ", ".join(str(one) for one, _ in forms[1:3])
+        doubts.append(f"day and month can be exchanged in these stamps; also possible: {others}")
+    step, _ = modal_step(np.sort(time[np.isfinite(time)]))
+    aware = form is None and bool(read_stamps(text.iloc[:50]).naive.sum() < 25)
+    zone: str | None = None
+    holes = _holes(time, step)
+    if not aware:
+        zone = _zone(column, export, time, holes, doubts, remarks)
+    stamp = _position(column, time, step, holes, means, doubts, remarks)
+    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks))
+
+
+def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
+    """Formats that read the stamps, with the times [s]; the most regular first."""
+    sample = text.dropna()
+    sample = sample.iloc[np.linspace(0, len(sample) - 1, min(len(sample), 300)).astype(int)]
+    found = []
+    for place, form in enumerate((None, *FORMATS)):
+        if read_stamps(sample, UTC, time_format=form).unreadable.any():
+            continue
+        read = read_stamps(text, UTC, time_format=form)
+        if read.unreadable.sum() > 0.001 * len(text):
+            continue
+        moments = np.sort(read.time[np.isfinite(read.time)])
+        irregular = 1.0 - modal_step(moments)[1]
+        span = moments[-1] - moments[0] if len(moments) else math.inf
+        found.append((round(irregular, 2), round(span / DAY_S), place, form, read.time))
+        if form is None:
+            break
+    found.sort(key=lambda one: one[:3])
+    return [(one[3], one[4]) for one in found if one[:2] == found[0][:2]]
+
+
+@dataclass(frozen=True)
+class _Hole:
+    """The hour that a clock with summer time skips in spring: its first hour by that clock [h], whether the
+    stamps are ends of intervals, and whether it is an American date."""
+
+    hour: int
+    end: bool
+    american: bool
+
+
+_ZONES = {(1, False): "Europe/London", (2, False): "Europe/Berlin", (3, False): "Europe/Helsinki"}
+
+
+def _holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
+    """Hours missing on dates of change in spring, and the number of such dates without a missing hour."""
+    import pandas as pd
+
+    moments = np.unique(time[np.isfinite(time)])
+    if not step <= HOUR_S or len(moments) < 10:
+        return [], 0
+    holes, whole = [], 0
+    days = pd.date_range(pd.Timestamp(moments[0], unit="s").normalize(), pd.Timestamp(moments[-1], unit="s"))
+    for day in days:
+        european = day.month == 3 and day.weekday() == 6 and day.day >= 25
+        american = day.month == 3 and day.weekday() == 6 and 8 <= day.day <= 14
+        if not (european or american):
+            continue
+        start = day.timestamp()
+        near = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
+        gaps = np.flatnonzero(np.diff(near) > 1.5 * step)
+        if len(gaps) == 0 and len(near) > 5 * HOUR_S / step:
+            whole += european
+        elif len(gaps) == 1 and abs(near[gaps[0] + 1] - near[gaps[0]] - HOUR_S - step) < 0.01 * step:
+            missing = (near[gaps[0]] + step - start) / HOUR_S
+            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, american and not european))
+    return holes, whole
+
+
+def _zone(
+    column: str,
+    export: Export,
+    time: np.ndarray,
+    holes: tuple[list[_Hole], int],
+    doubts: list[str],
+    remarks: list[str],
+) -> str:
+    """The zone of stamps without an offset, with what speaks for it."""
+    named = _NAMED_ZONE.search(" ".join((column.replace("_", " "), *export.units[:1])))
+    if named is not None:
+        offset = named[1]
+        remarks.append(f'the zone is named in the header "{column}"')
+        if not offset:
+            return "UTC"
+        hours, minutes = re.fullmatch(r"([+-]\d{1,2}):?(\d{2})?", offset).groups()  # type: ignore[union-attr]
+        return "UTC" if int(hours) == 0 else f"{int(hours):+03d}:{minutes or '00'}"
+    stated = _STATED_ZONE.search(export.preamble)
+    if stated is not None:
+        with suppress(ValueError):
+            zone_named(stated[1])
+            remarks.append("the zone is stated above the header")
+            return stated[1]
+    found, whole = holes
+    if found and not whole:
+        zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
+        where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
+        if zone is not None:
+            remarks.append(f"{where}: the clock follows the summer time of {zone} or a zone like it")
+            return zone
+        doubts.append(
+            f"{where}: name the IANA zone of the site, such as America/Chicago; UTC is only assumed"
+        )
+        return "UTC"
+    if whole and not found:
+        doubts.append(
+            "no hour is missing where summer time begins: the clock has a fixed offset, which the file does "
+            "not state; UTC is assumed"
+        )
+    else:
+        doubts.append("the file does not state the zone of its stamps; UTC is assumed")
+    return "UTC"
+
+
+def _position(
+    column: str,
+    time: np.ndarray,
+    step: float,
+    holes: tuple[list[_Hole], int],
+    means: bool,
+    doubts: list[str],
+    remarks: list[str],
+) -> str:
+    """The meaning of the stamps: an instant, or the start or end of an interval."""
+    words = re.sub(r"[_\W]+", " ", column.lower())
+    for stamp, pattern in (
+        ("start", r"\b(start|begin|beginning|beginn|von|from)\b"),
+        ("end", r"\b(end|ende|bis)\b"),
+    ):
+        if re.search(pattern, words):
+            remarks.append(f'the header "{column}" says that stamps are at the {stamp} of the interval')
+            return stamp
+    if not (means and step >= 5.0 * MINUTE_S):
+        return "instant"
+    moments = np.sort(time[np.isfinite(time)])
+    into_day = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
+    minutes = round(step / MINUTE_S) if math.isfinite(step) else 0
+    last_of_day = round(DAY_S / MINUTE_S) - minutes
+    if minutes and holes[0]:
+        stamp = "end" if holes[0][0].end else "start"
+        remarks.append(f"the stamps missing where summer time begins are {stamp}s of intervals")
+        return stamp
+    if minutes and tuple(into_day) == (minutes, 0):
+        remarks.append(
+            "the file begins one step after midnight and ends at midnight: stamps are ends of intervals"
+        )
+        return "end"
+    if minutes and tuple(into_day) == (0, last_of_day):
+        remarks.append("the file begins at midnight and ends one step before: stamps are starts of intervals")
+        return "start"
+    doubts.append('means over intervals: the file does not state whether stamps are their "start" or "end"')
+    return "start"
+
+
+def noon_of(time: np.ndarray, irradiance: np.ndarray) -> float:
+    """Mean time of day of the sun's energy by a clock [h]; NaN below five days of sun.
+
+    time: [s] (N,) by the clock. irradiance: [any unit] (N,).  The first harmonic of the day, weighted by the
+    irradiance; the equation of time averages out over a year and is at most 0.3 h.
+    """
+    good = np.isfinite(time) & np.isfinite(irradiance) & (irradiance > 0.0)
+    if good.sum() < 50 or np.ptp(time[good]) < 5.0 * DAY_S:
+        return math.nan
+    turn = 2.0 * math.pi * time[good] / DAY_S
+    angle = math.atan2(float(irradiance[good] @ np.sin(turn)), float(irradiance[good] @ np.cos(turn)))
+    return (angle / (2.0 * math.pi) * 24.0) % 24.0
+
+
+def sun_remark(noon_h: float, longitude_deg: float | None) -> str | None:
+    """What the sun says about an unstated offset of a clock."""
+    if not math.isfinite(noon_h):
+        return None
+    ahead = noon_h - 12.0
+    if longitude_deg is not None:
+        offset = ahead + longitude_deg / 15.0
+        return (
+            f"the sun culminates at {noon_h:.1f} h by this clock: at {longitude_deg:g}° E UTC{offset:+.1f} h"
+        )
+    east = -15.0 * ahead
+    shown = ", ".join(f"{offset:+d} h: {east + 15.0 * offset:.0f}° E" for offset in (0, 1, 2))
+    return f"the sun culminates at {noon_h:.1f} h by this clock; that fits UTC{shown}"

@@ -1,0 +1,284 @@
+"""What the columns of exports are called: quantities, places, and names that a make or a standard has of its
+own."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from hygrokf.data.signals import fitting_units
+from hygrokf.drafting.layout import unit_in_export
+
+OWN_NAMES: tuple[tuple[str, str, str], ...] = (
+    # Greenbyte: "converter" is where this sensor is, and the air around it is the cabinet's
+    ("ambient temperature converter", "cabinet_temperature", "Greenbyte"),
+    ("cont vcp temp", "cabinet_temperature", "Vestas, EDP"),
+    ("cont vcp wtr temp", "coolant_temperature", "Vestas, EDP"),
+    ("grd prod pwr", "active_power", "Vestas, EDP"),
+    ("grd rtr inv phase 1 temp", "converter_temperature", "Vestas, EDP"),
+    ("rtr rpm", "rotor_speed", "Vestas, EDP"),
+    ("gen rpm", "generator_speed", "Vestas, EDP"),
+    ("amb wind speed", "wind_speed", "Vestas, EDP"),
+    ("amb wind dir abs", "wind_direction", "Vestas, EDP"),
+    ("p", "active_power", "Senvion (ENGIE)"),
+    ("ws", "wind_speed", "Senvion (ENGIE), OpenOA"),
+    ("wa", "wind_direction", "Senvion (ENGIE)"),
+    ("ot", "ambient_temperature", "Senvion (ENGIE)"),
+    ("yt", "nacelle_temperature", "Senvion (ENGIE)"),
+    ("rs", "rotor_speed", "Senvion (ENGIE)"),
+    ("ds", "generator_speed", "Senvion (ENGIE)"),
+    ("wec power", "active_power", "Enercon"),
+    ("wec rotation", "rotor_speed", "Enercon"),
+    ("wec windspeed", "wind_speed", "Enercon"),
+    ("sys 1 inverter 1 cabinet temp", "cabinet_temperature", "Enercon"),
+    ("wtur w", "active_power", "IEC 61400-25, OpenOA"),
+    ("wtur tot w", "active_power", "IEC 61400-25"),
+    ("wgen w", "active_power", "IEC 61400-25"),
+    ("wgen spd", "generator_speed", "IEC 61400-25"),
+    ("wrot spd", "rotor_speed", "IEC 61400-25"),
+    ("wrot rot spd", "rotor_speed", "IEC 61400-25"),
+    ("wcnv cab tmp", "cabinet_temperature", "IEC 61400-25, GB/T 30966"),
+    ("wcnv cab hum", "cabinet_relative_humidity", "IEC 61400-25, GB/T 30966"),
+    ("wcnv hum", "cabinet_relative_humidity", "IEC 61400-25, GB/T 30966"),
+    ("wcnv ctl pnl tmp", "cabinet_temperature", "OpenOA"),
+    ("wnac intl tmp", "nacelle_temperature", "IEC 61400-25"),
+    ("wnac tmp", "nacelle_temperature", "IEC 61400-25"),
+    ("wnac hum", "nacelle_relative_humidity", "GB/T 30966"),
+    ("wnac intl hum", "nacelle_relative_humidity", "IEC 61400-25"),
+    ("wnac ext tmp", "ambient_temperature", "IEC 61400-25"),
+    ("wnac ext hum", "ambient_relative_humidity", "IEC 61400-25"),
+    ("wnac wd spd", "wind_speed", "IEC 61400-25"),
+    ("wnac wd dir", "wind_direction", "IEC 61400-25"),
+    ("wmet env tmp", "ambient_temperature", "IEC 61400-25, OpenOA"),
+    ("wmet env hum", "ambient_relative_humidity", "IEC 61400-25"),
+    ("wmet env pres", "ambient_pressure", "IEC 61400-25"),
+    ("wmet hor wd spd", "wind_speed", "IEC 61400-25, OpenOA"),
+    ("wmet hor wd dir", "wind_direction", "IEC 61400-25, OpenOA"),
+    ("wtow intl tmp", "tower_temperature", "IEC 61400-25"),
+    ("wtow intl hum", "tower_relative_humidity", "IEC 61400-25"),
+    ("t 2 m", "ambient_temperature", "ERA5"),
+    ("td 2 m", "ambient_dew_point_temperature", "ERA5"),
+    ("d 2 m", "ambient_dew_point_temperature", "ERA5"),
+    ("sp", "ambient_pressure", "ERA5"),
+    ("surf pres", "ambient_pressure", "ERA5"),
+    ("ssrd", "global_horizontal_irradiance", "ERA5"),
+    ("tcc", "cloud_cover", "ERA5"),
+)
+"""Name without its unit and the word of the mean, the signal, and who calls it so."""
+
+QUANTITIES: tuple[tuple[str, str], ...] = (
+    ("dew_point_temperature", r"dew ?point|tdew|taupunkt| td |露点"),
+    ("absolute_humidity", r"absolute (humidity|feuchte)|abs hum|absolute luftfeuchte"),
+    ("relative_humidity", r"humid| hum | rh |feucht| rf |湿度"),
+    ("wind_speed", r"wind ?speed|wd spd| ws |windgeschw|v ?wind |wind v |风速"),
+    ("wind_direction", r"wind ?dir|wd dir| wd |windricht|风向"),
+    ("diffuse_horizontal_irradiance", r"diffuse? |rdif| dhi |diffusstrahl"),
+    ("direct_normal_irradiance", r"direct normal| dni "),
+    (
+        "global_horizontal_irradiance",
+        r"global|irradia| ghi |rglob|solar rad|short ?wave|globalstrahl|hor sol",
+    ),
+    ("rotor_speed", r"rotor ?(speed|rpm)|rotordrehzahl|rot spd|rotor rotation"),
+    ("generator_speed", r"generator ?(speed|rpm)|generatordrehzahl|gen spd"),
+    ("pressure", r"pressure| press? |luftdruck|气压"),
+    ("rain", r"rain|precip|niederschlag|regen"),
+    ("cloud_cover", r"cloud|bewoelk"),
+    ("heater_duty", r"(heater|heizung) (duty|on|status|ein)"),
+    ("fan_duty", r"(fan|luefter) (duty|on|status|ein)"),
+    ("door_open", r"door (open|st|status)|tuer (offen|auf)"),
+    ("power", r"active power| power|leistung| pwr |有功"),
+    ("temperature", r"temp| tmp |t \d+ ?m | t |温度"),
+)
+"""Quantity (a signal where it needs no place) and the pattern of its words; the first that fits counts."""
+
+PLACES: tuple[tuple[str, str, float], ...] = (
+    (
+        "cabinet",
+        r"cabinet|schrank| cab |ctl pnl|control panel|enclosure|cubicle|controller|控制柜|变流器柜|柜",
+        0.95,
+    ),
+    (
+        "ambient",
+        r"ambient|outside|outdoor| amb | out |external| ext | env |aussen|umgebung|weather|wetter| met |环境",
+        0.95,
+    ),
+    ("ambient", r" fmi | knmi | dwd | era ?5 ", 0.85),
+    ("coolant", r"coolant|cooling water| wtr |kuehlwasser|kuehlmittel|冷却", 0.85),
+    ("nacelle", r"nacelle| nac |gondel|maschinenhaus|机舱", 0.95),
+    ("tower", r"tower base|tower| tow |turmfuss|turm|塔", 0.85),
+    ("converter", r"converter|inverter|igbt|umrichter|wechselrichter|变流", 0.8),
+)
+"""Place, the pattern of its words, and how far a name with it and a quantity is trusted (0 to 1)."""
+
+PARTS = (
+    r"gear|getr|bearing|lager|generator| gen |stator|rotor|oil| oel |oelt|hydraul|transform|trafo| hub "
+    r"|spinner|pitch|yaw|azimut|choke|indoor|brake|brems|winding|wicklung|blade|blatt|phase|rectifier|heatsink"
+    r"|pipe|fan |slip ring|lueft|insulation|inverter averages"
+)
+"""Parts of a turbine or a building that are not the air of a place."""
+NOT_MEANT = (
+    r"react|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
+    r"|lost|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen"
+    r"|deviation"
+)
+"""Words of quantities that no signal holds."""
+_STATISTIC = r" (min|max|std|sd|stddev|stdev|minimum|maximum|stdabw|count|sum|range) "
+_MEAN = r" (avg|ave|mean|average|mittel|mittelwert|mw|smp) "
+_SUFFIX = re.compile(
+    r"[ _](deg[ _]?[CF]|pct|percent|kW|MW|W|Pa|hPa|kPa|rpm|m[ _]s|mps|W[ _]?m2|K|C|F|mm|deg)$"
+)
+_BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
+
+
+@dataclass(frozen=True)
+class NamedColumn:
+    """What the name of a column says.
+
+    words: of the name, in lower case between blanks. unit: stated in the name or below it, None where not
+    recognised; stated: as it is written.
+    quantity: "temperature", …, or a signal; "" where none is named. place: or "".
+    signal: or "" where the name does not tell. score: how far the name is trusted, 0 to 1. why: in words.
+    """
+
+    words: str
+    unit: str | None
+    stated: str
+    quantity: str
+    place: str
+    signal: str
+    score: float
+    why: str
+
+
+def name_says(name: str, unit: str = "") -> NamedColumn:
+    """What a header says.
+
+    name: of the column. unit: from a row of units, or "".
+    """
+    plain, stated, known = _unit_apart(name, unit)
+    words = words_of(plain)
+    if re.search(_STATISTIC, words):
+        return NamedColumn(words, known, stated, "", "", "", 0.0, "a statistic other than the mean")
+    bare = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
+    whole = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
+    for own, signal, make in OWN_NAMES:
+        if own == whole != bare:
+            return NamedColumn(words, None, "", "", "", signal, 1.0, f"a name of {make}")
+        if own == bare and (known is None or known in fitting_units(signal)):
+            return NamedColumn(words, known, stated, "", "", signal, 1.0, f"a name of {make}")
+    quantity = _quantity(words)
+    if not quantity and known in ("Pa", "hPa", "kPa"):
+        quantity = "pressure"
+    if not quantity and known == "m/s" and " wind " in words:
+        quantity = "wind_speed"
+    if not quantity and known == "rpm":
+        machine = re.search(r" (rotor|generator) ", words)
+        quantity = "" if machine is None else f"{machine[1]}_speed"
+    if not quantity and known in ("degC", "degF", "K"):
+        quantity = "temperature"
+    if not quantity and known == "%" and re.search(r"rf|rh", stated.lower()):
+        quantity = "relative_humidity"
+    if re.search(NOT_MEANT, words) or not quantity:
+        return NamedColumn(words, known, stated, "", "", "", 0.0, "no signal of this name")
+    place, score = place_of(words)
+    part = re.search(PARTS, words) is not None
+    signal = _signal(quantity, place, words)
+    if (
+        quantity in ("temperature", "relative_humidity")
+        and part
+        and place not in ("cabinet", "ambient", "coolant")
+    ):
+        return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
+    if part and quantity == "power":
+        return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
+    if not place and signal:
+        score = 0.85 if quantity != "power" else 0.9
+    if place == "cabinet":
+        score = 0.5 if part else _cabinet_score(words)
+    return NamedColumn(words, known, stated, quantity, place, signal, score if signal else 0.0, "by its name")
+
+
+def words_of(text: str) -> str:
+    """The words of a name in lower case, between blanks; camel case and digits apart, umlauts written out."""
+    for mark, written in (
+        ("ä", "ae"),
+        ("ö", "oe"),
+        ("ü", "ue"),
+        ("Ä", "Ae"),
+        ("Ö", "Oe"),
+        ("Ü", "Ue"),
+        ("ß", "ss"),
+    ):
+        text = text.replace(mark, written)
+    text = re.sub(r"(?<![A-Za-z])(T|RH)_?(cab|amb|nac|out|ext)(?![a-z])", r"\1 \2", text)
+    text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
+    text = re.sub(r"(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", text)
+    return f" {re.sub(r'[^0-9a-z一-鿿]+', ' ', text.lower()).strip()} "
+
+
+def place_of(words: str) -> tuple[str, float]:
+    """The place that words name, and how far it is trusted; ("", 0) where they name none."""
+    for place, pattern, score in PLACES:
+        if re.search(pattern, words):
+            return place, score
+    return "", 0.0
+
+
+def _cabinet_score(words: str) -> float:
+    """How far a cabinet is that of the converter."""
+    if re.search(r"converter|inverter|umrichter|wechselrichter|变流", words):
+        return 0.97
+    if re.search(PLACES[4][1], words):
+        return 0.8
+    return 0.9 if re.search(r"control|ctl", words) else 0.94
+
+
+def _quantity(words: str) -> str:
+    return next((quantity for quantity, pattern in QUANTITIES if re.search(pattern, words)), "")
+
+
+def _signal(quantity: str, place: str, words: str) -> str:
+    if quantity == "power":
+        if re.search(r"heater|heiz", words):
+            return "heater_power"
+        return (
+            "auxiliary_power"
+            if re.search(r"auxil|own consum|eigenverb|eigenbedarf", words)
+            else "active_power"
+        )
+    if quantity == "pressure":
+        return "ambient_pressure"
+    if quantity in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
+        if quantity == "dew_point_temperature" and not place:
+            place = "ambient"
+        if place == "cabinet" and re.search(r" wall |wand", words):
+            place = "cabinet_wall"
+        named = f"{place}_{quantity}"
+        try:
+            fitting_units(named)
+        except KeyError:
+            return ""
+        return named
+    return quantity
+
+
+def _unit_apart(name: str, below: str) -> tuple[str, str, str | None]:
+    """Name without its unit, the unit as written, and its name in `UNITS`."""
+    if below.strip().strip("[]()-"):
+        return name, below, unit_in_export(below)
+    for bracket in reversed(list(_BRACKETS.finditer(name))):
+        known = unit_in_export(bracket[1])
+        if known is not None:
+            return name[: bracket.start()] + name[bracket.end() :], bracket[1], known
+    # loggers: "Temp, °C (LGR S/N: 123, SEN S/N: 123)"
+    after = re.match(r"(.+?),\s*([^,(]+?)\s*(\(.*)?$", name)
+    if after is not None and unit_in_export(after[2]) is not None:
+        label = re.search(r"LBL:\s*([^,)]+)", after[3] or "")
+        return f"{after[1]} {label[1] if label else ''}", after[2], unit_in_export(after[2])
+    if unit_in_export(name) is not None and len(name) > 1:
+        return name, name, unit_in_export(name)
+    suffix = _SUFFIX.search(name) or re.search(r"[ _](Wm2)$", name)
+    if suffix is not None:
+        return name[: suffix.start()], suffix[1], unit_in_export(suffix[1])
+    mark = _BRACKETS.findall(name)
+    return name, mark[-1] if mark else "", None

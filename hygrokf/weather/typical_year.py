@@ -1,0 +1,55 @@
+"""Hours of a typical year, which is composed of months from different years, placed in a calendar year."""
+
+from __future__ import annotations
+
+import calendar
+
+import numpy as np
+
+from hygrokf.data.columns import TableFault
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+
+
+def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Hours moved to one calendar year: their stamps, the rows that they come from, and warnings.
+
+    stamps: (T, 4) year, month, day, hour 1…24 as written. year: 1900 … 2200.
+
+    29 February is a repetition of the 28th where the year needs it and the file has none; it is left out
+    where the year has none.  Raises TableFault for a year out of range.
+    """
+    if not 1900 <= year <= 2200:
+        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
+    month, day = stamps[:, 1], stamps[:, 2]
+    leap_day = (month == 2) & (day == 29)
+    before = np.flatnonzero((month == 2) & (day == 28))
+    keep, said = np.arange(len(month)), []
+    placed = stamps.copy()
+    placed[:, 0] = year
+    if calendar.isleap(year) and not leap_day.any() and len(before) == 24:
+        keep = np.insert(keep, before[-1] + 1, before)
+        placed = placed[keep]
+        placed[before[-1] + 1 : before[-1] + 25, 2] = 29
+        said.append(f"{year} is a leap year: 28 February is repeated as 29 February")
+    elif not calendar.isleap(year) and leap_day.any():
+        keep = np.flatnonzero(~leap_day)
+        placed = placed[keep]
+        said.append(f"{year} is not a leap year: 29 February is left out")
+    return placed, keep, said
+
+
+def expect_hour(year: int, month: int, day: int, hour: int) -> None:
+    """Raise ValueError for an impossible date, or an hour other than 1 … 24."""
+    if not 1 <= hour <= 24:
+        raise ValueError(f"expected an hour 1 … 24, found {hour}")
+    if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
+        raise ValueError(f"expected a date, found {year}, {month}, {day}")
+    if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
+        raise ValueError(f"month {month} has no day {day}")
+
+
+def local_seconds(stamps: np.ndarray) -> np.ndarray:
+    """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
+    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
+    return days * DAY_S + stamps[:, 3] * HOUR_S
