@@ -17,7 +17,7 @@ from builders.page_case import Case, filled, write_certificate
 from builders.waiting import eventually
 
 from hygrokf.live.service import Service
-from hygrokf.live.web import access, application, connections
+from hygrokf.live.web import access, connections, exchange
 from hygrokf.live.web.application import Page
 from hygrokf.live.web.connections import WAITING_OF_ADDRESS, Connections
 from hygrokf.live.web.page_settings import PageSettings
@@ -146,7 +146,7 @@ def test_the_oldest_connection_gives_way() -> None:
 
 
 def test_a_body_that_does_not_come_is_given_up(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(application, "BODY_S", 0.2)
+    monkeypatch.setattr(exchange, "BODY_S", 0.2)
     with served(service) as (_, server), ExitStack() as stack:
         head = b"POST /api/alarms/acknowledge HTTP/1.1\r\nHost: 127.0.0.1\r\n"
         head += b"Content-Type: application/json\r\nContent-Length: 100\r\n\r\n{"
