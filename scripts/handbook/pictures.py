@@ -29,6 +29,35 @@ def place(name: str) -> int:
     return ORDER.index(os.path.basename(name))
 
 
+STYLE = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.labelcolor": "#22272e",
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10.5,
+    "figure.dpi": 110,
+    "font.size": 9.5,
+    "grid.color": "#d5dae0",
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "savefig.dpi": 110,
+}
+"""How pictures of the gallery look, as matplotlib's settings."""
+COLOURS = ("#1b5fa8", "#e3a112", "#6b7480", "#c1272d", "#2b8a6b", "#6a4c93")
+"""Blue, yellow, grey, red, green, violet; told apart in print by lightness."""
+
+
+def style(gallery: object = None, file: str = "") -> None:
+    """Set matplotlib to the style of the gallery; sphinx-gallery calls it before each script."""
+    import matplotlib
+    from cycler import cycler
+
+    matplotlib.rcdefaults()
+    matplotlib.rcParams.update({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)})
+
+
 @dataclass(frozen=True)
 class GallerySettings:
     """Settings of sphinx-gallery."""
@@ -50,7 +79,7 @@ class GallerySettings:
             "image_scrapers": ("matplotlib",),
             "capture_repr": (),
             "copyfile_regex": r".*\.mplstyle",
-            "reset_modules": (),
+            "reset_modules": ("handbook.pictures.style",),
             "plot_gallery": True,
             "abort_on_example_error": True,
             "write_computation_times": False,
