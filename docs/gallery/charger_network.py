@@ -2,8 +2,9 @@
 The cabinet of an EV charger, composed of mechanisms
 ====================================================
 
-The parts are not bound to wind turbines. A charger's cabinet is a network of power electronics and enclosure; a fan that
-starts above 45 °C and the sun on its roof are mechanisms of their own that contribute to named sums of the network.
+The parts are not bound to wind turbines. A charger's cabinet is a network of power electronics and
+enclosure; a fan that starts above 45 °C and the sun on its roof are mechanisms of their own that
+contribute to named sums of the network.
 """
 
 import matplotlib.pyplot as plt
@@ -81,14 +82,15 @@ estimate = hygrokf.maximise(likelihood, count=2)
 bounds = hygrokf.confidence_bounds(likelihood, estimate, method="wald")
 truth = {"electronics_h": 0.25, "enclosure_h": 0.8, "loss_K": 32.0, "fan_gain": 2.5, "roof_gain": 9.0}
 for name, true in truth.items():
-    print(f"{name:14} {estimate.values[name]:6.2f} ({bounds[name].lower:.2f} … {bounds[name].upper:.2f}), made with {true}")
+    found, one = estimate.values[name], bounds[name]
+    print(f"{name:14} {found:6.2f} ({one.lower:.2f} … {one.upper:.2f}), made with {true}")
 
 mean, covariance = hygrokf.smooth(likelihood, estimate.values)
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5.4), height_ratios=(3, 1))
 for place, (reading, label) in enumerate(((hot, "electronics"), (warm, "air"))):
     colour = ("C1", "C0")[place]
     axes[0].plot(time, reading, ".", color=colour, markersize=2, alpha=0.5)
-    axes[0].plot(time, mean[:, place], color=colour, linewidth=1.1, label=f"{label}: readings, smoothed state")
+    axes[0].plot(time, mean[:, place], color=colour, linewidth=1.1, label=f"{label}: readings and smoothed")
 axes[0].plot(time, ambient, color="C2", linewidth=1.0, label="ambient")
 axes[0].axhline(45.0, color="0.4", linewidth=0.8, linestyle=":")
 axes[0].set_ylabel("temperature [°C]")

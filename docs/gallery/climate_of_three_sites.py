@@ -2,9 +2,9 @@
 Climate of three sites
 ======================
 
-A fitted cabinet under the weather of three places: how warm and how damp is the air in it, over the year, with bounds?
-The turbine stands still, and three weeks of synthetic weather stand for a year to keep this quick; `read_region` reads ERA5
-and EPW files.
+A fitted cabinet under the weather of three places: how warm and how damp is the air in it, over the
+year, with bounds? The turbine stands still, and two weeks of synthetic weather stand for a year to
+keep this quick; `read_region` reads ERA5 and EPW files.
 """
 
 import tempfile
@@ -16,10 +16,10 @@ import numpy as np
 import hygrokf
 from hygrokf.climate.region import Region
 
-turbine = hygrokf.synthetic_turbine(seed=1, days=12)
+turbine = hygrokf.synthetic_turbine(seed=1, days=10)
 record = hygrokf.read_case(hygrokf.write_case(turbine, tempfile.mkdtemp()))
 fit = hygrokf.identify(record, starts=1, profiles=False)
-place = hygrokf.synthetic_turbine(seed=2, days=20)
+place = hygrokf.synthetic_turbine(seed=2, days=14)
 here = hygrokf.read_case(hygrokf.write_case(place, tempfile.mkdtemp()))
 
 
@@ -35,13 +35,14 @@ def moved(record: hygrokf.Record, warmer_K: float, moister: float) -> hygrokf.Re
 
 sites = {"midlands": here, "coast": moved(here, 2.0, 1.12), "dry upland": moved(here, -3.0, 0.7)}
 regions = [Region(name, weather) for name, weather in sites.items()]
-study = hygrokf.climate_profile(fit, regions, members=3, seed=3)
+study = hygrokf.climate_profile(fit, regions, members=2, seed=3)
 for region in study.regions:
     damp = region.year["condensation_h"]
     print(f"{region.name}: condensation on {damp.value:.0f} h a year ({damp.lower:.0f} … {damp.upper:.0f})")
 
 # %%
-# For what share of the year is a value exceeded? Solid: in the cabinet, with bounds; dashed: the weather.
+# For what share of the year is a value exceeded? Solid: in the cabinet, with bounds; dashed: the
+# weather.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4))
 panels = (("temperature_degC", "temperature [°C]"), ("relative_humidity_percent", "relative humidity [%]"))

@@ -2,8 +2,9 @@
 Export to python-control and filterpy
 =====================================
 
-An identified model is not locked in. `thermal_system` gives the network as a `control.StateSpace`; `filterpy_filter` gives
-the whole model as an extended Kalman filter of filterpy, which reaches the same log-likelihood.
+An identified model is not locked in. `thermal_system` gives the network as a `control.StateSpace`;
+`filterpy_filter` gives the whole model as an extended Kalman filter of filterpy, which reaches the same
+log-likelihood.
 """
 
 import tempfile
@@ -41,7 +42,8 @@ print(f"largest difference of the converter temperature: {largest:.1e} K")
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.8))
 hours = np.linspace(0.0, 10.0, 200)
-for place, (name, label) in enumerate((("heat_release", "heat release + 1 K"), ("ambient_temperature", "ambient + 1 K"))):
+labels = {"heat_release": "heat release + 1 K", "ambient_temperature": "ambient + 1 K"}
+for place, (name, label) in enumerate(labels.items()):
     step = control.step_response(system, hours, input=system.input_index[name], squeeze=True)
     axes[0].plot(step.time, np.ravel(step.outputs), color=f"C{place}", label=label)
 axes[0].set_xlabel("time [h]")

@@ -2,9 +2,10 @@
 First fit
 =========
 
-A synthetic turbine stands in for three exports: a logger in the cabinet, a weather series and 10-minute SCADA data.
-`identify` estimates the time constants of the cabinet; the last days of the record are held out and only scored. The
-free run knows the inputs alone: weather and power, but no reading from the cabinet.
+A synthetic turbine stands in for three exports: a logger in the cabinet, a weather series and 10-minute
+SCADA data. `identify` estimates the time constants of the cabinet; the last days of the record are held
+out and only scored. The free run knows the inputs alone: weather and power, but no reading from the
+cabinet.
 """
 
 import tempfile

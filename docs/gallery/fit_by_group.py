@@ -2,8 +2,8 @@
 One function from frame to row, for Spark or pandas
 ===================================================
 
-A fit is a function of one turbine's frame that returns one row. `DataFrame.groupby(…).apply` runs it here; Spark's
-`groupBy("turbine").applyInPandas(fit_row, schema)` runs the same function on a cluster.
+A fit is a function of one turbine's frame that returns one row. `DataFrame.groupby(…).apply` runs it
+here; Spark's `groupBy("turbine").applyInPandas(fit_row, schema)` runs the same function on a cluster.
 """
 
 import matplotlib.pyplot as plt
@@ -15,7 +15,11 @@ import hygrokf
 
 def fit_row(frame: pd.DataFrame) -> pd.DataFrame:
     """The thermal time constant of one turbine as one row; a fault becomes text in the row."""
-    row = {"turbine": frame["turbine"].iloc[0], "tau_h": np.nan, "lower_h": np.nan, "upper_h": np.nan, "fault": ""}
+    row = {
+        "turbine": frame["turbine"].iloc[0],
+        **dict.fromkeys(("tau_h", "lower_h", "upper_h"), np.nan),
+        "fault": "",
+    }
     try:
         record = hygrokf.read_frames(
             frame.drop(columns="turbine").set_index("time"),
@@ -24,7 +28,7 @@ def fit_row(frame: pd.DataFrame) -> pd.DataFrame:
         tau = hygrokf.identify(record, starts=1, profiles=False).results.time_constants["thermal"]
         row.update(tau_h=tau.value_h, lower_h=tau.lower_h, upper_h=tau.upper_h)
     except (hygrokf.HygrokfError, ValueError) as fault:
-        row["fault"] = str(fault).splitlines()[0]
+        row["fault"] = " ".join(str(fault).split())
     return pd.DataFrame([row])
 
 

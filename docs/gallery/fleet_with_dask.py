@@ -2,8 +2,8 @@
 A fleet with Dask
 =================
 
-`run_fleet` does one task for many turbines, on processes of this machine or on a Dask cluster. Here a cluster of two
-workers fits five synthetic cabinets, one of which stores heat much longer.
+`run_fleet` does one task for many turbines, on processes of this machine or on a Dask cluster. Here a
+cluster of two workers fits five synthetic cabinets, one of which stores heat much longer.
 """
 
 import os
@@ -28,16 +28,20 @@ for number in range(1, 6):
     text = case.read_text(encoding="utf-8")
     case.write_text(text.replace(f"synthetic-turbine-{number}", f"WT{number:02}"), encoding="utf-8")
 (folder / "fleet.toml").write_text(
-    'name = "Five cabinets"\ntask = "fit"\ncases = ["WT*/case.toml"]\n[options]\nstarts = 1\nprofiles = false\n',
+    'name = "Five cabinets"\ntask = "fit"\ncases = ["WT*/case.toml"]\n'
+    "[options]\nstarts = 1\nprofiles = false\n",
     encoding="utf-8",
 )
-settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-with LocalCluster(processes=False, **settings) as cluster:  # threads start sooner; processes=True uses all cores
-    run = hygrokf.run_fleet(read_plan(folder / "fleet.toml"), folder / "out", cluster=cluster.scheduler_address)
+# threads start sooner; a cluster of processes, the default, uses all cores
+settings = {"processes": False, "n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+with LocalCluster(**settings) as cluster:
+    plan, address = read_plan(folder / "fleet.toml"), cluster.scheduler_address
+    run = hygrokf.run_fleet(plan, folder / "out", cluster=address)
 print(run.results)
 
 # %%
-# The table of the run as a picture: time constants with bounds, beside the values that they were made with.
+# The table of the run as a picture: time constants with bounds, beside the values that they were made
+# with.
 
 rows = sorted((row for row in run.results.rows if row["status"] == "done"), key=lambda row: row["turbine"])
 figure, axis = plt.subplots(figsize=(8, 3.6))

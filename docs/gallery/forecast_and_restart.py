@@ -2,8 +2,9 @@
 Forecast and restart advice
 ===========================
 
-The tracker filters readings as they come. From its state the model runs ahead under scenarios of the last weeks' weather
-and operation: will water condense, and how long must the cabinet be pre-heated before the turbine restarts?
+The tracker filters readings as they come. From its state the model runs ahead under scenarios of the
+last weeks' weather and operation: will water condense, and how long must the cabinet be pre-heated
+before the turbine restarts?
 """
 
 import tempfile
@@ -33,7 +34,8 @@ now = humidity.time[np.argmax(np.where(standing & late, np.nan_to_num(humidity.v
 tracker = hygrokf.Tracker(plan(fit))
 for series in record.series:
     known = np.isfinite(series.value) & (series.time <= now)
-    tracker.take(Reading(series.signal, t, v) for t, v in zip(series.time[known], series.value[known], strict=True))
+    pairs = zip(series.time[known], series.value[known], strict=True)
+    tracker.take(Reading(series.signal, time, value) for time, value in pairs)
 tracker.advance()
 state, surface = tracker.newest_state, Surface(follows=0.5)
 scenarios = persistence(record, state.time)  # ignores what came later
@@ -45,11 +47,10 @@ air = ahead.condition
 when = pd.to_datetime(air.time_s, unit="s")
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5.2), height_ratios=(2, 1))
 past = (humidity.time > now - 24 * 3600.0) & (humidity.time <= now)
-axes[0].plot(pd.to_datetime(humidity.time[past], unit="s"), 100 * humidity.value[past], color="C0", label="readings")
 later = (humidity.time > now) & (humidity.time < air.time_s[-1])
-axes[0].plot(
-    pd.to_datetime(humidity.time[later], unit="s"), 100 * humidity.value[later], color="0.6", lw=0.8, label="what came"
-)
+for chosen, colour, label in ((past, "C0", "readings"), (later, "0.6", "what came")):
+    time = pd.to_datetime(humidity.time[chosen], unit="s")
+    axes[0].plot(time, 100 * humidity.value[chosen], color=colour, linewidth=1.2, label=label)
 axes[0].plot(when, 100 * air.relative_humidity.value, color="C3", label="forecast")
 low, high = (100 * np.clip(one, 0, 1) for one in (air.relative_humidity.lower, air.relative_humidity.upper))
 axes[0].fill_between(when, low, high, color="C3", alpha=0.18, linewidth=0, label="95 %")

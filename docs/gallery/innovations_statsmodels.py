@@ -2,8 +2,9 @@
 Test the innovations with statsmodels
 =====================================
 
-If a model describes its record, the standardized innovations of the filter are white: each one-step prediction uses all
-that the readings before it can tell. They are plain arrays, so any other package can test them.
+If a model describes its record, the standardized innovations of the filter are white: each one-step
+prediction uses all that the readings before it can tell. They are plain arrays, so any other package can
+test them.
 """
 
 import matplotlib.pyplot as plt
@@ -68,7 +69,7 @@ for network in (one, two):
 figure, axes = plt.subplots(1, 2, sharey=True, figsize=(9, 3.6))
 for axis, (name, error) in zip(axes, innovations.items(), strict=True):
     p = float(acorr_ljungbox(error, lags=[40])["lb_pvalue"].iloc[0])
-    plot_acf(error, axis, lags=40, zero=False, title=f"{name}: Ljung–Box p = {p:.2g}", vlines_kwargs={"lw": 1})
+    plot_acf(error, axis, lags=40, zero=False, title=f"{name}: Ljung–Box p = {p:.2g}")
     axis.set_xlabel("lag [¼ h]")
 axes[0].set_ylabel("autocorrelation of the innovations")
 axes[0].set_ylim(-0.35, 0.55)

@@ -2,8 +2,9 @@
 A cause of your own
 ===================
 
-`discover` compares the simulation with the readings and tries physical causes for what is left. A cause is one object: a
-mechanism, and sentences for the reader. The auxiliary transformer beside this synthetic cabinet warms it.
+`discover` compares the simulation with the readings and tries physical causes for what is left. A cause
+is one object: a mechanism, and sentences for the reader. The auxiliary transformer beside this synthetic
+cabinet warms it.
 """
 
 import tempfile
@@ -42,7 +43,9 @@ def transformer_heat() -> hygrokf.Mechanism:
         name="transformer_heat",
         parameters=(gain,),
         inputs=("auxiliary_power",),
-        contributions=lambda p, x, u, q: {"heat_release": p.transformer_gain * (u.auxiliary_power / 20e3) ** 2},
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.transformer_gain * (u.auxiliary_power / 20e3) ** 2
+        },
     )
 
 
@@ -70,10 +73,13 @@ for fit, label, colour in ((found.base, "base model", "C3"), (found.extended, f"
     error = error - run.timeline.reading("cabinet_temperature")
     there = np.isfinite(error)
     rms = np.sqrt(np.mean(error[there] ** 2))
-    axis.plot(run.timeline.time[there] / 24.0, error[there], color=colour, lw=0.9, label=f"{label}: {rms:.2f} K rms")
+    day, label = run.timeline.time[there] / 24.0, f"{label}: {rms:.2f} K rms"
+    axis.plot(day, error[there], color=colour, linewidth=0.9, label=label)
 axis.axhline(0.0, color="0.5", linewidth=0.8)
 axis.set_xlabel("day of the record")
 axis.set_ylabel("free run less reading [K]")
-axis.set_title(f"{cause.cause}: {estimate.value:.1f} K ({estimate.lower:.1f} … {estimate.upper:.1f} K) at 20 kW, made with 5 K")
-axis.legend(ncols=2)
+bounds = f"{estimate.lower:.1f} … {estimate.upper:.1f} K"
+axis.set_title(f"{cause.cause}: {estimate.value:.1f} K ({bounds}) at 20 kW, made with 5 K")
+axis.set_xlim(0, 20)
+axis.legend(ncols=2, loc="upper left", bbox_to_anchor=(0, -0.14))
 figure.tight_layout()

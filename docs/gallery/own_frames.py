@@ -2,8 +2,8 @@
 Your own DataFrames
 ===================
 
-`read_frames` takes pandas frames as they are: each with its own clock, step, time zone and units. Here a cabinet logger
-writes degrees Fahrenheit in local time every five minutes, and a mast reports hourly.
+`read_frames` takes pandas frames as they are: each with its own clock, step, time zone and units. Here a
+cabinet logger writes degrees Fahrenheit in local time every five minutes, and a mast reports hourly.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,9 @@ import hygrokf
 
 random = np.random.default_rng(7)
 hours = np.arange(0.0, 14 * 24.0, 1 / 12)
-ambient = 8.0 + 5.0 * np.sin(2 * np.pi * (hours - 9.0) / 24.0) + np.cumsum(0.04 * random.normal(size=len(hours)))
+ambient = (
+    8.0 + 5.0 * np.sin(2 * np.pi * (hours - 9.0) / 24.0) + np.cumsum(0.04 * random.normal(size=len(hours)))
+)
 cabinet = np.empty_like(ambient)
 cabinet[0] = ambient[0] + 6.0
 for k in range(1, len(hours)):  # one heat capacity, time constant 2.5 h, a constant release of 6 K

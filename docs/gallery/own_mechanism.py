@@ -2,8 +2,9 @@
 A mechanism of your own
 =======================
 
-A mechanism is one piece of physics: parameters with a null value, inputs, and a contribution to a sum of the model. The
-cabinet of this example stands on a floor that the sun warms; the record has the irradiance, the base model ignores it.
+A mechanism is one piece of physics: parameters with a null value, inputs, and a contribution to a sum of
+the model. The cabinet of this example stands on a floor that the sun warms; the record has the
+irradiance, the base model ignores it.
 """
 
 import tempfile
@@ -38,7 +39,9 @@ def floor_in_the_sun() -> hygrokf.Mechanism:
         name="floor_in_the_sun",
         parameters=(hygrokf.Parameter("floor_gain", "K/(kW/m²)", 1.0, -50.0, 50.0, null=0.0),),
         inputs=("global_horizontal_irradiance",),
-        contributions=lambda p, x, u, q: {"heat_release": 1e-3 * p.floor_gain * u.global_horizontal_irradiance},
+        contributions=lambda p, x, u, q: {
+            "heat_release": 1e-3 * p.floor_gain * u.global_horizontal_irradiance
+        },
         meaning="heat of the sun on the floor",
     )
 
@@ -59,14 +62,18 @@ assert np.isclose(wide.value({**before.values, "floor_gain": 0.0}), before.logli
 after = hygrokf.maximise(wide, {**before.values, "floor_gain": 1.0}, count=1)
 gain = hygrokf.confidence_bounds(wide, after, ["floor_gain"], "wald")["floor_gain"]
 print(f"twice the gain of the log-likelihood: {2 * (after.loglik - before.loglik):.0f} (3.84 at 5 %)")
-print(f"gain {after.values['floor_gain']:.1f} K ({gain.lower:.1f} … {gain.upper:.1f}) at 1 kW/m², made with 6 K")
+print(
+    f"gain {after.values['floor_gain']:.1f} K ({gain.lower:.1f} … {gain.upper:.1f}) at 1 kW/m², made with 6 K"
+)
 
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5), height_ratios=(3, 1))
 for one, chosen, values, label, colour in (
     (base, run, before.values, "base model", "C3"),
     (wider, wide_run, after.values, "with the floor in the sun", "C0"),
 ):
-    error = hygrokf.simulate(one, values, chosen).temperature[0] - chosen.timeline.reading("cabinet_temperature")
+    error = hygrokf.simulate(one, values, chosen).temperature[0] - chosen.timeline.reading(
+        "cabinet_temperature"
+    )
     there = np.isfinite(error)
     rms = np.sqrt(np.mean(error[there] ** 2))
     days = chosen.timeline.time[there] / 24.0

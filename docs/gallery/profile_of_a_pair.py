@@ -2,8 +2,9 @@
 Profile of a pair of parameters
 ===============================
 
-Bounds of single parameters hide how two of them trade off. Here the log-likelihood is profiled over a grid of the time
-constant and the heat release of a cabinet: at each point the noise parameters are estimated again.
+Bounds of single parameters hide how two of them trade off. Here the log-likelihood is profiled over a
+grid of the time constant and the heat release of a cabinet: at each point the noise parameters are
+estimated again. The joint region at 95 % reaches beyond the bounds of each parameter alone.
 """
 
 import matplotlib.pyplot as plt
@@ -52,8 +53,8 @@ for name, one in bounds.items():
 # %%
 # Then the pair: hold both, maximise the rest.
 
-tau = np.linspace(0.55, 1.9, 15) * best.values["tau"]
-release = np.linspace(0.75, 1.35, 15) * best.values["release"]
+tau = np.linspace(0.78, 1.32, 15) * best.values["tau"]
+release = np.linspace(0.88, 1.14, 15) * best.values["release"]
 drop = np.array(
     [
         [

@@ -1,4 +1,4 @@
-"""Docstrings of this package, taken apart: summary, arguments, result, errors; and written as reStructuredText."""
+"""Docstrings taken apart (summary, arguments, result, errors) and written as reStructuredText."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 NAME = r"`?[a-z]\w*`?"
+ERROR = r"[A-Z]\w*(?:Error|Fault|Absent)"
 
 
 @dataclass(frozen=True)
 class Docstring:
-    """summary: the first paragraph; arguments: (names, description); body: further paragraphs, in their order;
-    returns: what comes back; raises: (error, when)."""
+    """`summary`: the first paragraph; `arguments`: (names, description); `body`: further paragraphs in their
+    order; `returns`: what comes back; `raises`: (error, when)."""
 
     summary: str
     arguments: tuple[tuple[tuple[str, ...], str], ...]
@@ -61,10 +62,7 @@ def _arguments(paragraph: str, parameters: Sequence[str]) -> list[tuple[tuple[st
     if not starts or starts[0][0]:
         return []
     ends = [start for start, _, _ in starts[1:]] + [len(flat)]
-    return [
-        (names, flat[begin:end].strip())
-        for (_, begin, names), end in zip(starts, ends, strict=True)
-    ]
+    return [(names, flat[begin:end].strip()) for (_, begin, names), end in zip(starts, ends, strict=True)]
 
 
 def _result(text: str) -> tuple[str, list[tuple[str, str]]]:
@@ -72,7 +70,7 @@ def _result(text: str) -> tuple[str, list[tuple[str, str]]]:
     before, _, after = re.sub(r"(^|(?<=[.`)] )|(?<=[.`)]  ))Raises ", "\0", text, count=1).partition("\0")
     errors = []
     flat = " ".join(after.split())
-    for error, reason in re.findall(r"\b([A-Z]\w*(?:Error|Fault|Absent))\b(.*?)(?=,? and [A-Z]\w*(?:Error|Fault|Absent)\b|$)", flat):
+    for error, reason in re.findall(rf"\b({ERROR})\b(.*?)(?=[,;]?(?: and)? {ERROR}\b|$)", flat):
         errors.append((error, reason.strip(" ,.;")))
     return re.sub(r"^Returns\s+", "", before).strip(), errors
 

@@ -28,10 +28,15 @@ def sections(text: str) -> dict[str, list[tuple[str, str]]]:
     return {name: pages for name, pages in found.items() if pages}
 
 
+def with_gallery(text: str) -> str:
+    """A page whose links to the folder of the gallery lead to its built page."""
+    return text.replace("](gallery/)", "](generated/gallery/index.rst)")
+
+
 def with_navigation(text: str) -> str:
     """docs/index.md with a hidden list of pages for each heading, as the site needs it."""
     lists = []
     for title, pages in sections(text).items():
         entries = [f"{name} <{page}>" for name, page in (*MADE.get(title, ()), *pages)]
         lists += ["```{toctree}", ":hidden:", f":caption: {title}", "", *entries, "```", ""]
-    return text.replace("](gallery/)", "](generated/gallery/index.rst)") + "\n\n" + "\n".join(lists)
+    return with_gallery(text) + "\n\n" + "\n".join(lists)

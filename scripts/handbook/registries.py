@@ -17,8 +17,8 @@ from hygrokf.physics.parameters import Parameter
 GROUPS: dict[str, tuple[str, str, tuple[Factory, ...]]] = {
     "base": ("Base models", "The two networks of the paper, their disturbances and the sensors.", BASE),
     "logged": ("Logged actuators", "Effects of actuators that the record contains.", LOGGED),
-    "further": ("Further physics", "What may act beside the base models; ``discover`` tries these.", FURTHER),
-    "tracking": ("Tracking", "Properties of the cabinet as states that wander, for the live tracker.", WANDERING),
+    "further": ("Further physics", "What may act beside the base models.", FURTHER),
+    "tracking": ("Tracking", "Properties of the cabinet as wandering states.", WANDERING),
 }
 """Key of the page → title, sentence, factories."""
 
@@ -100,16 +100,18 @@ def mechanisms_of(cause: Cause) -> tuple[str, ...]:
 
 
 def cause_section(cause: Cause) -> str:
-    """What a cause is, its forms, the mechanisms with equation and null, what it leaves, and what to check."""
+    """What a cause is, its forms, its mechanisms with null values and traces, and what to check."""
     names = mechanisms_of(cause)
-    lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-"), f"{rst(cause.meaning).capitalize()}.", ""]
+    lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-")]
+    lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
+    alone = "" if math.isinf(cause.alone) else f"from a gain of {number(cause.alone)} in 2 ln L"
     facts = {
         "Forms": rst(cause.forms),
         "Searched": rst(cause.searches),
         "Needs": rst(cause.needs),
         "To check": rst(cause.remedy),
         "Told apart by": rst(cause.separate_by),
-        "Accepted on evidence alone": "" if math.isinf(cause.alone) else f"from a gain of {number(cause.alone)} in 2 ln L",
+        "Accepted on evidence alone": alone,
     }
     lines += [f":{key}: {value}" for key, value in facts.items() if value]
     if names:
@@ -121,9 +123,13 @@ def cause_section(cause: Cause) -> str:
             ]
             for name in names
         ]
-        lines += ["", table(("mechanism (equation there)", "null value", "its absence leaves"), rows, "30 30 40")]
+        head = ("mechanism (equation there)", "null value", "its absence leaves")
+        lines += ["", table(head, rows, "30 30 40")]
     else:
-        lines += ["", "It adds no mechanism: it changes how readings or inputs are taken, and its null is the record as it is."]
+        lines += [
+            "",
+            "It adds no mechanism: it changes how readings are taken; its null is the record as it is.",
+        ]
     return "\n".join([*lines, "", ""])
 
 
@@ -136,20 +142,22 @@ def pages() -> dict[str, str]:
         found[f"mechanisms/{key}"] = "\n".join([*head, *sections])
     index = [
         heading("Mechanisms", "="),
-        "A model is a tuple of mechanisms. Model units are h, K, g/m³ and 1; a heat release is the temperature",
-        "difference [K] that it sustains across :math:`R_{AT}`. At its null value a mechanism has no effect.",
+        "A model is a tuple of mechanisms. Model units are h, K, g/m³ and 1; a heat release is the",
+        "temperature difference [K] that it sustains across :math:`R_{AT}`. At its null value a mechanism",
+        "has no effect.",
         "These pages are made of the registry when the site is built.",
         "",
     ]
-    for key, (title, sentence, factories) in GROUPS.items():
+    for title, sentence, factories in GROUPS.values():
         rows = [[f":ref:`{f.__name__} <mechanism-{f.__name__}>`", rst(made(f).meaning)] for f in factories]
         index += [heading(title, "-"), sentence, "", table(("mechanism", "what it is"), rows, "35 65"), ""]
-    index += [".. toctree::", "   :hidden:", "", *(f"   {title} <{key}>" for key, (title, _, _) in GROUPS.items())]
+    entries = [f"   {title} <{key}>" for key, (title, _, _) in GROUPS.items()]
+    index += [".. toctree::", "   :hidden:", "", *entries]
     found["mechanisms/index"] = "\n".join([*index, ""])
     head = [
         heading("Causes", "="),
-        "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How causes are tried and",
-        "accepted: :doc:`/discover_decides`. A cause of your own: :doc:`/own_cause`.",
+        "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
+        "causes are tried and accepted: :doc:`/discover_decides`. A cause of your own: :doc:`/own_cause`.",
         "", ".. contents::", "   :local:", "",
     ]  # fmt: skip
     found["causes"] = "\n".join([*head, *(cause_section(cause) for cause in CAUSES)])

@@ -1,4 +1,4 @@
-"""What Sphinx calls at the start of a build: it writes the pages of docs/generated and sets the navigation."""
+"""What Sphinx calls when a build starts: the pages of docs/generated, and the navigation."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 from handbook import public_names, registries
-from handbook.navigation import with_navigation
+from handbook.navigation import with_gallery, with_navigation
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write docs/generated; files that would not change are left alone, so that Sphinx need not read them again."""
+    """Write docs/generated; unchanged files are left alone, so that Sphinx does not read them again."""
     for name, text in {**public_names.pages(), **registries.pages()}.items():
         path = Path(app.srcdir) / "generated" / f"{name}.rst"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -20,9 +20,8 @@ def write_pages(app: Sphinx) -> None:
 
 
 def navigate(app: Sphinx, name: str, source: list[str]) -> None:
-    """Give the index its navigation."""
-    if name == "index":
-        source[0] = with_navigation(source[0])
+    """Give the index its navigation, and links to the gallery their page."""
+    source[0] = with_navigation(source[0]) if name == "index" else with_gallery(source[0])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
