@@ -166,7 +166,7 @@ WRONG: dict[str, tuple] = {
     "simulate without ambient": (SIMULATE, leave_out("ambient_temperature"),
         ONE + "case.toml: no source names signals.ambient_temperature, the input that every model needs"),
     "simulate without ambient humidity": (SIMULATE, leave_out("ambient_relative_humidity"),
-        "hygrokf: case.toml: the model needs an ambient humidity (relative, absolute or dew point)",
+        "hygrokf: case.toml: the model reads an ambient humidity (relative, absolute or dew point)",
         "which the record does not have (it has cabinet_temperature,"),
     "evaluate without cabinet": (EVALUATE, NO_CABINET,
         ONE + "case.toml: nothing in the cabinet to identify; expected one of signals.cabinet_temperature"),
