@@ -21,7 +21,7 @@ from hygrokf.version import __version__
 ROOT = Path(__file__).resolve().parents[1]
 TOP_LEVEL = {
     "setup.cfg", "hygrokf", "tests", "scripts", "docs", "README.md",
-    "pyproject.toml", "LICENSE", ".gitignore", ".ci",
+    "pyproject.toml", "LICENSE", "CITATION.cff", ".gitignore", ".ci",
 }  # fmt: skip
 SCRIPTS = (
     *sorted(
@@ -109,6 +109,16 @@ def test_python_and_licence(settings: configparser.ConfigParser) -> None:
     assert settings["metadata"]["license"] == "BSD-3-Clause"
     licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
     assert "the hygrokf authors" in licence and "Neither the name of the copyright holder" in licence
+
+
+def test_the_citation_names_what_the_metadata_name(settings: configparser.ConfigParser) -> None:
+    import yaml
+
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    stated = settings["metadata"]
+    assert cited["title"] == stated["name"] and cited["license"] == stated["license"]
+    assert cited["authors"] == [{"name": stated["author"]}] and cited["version"] == __version__
+    assert cited["keywords"] == stated["keywords"].split(", ")
 
 
 def test_requirements_have_a_lower_bound_and_no_cap(settings: configparser.ConfigParser) -> None:
@@ -213,7 +223,9 @@ def test_scripts_can_be_run(name: str) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="bash scripts")
-@pytest.mark.parametrize("name", ["scripts/demo", "scripts/test", "scripts/environment", ".ci/run"])
+@pytest.mark.parametrize(
+    "name", ["scripts/demo", "scripts/docs", "scripts/test", "scripts/environment", ".ci/run"]
+)
 def test_bash_can_read_the_scripts(name: str) -> None:
     checked = run("bash", "-n", ROOT / name)
     assert checked.returncode == 0, checked.stderr

@@ -57,8 +57,8 @@ def read_frames(
         periods).
     signals: {column: signal} for columns that are not named after their signal.
     units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
-    name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
-        identification={"until": "2020-12-01T00:00Z"}.
+    name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
+        mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
         resolution, response_time. Those of a source are one value for all frames or a mapping from their

@@ -522,6 +522,7 @@ def _csv(table: SyntheticTable) -> str:
 def write_case(turbine: SyntheticTurbine, directory: str | Path) -> Path:
     """Write a synthetic turbine as cabinet.csv, ambient.csv, scada.csv and case.toml.
 
+    turbine: of `synthetic_turbine`; every column states its unit.
     directory: made if absent; files of these names in it are replaced, the case file last.
 
     Returns the path of case.toml.  Raises OSError where the directory cannot be written.

@@ -54,6 +54,7 @@ def climate_profile(
 ) -> Study:
     """The climate in a fitted cabinet under the weather of regions.
 
+    fit: of `identify` or `read_fit`.
     regions: weather of each place, as records.
     power: a record with active power, a power curve for the weather's wind, or None for standstill all year.
     limits: of a specification.
@@ -65,7 +66,8 @@ def climate_profile(
 
     Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] a year by region and scope,
     with bounds.  Of several years those with less than `WHOLE` of their hours known are left out.
-    Raises ValueError, and PowerFault where weather and power do not suffice for the model.
+    Raises ValueError without regions and for fewer than two members, and PowerFault where weather and power
+    do not suffice for the model.
     """
     if not regions:
         raise ValueError("expected the weather of at least one region, found none")

@@ -26,7 +26,7 @@ class Activity:
     """A running command: its present step, and its lines on standard error.
 
     name: of the command. beats: whether it gives signs of life where standard error is no terminal.
-    every_s: [s] between these. clock: [s] monotonic.
+    every_s: [s] between these; None: `HEARTBEAT_S`. clock: [s] monotonic.
     """
 
     def __init__(
@@ -35,11 +35,12 @@ class Activity:
         loudness: Loudness = Loudness.NORMAL,
         *,
         beats: bool = False,
-        every_s: float = HEARTBEAT_S,
+        every_s: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name, self.loudness = name, loudness
-        self._beats, self._every_s, self._clock = beats, every_s, clock
+        self._beats, self._clock = beats, clock
+        self._every_s = HEARTBEAT_S if every_s is None else every_s
         self._begin = self._said = clock()
         self._step = "at work"
 

@@ -59,14 +59,16 @@ class Variant:
 class Cause:
     """A physical cause.
 
-    meaning: what it is; remedy: what to check in the turbine; separate_by: the measurement that tells it from
-        its rivals.  needs: signals without which it is not tried, for the report.
+    name: identifier.
+    meaning, remedy, separate_by: what it is, what to check in the turbine, and the measurement that tells it
+        from its rivals.
     variants: its forms on a baseline, none where the record cannot show it.
-    alone: gain in evidence (see `model_selection`) that is enough without a better free run: a clock or a
-        changed exchange hardly shows in the free run, and simulated switches lose their phase.
+    needs: signals without which it is not tried, for the report.
+    alone: [1] gain in evidence, in 2 ln L (`model_selection`), that is enough without a better free run: a
+        clock or a changed exchange hardly shows in the free run, and simulated switches lose their phase.
     event: whether it happened at times that nobody logs, which no simulation can foresee.
-    mechanisms: name → factory, features: name → (function, hold), of a user's own cause.
-    forms: what is tried, searches: the settings that are searched, for the table of docs/discover.md.
+    mechanisms, features: name → factory, and name → (function, hold), of a user's own cause.
+    forms, searches: what is tried, and the settings that are searched, for the table of docs/discover.md.
     """
 
     name: str
@@ -138,11 +140,11 @@ def cause_of(
     name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
     meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
         which measurement tells it from its rivals.
-    starts: start values of parameters; of several the best is followed.
+    starts: start values of parameters, in their units; of several the best is followed.
     features: settings of the package's features that need any (`{"after_step": {"date_s": 1.6e9}}`), and
         features that the mechanism does not bring itself: (function(record, time), hold).
     needs: signals that features read.  On a record that lacks one the cause is not tried.
-    alone: gain in evidence that is enough without a better free run.
+    alone: [1] gain in evidence, in 2 ln L, that is enough without a better free run.
     forms: what is tried, for the table of docs/discover.md.
 
     Returns the cause, for the library of the package or the `library` of `discover`.  For grids of dates or

@@ -135,7 +135,8 @@ def unit_in_export(text: str) -> str | None:
     spelled = bare.lower().replace(" ", "").replace(".", "")
     known = {
         "%rf": "%", "%rh": "%", "rh%": "%", "%rel": "%", "percent": "%", "pct": "%", "prozent": "%",
-        "degc": "degC", "gradc": "degC", "grdc": "degC", "ºc": "degC", "°c": "degC", "degf": "degF",
+        "degc": "degC", "gradc": "degC", "grdc": "degC", "ºc": "degC", "°c": "degC", "℃": "degC",
+        "degf": "degF",
         "u/min": "rpm", "rpm": "rpm", "min-1": "rpm", "1/min": "rpm", "umin": "rpm", "mps": "m/s",
         "ms": "m/s", "ms-1": "m/s", "m/sec": "m/s", "wm2": "W/m2", "w/m^2": "W/m2", "w/qm": "W/m2",
         "deg": "deg", "grad": "deg", "hpa": "hPa", "mbar": "hPa", "frac": "1",

@@ -46,6 +46,7 @@ OWN_NAMES: tuple[tuple[str, str, str], ...] = (
     ("wnac hum", "nacelle_relative_humidity", "GB/T 30966"),
     ("wnac intl hum", "nacelle_relative_humidity", "IEC 61400-25"),
     ("wnac ext tmp", "ambient_temperature", "IEC 61400-25"),
+    ("wnac ex tmp", "ambient_temperature", "IEC 61400-25"),
     ("wnac ext hum", "ambient_relative_humidity", "IEC 61400-25"),
     ("wnac wd spd", "wind_speed", "IEC 61400-25"),
     ("wnac wd dir", "wind_direction", "IEC 61400-25"),
@@ -85,7 +86,7 @@ QUANTITIES: tuple[tuple[str, str], ...] = (
     ("cloud_cover", r"cloud|bewoelk"),
     ("heater_duty", r"(heater|heizung) (duty|on|status|ein)"),
     ("fan_duty", r"(fan|luefter) (duty|on|status|ein)"),
-    ("door_open", r"door (open|st|status)|tuer (offen|auf)"),
+    ("door_open", r"(cabinet|cab|schrank) ?(door|tuer)|door open"),
     ("power", r"active power| power|leistung| pwr |有功"),
     ("temperature", r"temp| tmp |t \d+ ?m | t |温度"),
 )
@@ -99,7 +100,8 @@ PLACES: tuple[tuple[str, str, float], ...] = (
     ),
     (
         "ambient",
-        r"ambient|outside|outdoor| amb | out |external| ext | env |aussen|umgebung|weather|wetter| met |环境",
+        r"ambient|outside|outdoor| amb | out |extern| ext | env |aussen|umgebung|w(eath|ett)er| met "
+        r"|环境|舱外",
         0.95,
     ),
     ("ambient", r" fmi | knmi | dwd | era ?5 ", 0.85),
@@ -117,7 +119,8 @@ PARTS = (
 )
 """Parts of a turbine or a building that are not the air of a place."""
 NOT_MEANT = (
-    r"react|blind|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
+    r"psble|dir relative|react|blind"
+    r"|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
     r"|lost|counter|zaehler|timer| tms |visib|density|appliance|light|lamp|screen|vent |cos ?phi|turbulen"
     r"|deviation"
 )
@@ -228,7 +231,7 @@ def _cabinet_score(words: str) -> float:
     """How far a cabinet is that of the converter."""
     if re.search(r"converter|inverter|umrichter|wechselrichter|变流", words):
         return 0.97
-    if re.search(PLACES[4][1], words):
+    if re.search(PLACES[4][1] + "| wnac ", words):
         return 0.8
     return 0.9 if re.search(r"control|ctl", words) else 0.94
 

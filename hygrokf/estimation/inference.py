@@ -54,7 +54,7 @@ def confidence_bounds(
         sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
         covariance that remains valid under a wrong model.  The last two are symmetric in the parameter's
         coordinate, which is the logarithm of a positive parameter.
-    level: of confidence, between 0 and 1.
+    level: [1] of confidence, between 0 and 1.
 
     Returns `lower` and `upper` by name, in the parameters' units; NaN for an open end.
     Raises ValueError for an unknown method or level, and for names that are not free parameters.
@@ -108,9 +108,10 @@ def system_time_constants(
     with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
     coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    level: of confidence.
-    state, inputs: where a nonlinear model is linearised; values not given there are the means of the filtered
-        states and the medians of the inputs over the record.
+    likelihood, estimate: the estimate that `maximise` made from this likelihood.
+    level: [1] of confidence, between 0 and 1.
+    state, inputs: where a nonlinear model is linearised, in the model's units; values not given there are the
+        means of the filtered states and the medians of the inputs over the record.
     known: the estimate's uncertainty, if already computed.
 
     Returns values with bounds [h] and the states that take part.

@@ -101,12 +101,12 @@ class _Steps:
 class Likelihood:
     """The likelihood of the innovations of one model on one timeline.
 
-    initial: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse"
-        (exact, for `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
-    rate_step: largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
+    model, timeline: n states, d parameters; T instants [h] with readings (T, k), NaN where one is missing.
+    initial, diffuse_states: "prior" (each mechanism's own), "stationary" (steady state at the first inputs),
+        "diffuse" (exact, for these states, by default all; others keep their prior), or a `Gaussian`.
+    rate_step: [1] largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
         search may take longer sub-steps at the expense of the last digits.
-    fastest: the model's fastest rate [1/h], in place of the bound derived from the timeline's inputs, so that
-        no step depends on the rest of the run.
+    fastest: [1/h] the model's fastest rate, in place of the bound from all inputs of the run.
 
     `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
     ValueError for an unknown `initial`, unknown diffuse states and parameters without a value, RatesFault

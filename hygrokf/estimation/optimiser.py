@@ -372,15 +372,15 @@ def maximise(
     """Maximum likelihood from several starts; other optima are reported too.
 
     likelihood: of the model on its readings.
-    values: start values of some parameters; the others begin at their own start.
-    fixed: parameters to hold, with their values.
-    count: number of starts (see `starts`); more_starts: further complete ones.
+    values: start values of some parameters, in their units; the others begin at their own start.
+    fixed: parameters to hold, with their values in their units.
+    count, more_starts: number of starts (see `starts`), and further complete ones in the parameters' units.
     search: likelihood on a shorter stretch, for the short climbs that run from every start; those that lead
         to different places are continued to the end on the whole record.
     parents: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs
         also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
         never called converged.
-    budget: filter steps per instant of the record for each climb.
+    budget: [1] filter steps per instant of the record for each climb.
     progress: called with a sentence about each step.
 
     Returns the estimate: `values` in the parameters' units, `loglik`, `converged` and `message`, `others`.

@@ -23,7 +23,8 @@ def smooth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """States given all readings of the timeline.
 
-    likelihood: of the model on its timeline, with T instants and n states.  values: of all parameters.
+    likelihood: of the model on its timeline, with T instants and n states.
+    values: of all parameters, in the parameters' units.
     covariance: False leaves the second array empty.
 
     Returns smoothed means (T, n) and covariances (T, n, n), in the states' units.  Raises ValueError for
@@ -109,7 +110,8 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
 def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
     """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
-    likelihood: of the model on its timeline, with n states.  values: of all parameters.
+    likelihood: of the model on its timeline, with n states.
+    values: of all parameters, in the parameters' units.
 
     Returns filterpy's filter with x (n,) and P (n, n) in the states' units, and two more methods:
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other

@@ -182,10 +182,10 @@ def simulate(
 ) -> Prediction:
     """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
-    design, values: model and parameter values (`fit.design`, `fit.values`).
+    design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
     run: of `prepare_run`, with T instants.
     covariance: (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
-    rate_step: as in `Likelihood`.
+    rate_step: [1] as in `Likelihood`.
 
     Returns `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³], each as (mean, standard
     deviation), both (T,), or None where the model has no such output.  Switches follow the simulated readings
@@ -244,7 +244,12 @@ def forecast(
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """Forecasts from filtered states at instants of a run, compared with the readings that came.
 
-    first: instant after which forecasts start; `count` of them, spread evenly.  leads_h: how far ahead [h].
+    design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
+    run: of `prepare_run`.
+    first, count: instant after which forecasts start, and how many of them, spread evenly.
+    leads_h: [h] how far ahead.
+    rate_step: [1] as in `Likelihood`.
+
     Inputs are those of the record (a perfect weather forecast); readings after a start are not used.
 
     Returns by lead and quantity ("temperature_K", …) the arrays (reading, prediction, standard deviation),

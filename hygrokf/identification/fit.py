@@ -50,9 +50,13 @@ class LibraryAbsent(ResultFault):
 class Fit:
     """An identified model: everything needed to repeat it and to use it elsewhere.
 
-    `design`, `values`: the model, and its parameters in their units.  `results`: what `fit.json` says; time
-    constants [h] with bounds in `results.time_constants`, errors and verdicts beside them.  `series`: arrays
-    for figures.  A fit can be pickled; `write_fit` and `read_fit` keep it in files.
+    name: of the record.
+    design, values: the model, and its parameters in their units.
+    results: what `fit.json` says; time constants [h] with bounds in `results.time_constants`, errors and
+        verdicts beside them.
+    series: arrays (T,) for figures, in the units of their signals.
+
+    A fit can be pickled; `write_fit` and `read_fit` keep it in files.
     """
 
     name: str
@@ -113,6 +117,7 @@ class Fit:
 def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     """Write a fit as `fit.json` and `series.npz`.
 
+    fit: of `identify`.
     directory: made if absent; pages and a discovery of earlier results in it are removed first, because they
         belong to other numbers.
 

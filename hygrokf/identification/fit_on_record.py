@@ -132,6 +132,9 @@ def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
 def evaluate(fit: Fit, record: Record) -> Evaluation:
     """Score a fit on a record: the free run, simple rules beside it, and the coverage of the 95 % bands.
 
+    fit: of `identify` or `read_fit`.
+    record: the one to score it on.
+
     Returns errors by period and quantity ([K], [g/m³]; `errors`, `rule_errors`), the share [1] of the squared
     error that the sensors explain, and coverage [1] by lead (`band`).  Raises KeyError where the record
     lacks an input that the model reads.

@@ -75,11 +75,16 @@ class Course:
 class Tracker:
     """The state of one turbine's filter.
 
-    A restart begins from `point` and `readings()`.  `newest_state` is the estimate at the newest instant,
-    which may still change, and `running` tells whether the turbine operates then; `newest` is the time [s] of
-    the newest reading, −∞ without any.  `counts` counts the readings that are not used: "repeated" (already
-    present), "contradicting" (several values with one stamp, of which none is used) and "late" (received
-    after the estimate at their time was final).  `changes`: times [s] of stated changes of the cabinet.
+    A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
+    newest instant, which may still change, and `running` tells whether the turbine operates then; `newest` is
+    the time [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used:
+    "repeated" (already present), "contradicting" (several values with one stamp, of which none is used) and
+    "late" (received after the estimate at their time was final).
+
+    plan: what the tracker needs of a fit (`live.plan.plan`).
+    point: the final estimate to begin from, or None.
+    readings: stored readings after it, in SI units.
+    changes: [s] times of stated changes of the cabinet.
     """
 
     def __init__(

@@ -68,6 +68,8 @@ def state_space(
 def thermal_system(design: Design, values: Mapping[str, float]) -> control.StateSpace:
     """Equations (2) and (3) as a `control.StateSpace`, time in hours.
 
+    design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
+
     Returns the system with inputs `ambient_temperature` [K] and `heat_release` [K] (f_ΔT), output
     `cabinet_air_temperature` [K], state `converter_temperature` [K].  `control.sample_system(system, step_h,
     "zoh")` gives the F and G of the filter; `control.step_response`, `control.frequency_response` and

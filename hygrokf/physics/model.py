@@ -70,11 +70,15 @@ class Mechanism:
         initial(p, u)                  their (mean, variance) at the first instant
         outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
-    `features` are those inputs that no signal gives and that this mechanism brings with it, by name.
-    `amounts` are states that cannot be negative; simulations enforce this, the filter does not.
-    `settings` are the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
-    `leaves` describes what its absence leaves in the residuals, `source` cites the origin of the equations.
-    A model raises ValueError at first use where a mechanism does not fit it.
+    name: identifier in the library.
+    parameters, states, inputs: what its functions read; states and inputs by name.
+    conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions above.
+    amounts: states that cannot be negative; simulations enforce this, the filter does not.
+    features: those inputs that no signal gives and that this mechanism brings with it, by name.
+    settings: the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
+    meaning, leaves, source: what it is, what its absence leaves in the residuals, the equations' origin.
+
+    Raises ValueError, from the model at first use, where the mechanism does not fit it.
     """
 
     name: str
@@ -124,11 +128,13 @@ class System:
 class Model:
     """States, inputs, outputs and equations, put together from mechanisms (`compose` makes a model).
 
-    `holds` maps every input to its hold: linear, zero-order, or regime (piecewise constant with few distinct
-    values). `averaged` maps outputs that are read as interval means to the interval [h].  `parameters`,
-    `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate` gives rates
-    [unit/h] and expected readings at one point.  Raises ValueError at first use where mechanisms do not fit
-    together.
+    mechanisms: in any order.
+    holds: input → its hold: linear, zero-order, or regime (piecewise constant with few distinct values).
+    averaged: outputs that are read as interval means → the interval [h].
+
+    `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
+    gives rates [unit/h] and expected readings at one point.
+    Raises ValueError at first use where mechanisms do not fit together.
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -350,6 +356,8 @@ def compose(
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:
     """Add a mechanism to a model.
 
+    model: that of `compose`, or of a fit (`fit.design.model`).
+    mechanism: with state names of its own; model units are h, K, g/m³ and 1.
     holds: how the mechanism's own inputs run between two readings, as in `compose`.
 
     Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood

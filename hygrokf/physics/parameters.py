@@ -56,12 +56,17 @@ class Prior:
 class Parameter:
     """One parameter: name, unit, start value, bounds, coordinate, prior, meaning.
 
-    `positive` parameters are estimated as logarithms; their lower bound must be above zero.
-    `noise` marks parameters of disturbances and sensors, over which the estimation varies its starts.
-    `null` is the value at which the parameter's mechanism has no effect; None where there is no such value.
-    `physical` is the physically possible range.  A search limit (`lower` or `upper`) inside this range is a
-    guard against meaningless numbers, which the profile of another parameter may pass (see
-    `confidence.profile`).
+    name: identifier, unique in a model.
+    unit: of all its values here, such as "h", "K" or "1".
+    start, lower, upper: where the search starts and its limits, in `unit`.
+    positive: whether it is estimated as a logarithm; its lower limit must then be above zero.
+    prior: of its coordinate, or None.
+    null: the value, in `unit`, at which its mechanism has no effect; None where there is no such value.
+    noise: whether it belongs to a disturbance or a sensor; the estimation varies its starts over these.
+    meaning: what it is, in words.
+    physical: the physically possible range, in `unit`.  A search limit (`lower` or `upper`) inside this range
+        is a guard against meaningless numbers, which the profile of another parameter may pass (see
+        `confidence.profile`).
     """
 
     name: str

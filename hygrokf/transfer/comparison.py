@@ -226,7 +226,9 @@ class Column:
 def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
     """One column of a comparison: the free run of a fit on a record.
 
-    label: of the column.  own: whether the fit was identified on this record.
+    fit, record: whose free run is compared, and on what; readings in SI units.
+    label: of the column.
+    own: whether the fit was identified on this record.
 
     Returns readings, predictions and regimes (T,) for `compare`.
     Raises KeyError where the record lacks an input that the model reads.

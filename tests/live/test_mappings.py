@@ -430,7 +430,7 @@ def damaged(random_: random.Random, payload: bytes) -> bytes:
         random_.shuffle(parts)
         return b"".join(parts)
     elif draw == 4:
-        packed = bytearray(gzip.compress(payload))
+        packed = bytearray(gzip.compress(payload, mtime=0))
         packed[random_.randrange(len(packed))] ^= 1 << random_.randrange(8)
         return bytes(packed)
     elif draw == 5:

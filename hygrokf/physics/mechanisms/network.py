@@ -20,6 +20,7 @@ def linear_network(
 ) -> Mechanism:
     """A linear network of any size, as one mechanism.
 
+    name: identifier of the mechanism.
     parameters, states, inputs: by name, in units of the user's choice; time is in hours.
     rates: (p, x, u) → {state: rate [unit/h]}.
     outputs: name → (p, x, u) → (prediction, variance of the reading's noise).

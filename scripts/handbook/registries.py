@@ -1,0 +1,164 @@
+"""Pages of the mechanisms and causes, made of the registries."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable
+
+from handbook.docstrings import heading, prose_and_equations, rst, table
+from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.library import LIBRARY as CAUSES
+from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
+
+GROUPS: dict[str, tuple[str, str, tuple[Factory, ...]]] = {
+    "base": ("Base models", "The two networks of the paper, their disturbances and the sensors.", BASE),
+    "logged": ("Logged actuators", "Effects of actuators that the record contains.", LOGGED),
+    "further": ("Further physics", "What may act beside the base models.", FURTHER),
+    "tracking": ("Tracking", "Properties of the cabinet as wandering states.", WANDERING),
+}
+"""Key of the page → title, sentence, factories."""
+
+
+def number(value: float) -> str:
+    """A number of a table; infinite limits as signs."""
+    if math.isinf(value):
+        return "−∞" if value < 0 else "∞"
+    return f"{value:.4g}".replace("-", "−")
+
+
+def made(factory: Factory) -> Mechanism:
+    """The mechanism with its default settings."""
+    return factory()
+
+
+def parameter_row(one: Parameter) -> list[str]:
+    """name, unit, start, range of the search, null value, meaning."""
+    return [
+        f"``{one.name}``", rst(one.unit), number(one.start), f"{number(one.lower)} … {number(one.upper)}",
+        "" if one.null is None else number(one.null), rst(one.meaning),
+    ]  # fmt: skip
+
+
+def mechanism_section(factory: Factory) -> str:
+    """Equation, parameters with null values, states, inputs, what its absence leaves, and the source."""
+    one = made(factory)
+    lines = [f".. _mechanism-{factory.__name__}:", "", heading(factory.__name__, "-")]
+    lines += [prose_and_equations(factory.__doc__ or ""), ""]
+    if one.parameters:
+        head = ("parameter", "unit", "start", "search", "null", "meaning")
+        lines += [table(head, map(parameter_row, one.parameters), "24 10 8 16 8 34"), ""]
+    settings = str(inspect.signature(factory)).partition(" ->")[0].replace("'", "")
+    facts = {
+        "What it is": rst(one.meaning),
+        "Null value": _null(one),
+        "Its absence leaves": rst(one.leaves),
+        "States": ", ".join(f"``{name}``" for name in one.states),
+        "Inputs": ", ".join(f"``{name}``" for name in one.inputs),
+        "Settings": f"``{settings[1:-1]}``" if len(settings) > 2 else "",
+        "Source": rst(one.source),
+        "Causes": ", ".join(
+            f":ref:`{cause.name} <cause-{cause.name}>`"
+            for cause in CAUSES
+            if factory.__name__ in mechanisms_of(cause)
+        ),
+        "Module": f"``{factory.__module__}``",
+    }
+    lines += [f":{key}: {value}" for key, value in facts.items() if value]
+    return "\n".join([*lines, "", ""])
+
+
+def _null(one: Mechanism) -> str:
+    """The values at which the mechanism has no effect."""
+    return ", ".join(f"``{p.name}`` = {number(p.null)}" for p in one.parameters if p.null is not None)
+
+
+def mechanisms_of(cause: Cause) -> tuple[str, ...]:
+    """Names of the mechanisms that the forms of a cause add, as its functions state them."""
+    seen: set[Callable[..., object]] = set()
+    found: set[str] = set()
+
+    def visit(function: Callable[..., object]) -> None:
+        if function in seen:
+            return
+        seen.add(function)
+        around = inspect.getclosurevars(inspect.unwrap(function))
+        source = inspect.getsource(inspect.unwrap(function))
+        found.update(word for word in re.findall(r'"(\w+)"', source) if word in LIBRARY)
+        for value in (*around.globals.values(), *around.nonlocals.values()):
+            if inspect.isfunction(value) and value.__module__.startswith("hygrokf.discovery.causes"):
+                visit(value)
+            elif isinstance(value, dict):
+                found.update(one.name for one in value.values() if isinstance(one, Mechanism))
+
+    visit(cause.variants)
+    base = {factory.__name__ for factory in BASE}
+    return tuple(name for name in LIBRARY if name in found - base)
+
+
+def cause_section(cause: Cause) -> str:
+    """What a cause is, its forms, its mechanisms with null values and traces, and what to check."""
+    names = mechanisms_of(cause)
+    lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-")]
+    lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
+    alone = "" if math.isinf(cause.alone) else f"from a gain of {number(cause.alone)} in 2 ln L"
+    facts = {
+        "Forms": rst(cause.forms),
+        "Searched": rst(cause.searches),
+        "Needs": rst(cause.needs),
+        "To check": rst(cause.remedy),
+        "Told apart by": rst(cause.separate_by),
+        "Accepted on evidence alone": alone,
+    }
+    lines += [f":{key}: {value}" for key, value in facts.items() if value]
+    if names:
+        rows = [
+            [
+                f":ref:`{name} <mechanism-{name}>`",
+                _null(made(LIBRARY[name])),
+                rst(made(LIBRARY[name]).leaves),
+            ]
+            for name in names
+        ]
+        head = ("mechanism (equation there)", "null value", "its absence leaves")
+        lines += ["", table(head, rows, "30 30 40")]
+    else:
+        lines += [
+            "",
+            "It adds no mechanism: it changes how readings are taken; its null is the record as it is.",
+        ]
+    return "\n".join([*lines, "", ""])
+
+
+def pages() -> dict[str, str]:
+    """Pages of the registries by their name under docs/generated."""
+    found = {}
+    for key, (title, sentence, factories) in GROUPS.items():
+        sections = [mechanism_section(factory) for factory in factories]
+        head = [heading(f"Mechanisms: {title.lower()}", "="), sentence, "", ".. contents::", "   :local:", ""]
+        found[f"mechanisms/{key}"] = "\n".join([*head, *sections])
+    index = [
+        heading("Mechanisms", "="),
+        "A model is a tuple of mechanisms. Model units are h, K, g/m³ and 1; a heat release is the",
+        "temperature difference [K] that it sustains across :math:`R_{AT}`. At its null value a mechanism",
+        "has no effect.",
+        "These pages are made of the registry when the site is built.",
+        "",
+    ]
+    for title, sentence, factories in GROUPS.values():
+        rows = [[f":ref:`{f.__name__} <mechanism-{f.__name__}>`", rst(made(f).meaning)] for f in factories]
+        index += [heading(title, "-"), sentence, "", table(("mechanism", "what it is"), rows, "35 65"), ""]
+    entries = [f"   {title} <{key}>" for key, (title, _, _) in GROUPS.items()]
+    index += [".. toctree::", "   :hidden:", "", *entries]
+    found["mechanisms/index"] = "\n".join([*index, ""])
+    head = [
+        heading("Causes", "="),
+        "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
+        "causes are tried and accepted: :doc:`/discover_decides`. A cause of your own: :doc:`/own_cause`.",
+        "", ".. contents::", "   :local:", "",
+    ]  # fmt: skip
+    found["causes"] = "\n".join([*head, *(cause_section(cause) for cause in CAUSES)])
+    return found
