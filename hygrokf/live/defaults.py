@@ -45,7 +45,7 @@ FIRST = next(iter(NAMES))
 DAYS = 100.0
 IDENTIFIED_DAYS = 60.0
 """Length of the record, and of its first part on which the model is identified [d]."""
-KNOWN_DAYS = 16.0
+KNOWN_DAYS = 12.0
 """[d] before the live part that the tracker gets at once, as history for the forecasts."""
 CHANGED_DAYS = -7.0
 """[d] from the start of the live part to the change of the cabinet: so long before it that the shift, which

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import platform
 import re
@@ -161,6 +162,12 @@ def test_every_answer_binds_the_browser(client: httpx.Client) -> None:
         assert headers["x-content-type-options"] == "nosniff" and headers["referrer-policy"] == "no-referrer"
         assert headers["cross-origin-opener-policy"] == "same-origin" and "server" not in headers
         assert headers["cache-control"] == ("no-cache" if path in ("/", "/static/page.js") else "no-store")
+
+
+def test_the_page_is_small() -> None:
+    """What a telephone loads: the page's files, compressed, with the charts' library [bytes]."""
+    files = [file for file in STATIC.iterdir() if file.suffix in (".js", ".css", ".html", ".svg")]
+    assert sum(len(gzip.compress(file.read_bytes(), 5)) for file in files) < 60_000
 
 
 SVG = "http://www.w3.org/2000/svg"
