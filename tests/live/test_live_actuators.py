@@ -171,9 +171,9 @@ def test_actuators_from_a_source_into_the_store_are_the_offline_filter(
 
 
 @pytest.mark.slow
-def test_an_identified_cabinet_with_a_heater_and_a_door_is_tracked_as_offline(tmp_path: Path) -> None:
+def test_an_identified_cabinet_with_a_heater_and_a_drier_is_tracked_as_offline(tmp_path: Path) -> None:
     """A plant of another make, identified on 40 days; the heater's effect is known with its error."""
-    whole, _, made = actuated(41003, "heater_duty", "door_open", days=52.0)
+    whole, _, made = actuated(41003, "heater_duty", "dehumidifier_duty", days=45.0)
     until_s = whole.start_s + 40.0 * DAY_S
     fit = identify(replace(whole.window(whole.start_s, until_s), until_s=None), starts=1, profiles=False)
     forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in whole.series}
