@@ -9,6 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("DASK_LOGGING__DISTRIBUTED", "error")
 
 from handbook.pictures import GallerySettings  # noqa: E402
 

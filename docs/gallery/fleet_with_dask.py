@@ -3,7 +3,7 @@ A fleet with Dask
 =================
 
 `run_fleet` does one task for many turbines, on processes of this machine or on a Dask cluster. Here a
-cluster of two workers fits five synthetic cabinets, one of which stores heat much longer.
+cluster of two workers fits four synthetic cabinets, one of which stores heat much longer.
 """
 
 import os
@@ -19,16 +19,16 @@ from hygrokf.fleet.plan import read_plan
 
 os.environ["OMP_NUM_THREADS"] = "1"  # a worker takes one thread for linear algebra
 folder, truth = Path(tempfile.mkdtemp()), {}
-for number in range(1, 6):
+for number in range(1, 5):
     truth[f"WT{number:02}"] = tau = 3.2 if number == 4 else 1.5
     turbine = hygrokf.synthetic_turbine(
-        seed=number, days=6, parameters=SyntheticParameters(thermal_time_constant_h=tau)
+        seed=number, days=12, parameters=SyntheticParameters(thermal_time_constant_h=tau)
     )
     case = hygrokf.write_case(turbine, folder / f"WT{number:02}")
     text = case.read_text(encoding="utf-8")
     case.write_text(text.replace(f"synthetic-turbine-{number}", f"WT{number:02}"), encoding="utf-8")
 (folder / "fleet.toml").write_text(
-    'name = "Five cabinets"\ntask = "fit"\ncases = ["WT*/case.toml"]\n'
+    'name = "Four cabinets"\ntask = "fit"\ncases = ["WT*/case.toml"]\n'
     "[options]\nstarts = 1\nprofiles = false\n",
     encoding="utf-8",
 )
@@ -53,6 +53,6 @@ for place, row in enumerate(rows):
     axis.plot(truth[row["turbine"]], place, "x", color="C3", label="made with" if place == 0 else None)
 axis.set_yticks(range(len(rows)), [row["turbine"] for row in rows])
 axis.set_xlabel("thermal time constant [h]")
-axis.set_title(f"{run.results}")
+axis.set_title(str(run.results))
 axis.legend(loc="upper right")
 figure.tight_layout()

@@ -45,6 +45,6 @@ for axis, (name, one) in zip(axes, found.items(), strict=True):
         axis.plot(shift, place, "o", color=colour)
     axis.axvline(0.0, color="0.4", linewidth=0.8)
     axis.set_yticks(range(len(rows)), [n.replace("_", " ") for n in rows])
-    axis.set_title(f"{name}: {one.verdict}")
+    axis.set_title(f"{name}: {one.verdict}\n{', '.join(one.re_estimate)}", fontsize=9)
     axis.set_xlabel("difference, in its standard errors")
 figure.tight_layout()

@@ -97,7 +97,7 @@ def block(paragraph: str, indent: str = "") -> str:
             out += [*_prose(prose), "", ".. code-block:: text", "   :class: equation", ""]
             prose, literal = [], True
         if indented:
-            out.append("   " + inner)
+            out.append("   " + inner.removeprefix("    "))
             continue
         if literal:
             out.append("")

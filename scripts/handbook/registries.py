@@ -138,7 +138,7 @@ def pages() -> dict[str, str]:
     found = {}
     for key, (title, sentence, factories) in GROUPS.items():
         sections = [mechanism_section(factory) for factory in factories]
-        head = [heading(f"Mechanisms: {title.lower()}", "="), sentence, "", ".. contents::", "   :local:", ""]
+        head = [heading(f"Mechanisms: {title.lower()}", "="), sentence, ""]
         found[f"mechanisms/{key}"] = "\n".join([*head, *sections])
     index = [
         heading("Mechanisms", "="),
@@ -158,7 +158,7 @@ def pages() -> dict[str, str]:
         heading("Causes", "="),
         "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
         "causes are tried and accepted: :doc:`/discover_decides`. A cause of your own: :doc:`/own_cause`.",
-        "", ".. contents::", "   :local:", "",
+        "",
     ]  # fmt: skip
     found["causes"] = "\n".join([*head, *(cause_section(cause) for cause in CAUSES)])
     return found
