@@ -191,7 +191,7 @@ def test_pre_heating_goes_with_its_power() -> None:
 
     record, said = driven(fit, weather, power("2020-12-30T00:00:00"))
     assert record["preheating"].value.sum() == 800 and any(
-        "pre-heating is taken hour by hour" in s for s in said
+        "pre-heating follows the record" in s for s in said
     )
     for other, words in (
         (power("2016-12-30T00:00:00"), "does not cover the weather's time"),
