@@ -62,7 +62,7 @@ def test_a_tracker_on_postgresql_killed_at_random_moments(
 @pytest.mark.parametrize(
     ("count", "in_postgresql", "days"),
     [
-        (2, False, 2.0),
+        pytest.param(4, False, 2.0, marks=pytest.mark.slow),
         pytest.param(50, False, 2.0, marks=pytest.mark.slow),
         pytest.param(50, True, 2.0, marks=pytest.mark.slow),
     ],
