@@ -30,6 +30,7 @@ toc_object_entries_show_parents = "hide"
 maximum_signature_line_length = 72
 python_use_unqualified_type_names = True
 highlight_language = "none"
+default_role = "code"
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
