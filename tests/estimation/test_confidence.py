@@ -99,7 +99,7 @@ def short() -> Fitted:
 
 def test_an_estimate_at_which_the_model_runs_away_is_told(normal: Fitted) -> None:
     nowhere = replace(normal.estimate, z=np.array([np.nan, 0.0]))
-    with pytest.raises(ValueError, match="the model runs away with mean = "):
+    with pytest.raises(ValueError, match="the model diverges with mean = "):
         uncertainty(normal.objective, nowhere)
 
 

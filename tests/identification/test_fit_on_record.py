@@ -278,7 +278,7 @@ def test_mismatches_of_fit_and_record_are_reported(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle).statements
     assert "pre-heating" in sentence and "counts as off" in sentence
-    assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
+    assert f"note: {sentence}" in " ".join(evaluation_text(evaluate(fit, idle)).split())
     (sentence,) = simulation_summary(unfitted(idle), record).statements
     assert "pre-heating" in sentence and "left out" in sentence
 
