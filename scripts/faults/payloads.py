@@ -32,7 +32,7 @@ TIMES = (
     "nan", "Infinity", "2026-03-01T12:00:00Z; DROP TABLE observation",
 )  # fmt: skip
 """What is no time."""
-IMPOSSIBLE = (0, -1, 1e-300, -1e308, 1e300, 631_151_999, 4e9, 1e13, 10**17, "0", "-5", "9e18",
+IMPOSSIBLE = (0, -1, 1e-300, -1e308, 1e300, 631_151_999, 4.2e9, 1e13, 10**17, "0", "-5", "9e18",
     "9999-12-31T23:59:59Z", "0001-01-01T00:00:00+00:00")  # fmt: skip
 """Times that are none of a turbine."""
 NO_NUMBERS = (
