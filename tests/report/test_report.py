@@ -21,7 +21,7 @@ from hygrokf.report.figures.fit import Picture
 from hygrokf.report.fit_page import ReportFault, read_results, report_page, report_text, write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import Judgement, judgements, time_constant
-from hygrokf.report.terminal import cells, shortened
+from hygrokf.report.terminal import KEY, cells, shortened
 
 
 @pytest.fixture
@@ -369,7 +369,7 @@ def test_doubts_come_first_and_old_results_have_none(quick) -> None:
     assert "Doubt about the record" not in report_text(results(fit)) + report_page(results(fit), {})
     fit["doubts"] = ["absolute humidity is 5.15 times that outside: or the wrong <column>", "right unit?"]
     text, page = report_text(results(fit)), report_page(results(fit), {})
-    first = text.partition("what not (x)\n")[2].splitlines()[0]
+    first = text.partition(f"{KEY}\n")[2].splitlines()[0]
     assert first.startswith("! Doubt about the record: absolute humidity is 5.15 times")
     assert "! Doubt about the record: right unit?\n" in text
     assert page.partition('<ul class="judgements">')[2].startswith(
