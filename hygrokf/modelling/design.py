@@ -102,6 +102,10 @@ class Design:
             found = _models[key] = compose(mechanisms, holds, self.averaged)
         return found
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The design without its model, whose functions cannot be pickled; a copy makes it again."""
+        return {name: value for name, value in vars(self).items() if name != "model"}
+
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])

@@ -50,7 +50,9 @@ def test_a_damaged_file_is_refused_with_every_fault_and_its_place(tmp_path: Path
 
 def test_a_fit_is_copied_between_processes_and_says_its_verdicts() -> None:
     fit = Fit.from_json(golden(*MADE[0]))
+    assert fit.design.model.outputs  # a model that was made does not stand in the way
     again = pickle.loads(pickle.dumps(fit))
+    assert again.design.model is fit.design.model
     assert again.to_json() == fit.to_json() and again.values == fit.values
     first, *numbers = repr(again).splitlines()
     assert first == fit.name and len(numbers) == len(fit.results.time_constants)
