@@ -10,7 +10,7 @@ from hygrokf.commands.verb import Verb, add_json
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
     add_json(parser)
 
 

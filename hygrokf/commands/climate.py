@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("fit", type=Path, metavar="FIT.json")
+    parser.add_argument("fit", type=Path, metavar="FIT.json", help="the fitted model, or its directory")
     parser.add_argument(
         "--weather",
         type=Path,

@@ -13,7 +13,7 @@ from hygrokf.data.files import COMPARISON
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml")
+    parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml", help="the case files")
     parser.add_argument(
         "--fit",
         type=Path,

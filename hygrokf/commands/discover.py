@@ -13,7 +13,7 @@ from hygrokf.data.files import DISCOVERY
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
     add_out(parser, "directory for discovery.json, report.html and the extended model")
     add_starts(parser)
     parser.add_argument(

@@ -14,7 +14,7 @@ from hygrokf.data.files import FIT
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
     add_out(parser, "directory for fit.json, series.npz and report.html")
     parser.add_argument(
         "--criterion",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("fleet", type=Path, metavar="FLEET.toml")
+    parser.add_argument("fleet", type=Path, metavar="FLEET.toml", help="the file of the fleet")
     add_out(parser, "directory for fleet.csv, report.html, each turbine's results")
     parser.add_argument(
         "--workers", type=whole(1), default=None, help="processes on this machine (default: one per core)"

@@ -11,7 +11,7 @@ from hygrokf.data.files import CLIMATE, COMPARISON, DISCOVERY, FLEET, TRANSFER
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("directory", type=Path, metavar="DIR")
+    parser.add_argument("directory", type=Path, metavar="DIR", help="the directory of results")
     add_json(parser)
 
 

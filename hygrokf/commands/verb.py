@@ -99,5 +99,5 @@ def add_starts(parser: ArgumentParser) -> None:
 
 
 def add_fit_and_case(parser: ArgumentParser) -> None:
-    parser.add_argument("fit", type=Path, metavar="FIT.json")
-    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument("fit", type=Path, metavar="FIT.json", help="the fitted model, or its directory")
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
