@@ -16,8 +16,8 @@ STEPS = 8
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("fit", type=Path, metavar="FIT.json|TYPE.json", help="the fitted model, or a pooled type")
-    parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml", help="case files of the other turbines")
+    parser.add_argument("fit", type=Path, metavar="FIT.json|TYPE.json", help="fitted model or pooled type")
+    parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml", help="cases of other turbines")
     add_out(parser, "directory for transfer.json, report.html and the models")
     add_library(parser)
     add_json(parser)
