@@ -51,21 +51,28 @@ def broken_links(page: Path, text: str) -> list[str]:
             "python,bash",
             ["result/report.html", "simulated.csv", "step.png", "bode.png"],
         ),
-        (
+        pytest.param(
             DOCS / "fleet.md",
             "python,bash",
             ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
+            marks=pytest.mark.slow,
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
         (DOCS / "own_model.md", "python", []),
         (DOCS / "reference.md", "python", ["result/report.html", "fleet/report.html"]),
-        (
+        pytest.param(
             DOCS / "climate.md",
             "python,bash",
             ["climate/report.html", "checked/climate.csv", "regions/report.html"],
+            marks=pytest.mark.slow,
         ),
         (DOCS / "compare.md", "python,bash", ["compared/report.html", "compared/compare.csv"]),
-        (DOCS / "transfer.md", "python,bash", ["moved/report.html", "moved/synthetic-turbine-42/fit.json"]),
+        pytest.param(
+            DOCS / "transfer.md",
+            "python,bash",
+            ["moved/report.html", "moved/synthetic-turbine-42/fit.json"],
+            marks=pytest.mark.slow,
+        ),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
         (DOCS / "weather.md", "python", ["site.epw"]),
     ],

@@ -894,6 +894,7 @@ def hits(found: dict) -> int:
     return sum(full[f"{strength}: or in its class"]["hits"] for strength in ("full", "half", "weaker"))
 
 
+@pytest.mark.slow
 def test_two_hidden_causes_are_named_from_end_to_end(tmp_path: Path) -> None:
     """A step of the exchange and a drift of a sensor, in records of two months."""
     found, answers = small_battery(tmp_path, "--causes", "exchange_step", "humidity_sensor_drift")

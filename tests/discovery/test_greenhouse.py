@@ -65,6 +65,7 @@ def test_vents_that_nobody_logged_show_in_their_hours(vented: Baseline) -> None:
     assert all(one > 50.0 for one in best.lrs.values())
 
 
+@pytest.mark.slow
 def test_nothing_of_a_logged_actuators_class_is_named_and_what_is_named_simulates_better() -> None:
     """Plants give vapour (a wet surface), the sun warms; the held-out errors fall by a third and more."""
     found = discover(record("Koala"), budget_s=math.inf).results
