@@ -19,8 +19,8 @@ from hygrokf.data.signals import signal_named, to_si
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
-from hygrokf.weather.fields import impossible_range, saturation_doubt
-from hygrokf.weather.typical_year import expect_hour, local_seconds, placed_in_year
+from hygrokf.weather.fields import saturation_doubt
+from hygrokf.weather.typical_year import expect_hour, hourly_series, local_seconds, placed_in_year
 
 _HEADER = 8
 _COLUMNS = {
@@ -38,8 +38,6 @@ _COLUMNS = {
     "rain": (33, "mm", 999.0, "hour"),
 }
 _FEWEST_COLUMNS = 22
-_WIND_HEIGHT_M = 10.0
-"""[m] height of the wind in an EPW file."""
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
@@ -119,28 +117,14 @@ def _series(
 
     time: (T,) [s] ends of the hours.  file: its name.  place: in words, for the sources of the series.
     """
-    series = []
+    found = []
     for signal, (column, unit, _, kind) in _COLUMNS.items():
-        if signal == "ambient_relative_humidity" or signal not in value or np.isnan(value[signal]).all():
-            continue
-        row = signal_named(signal)
-        number = to_si(value[signal], unit, row)
-        if beyond := impossible_range(number[~np.isnan(number)], row):
-            faults.append(f"column {column + 1}: {beyond}: the columns are shifted, or in other units")
-            continue
-        held = kind != "instant"
-        series.append(
-            Series(
-                signal,
-                time,
-                number,
-                "zero-order" if held else "linear",
-                HOUR_S if held else 0.0,
-                source=f"{file}, column {column + 1} at {place}",
-                height_m=_WIND_HEIGHT_M if signal.startswith("wind_") else None,
-            )
-        )
-    return series
+        if signal != "ambient_relative_humidity" and signal in value:
+            number = to_si(value[signal], unit, signal_named(signal))
+            source = f"{file}, column {column + 1} at {place}"
+            mean = kind != "instant"
+            found.append(hourly_series(signal, time, number, mean, str(column + 1), source, faults))
+    return [one for one in found if one is not None]
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:

@@ -21,15 +21,14 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import contents
-from hygrokf.weather.fields import impossible_range, saturation_doubt
-from hygrokf.weather.typical_year import expect_hour, local_seconds, placed_in_year
+from hygrokf.weather.fields import saturation_doubt
+from hygrokf.weather.typical_year import expect_hour, hourly_series, local_seconds, placed_in_year
 
 ZONE_H = 1.0
 """[h] Central European Time against UTC, in summer too."""
 HOURS = 8760
 END_OF_HEADER = "***"
 _NEEDED = ("MM", "DD", "HH", "t", "p", "x", "RF")
-_WIND_HEIGHT_M = 10.0
 _MISSING = {"WR": 999.0, "N": 9.0}
 _SIGNALS = {
     # signal: column, unit, whether it holds over the hour
@@ -152,27 +151,11 @@ def _series(
         values["global_horizontal_irradiance"] = "B and D", np.maximum(column["B"] + column["D"], 0.0), True
     values["ambient_dew_point_temperature"] = "x, RF, p and t", _dew_point(column, warnings), False
     warnings += saturation_doubt(values["ambient_temperature"][1], values["ambient_dew_point_temperature"][1])
-    series = []
-    for signal, (name, number, held) in values.items():
-        row = signal_named(signal)
-        finite = number[np.isfinite(number)]
-        if not len(finite):
-            continue
-        if beyond := impossible_range(finite, row):
-            faults.append(f'column "{name}": {beyond}: the columns are shifted, or in other units')
-            continue
-        series.append(
-            Series(
-                signal,
-                time,
-                number,
-                "zero-order" if held else "linear",
-                HOUR_S if held else 0.0,
-                source=f'{file}, column "{name}"',
-                height_m=_WIND_HEIGHT_M if signal.startswith("wind_") else None,
-            )
-        )
-    return series
+    found = (
+        hourly_series(signal, time, number, mean, f'"{name}"', f'{file}, column "{name}"', faults)
+        for signal, (name, number, mean) in values.items()
+    )
+    return [one for one in found if one is not None]
 
 
 def _dew_point(column: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:

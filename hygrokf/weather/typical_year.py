@@ -1,4 +1,4 @@
-"""Hours of a typical year, which is composed of months from different years, placed in a calendar year."""
+"""Hours of a typical year, composed of months from different years: in one calendar year, and as series."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ import calendar
 import numpy as np
 
 from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Series
+from hygrokf.data.signals import signal_named
 from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.weather.fields import impossible_range
+
+WIND_HEIGHT_M = 10.0
+"""[m] height of the wind in files of typical years."""
 
 
 def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -53,3 +59,28 @@ def local_seconds(stamps: np.ndarray) -> np.ndarray:
     months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
     days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
     return days * DAY_S + stamps[:, 3] * HOUR_S
+
+
+def hourly_series(
+    signal: str, time: np.ndarray, value: np.ndarray, mean: bool, column: str, source: str, faults: list[str]
+) -> Series | None:
+    """A series of hours; None without values, and for impossible values, which are added to `faults`.
+
+    time: (T,) [s] ends of the hours.  value: (T,) [SI unit].  mean: whether it is the hour's mean or sum.
+    column: its name in faults.  source: its name in the record.
+    """
+    known = value[~np.isnan(value)]
+    if not len(known):
+        return None
+    if beyond := impossible_range(known, signal_named(signal)):
+        faults.append(f"column {column}: {beyond}: the columns are shifted, or in other units")
+        return None
+    return Series(
+        signal,
+        time,
+        value,
+        "zero-order" if mean else "linear",
+        HOUR_S if mean else 0.0,
+        source=source,
+        height_m=WIND_HEIGHT_M if signal.startswith("wind_") else None,
+    )

@@ -14,7 +14,7 @@ from collections import Counter
 from email import message_from_bytes
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import SMTP, AuthResult, LoginPassword
@@ -54,43 +54,26 @@ class Accepted:
         return sum(n - 1 for n in self.keys.values())
 
 
-class MailServer:
-    """A mail server; `failure` is one of `FAILURES` or empty, and `noticed` counts what it hit."""
+class Receiver:
+    """A receiver on a free port; `failure` is one of `FAILURES` or empty, and `noticed` counts what it hit.
 
-    def __init__(
-        self, certificate: Path | None = None, key: Path | None = None, tls: bool = False, login: bool = False
-    ) -> None:
+    `_server` is what listens, None while nothing does.
+    """
+
+    def __init__(self) -> None:
         self.accepted = Accepted()
         self.failure = ""
         self.noticed: Counter[str] = Counter()
-        self.refuses: dict[str, str] = {}
         self.port = free_port()
-        self._context = None
-        if certificate is not None:
-            self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-            self._context.load_cert_chain(certificate, key)
-        self._tls, self._login = tls, login
-        self._controller: Controller | None = None
+        self._server: Any = None
 
     def start(self) -> None:
-        more: dict[str, Any] = {}
-        if self._context is not None and not self._tls:
-            more = {"tls_context": self._context, "require_starttls": True}
-        if self._login:
-            more |= {"authenticator": self._authenticate, "auth_required": not self._tls}
-            more |= {"auth_require_tls": not self._tls}
-        self._controller = _Controller(
-            self, hostname="127.0.0.1", port=self.port, ready_timeout=10.0,
-            ssl_context=self._context if self._tls else None, **more,
-        )  # fmt: skip
-        self._controller.start()
+        raise NotImplementedError
 
     def stop(self) -> None:
-        if self._controller is not None:
-            self._controller.stop()
-            self._controller = None
+        raise NotImplementedError
 
-    def __enter__(self) -> MailServer:
+    def __enter__(self) -> Self:
         self.start()
         return self
 
@@ -102,9 +85,42 @@ class MailServer:
         if failure == "refuse":
             self.noticed["refuse"] += 1
             self.stop()
-        elif self._controller is None:
+        elif self._server is None:
             self.start()
         self.failure = failure
+
+
+class MailServer(Receiver):
+    """A mail server."""
+
+    def __init__(
+        self, certificate: Path | None = None, key: Path | None = None, tls: bool = False, login: bool = False
+    ) -> None:
+        super().__init__()
+        self.refuses: dict[str, str] = {}
+        self._context = None
+        if certificate is not None:
+            self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            self._context.load_cert_chain(certificate, key)
+        self._tls, self._login = tls, login
+
+    def start(self) -> None:
+        more: dict[str, Any] = {}
+        if self._context is not None and not self._tls:
+            more = {"tls_context": self._context, "require_starttls": True}
+        if self._login:
+            more |= {"authenticator": self._authenticate, "auth_required": not self._tls}
+            more |= {"auth_require_tls": not self._tls}
+        self._server = _Controller(
+            self, hostname="127.0.0.1", port=self.port, ready_timeout=10.0,
+            ssl_context=self._context if self._tls else None, **more,
+        )  # fmt: skip
+        self._server.start()
+
+    def stop(self) -> None:
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
 
     def _authenticate(
         self, server: SMTP, session: object, envelope: object, kind: str, data: Any
@@ -156,22 +172,18 @@ class _Controller(Controller):
         return SMTP(self.handler, hostname="localhost", **self.SMTP_kwargs)
 
 
-class WebhookServer:
-    """A receiver that verifies signatures; the parts are those of `MailServer`."""
+class WebhookServer(Receiver):
+    """A webhook that verifies signatures."""
 
     def __init__(
         self, secret: bytes | None = None, certificate: Path | None = None, key: Path | None = None
     ) -> None:
-        self.accepted = Accepted()
-        self.failure = ""
+        super().__init__()
         self.status = 204
         self.slow_s = 0.0
-        self.noticed: Counter[str] = Counter()
         self.wrong: list[str] = []
-        self.port = free_port()
         self.secret = secret
         self._pair = (certificate, key)
-        self._server: ThreadingHTTPServer | None = None
         self._ending = threading.Event()
 
     def start(self) -> None:
@@ -196,21 +208,6 @@ class WebhookServer:
             self._server.shutdown()
             self._server.server_close()
             self._server = None
-
-    def __enter__(self) -> WebhookServer:
-        self.start()
-        return self
-
-    def __exit__(self, *fault: object) -> None:
-        self.stop()
-
-    def fail(self, failure: str) -> None:
-        if failure == "refuse":
-            self.noticed["refuse"] += 1
-            self.stop()
-        elif self._server is None:
-            self.start()
-        self.failure = failure
 
     def _answer(self, handler: BaseHTTPRequestHandler) -> None:
         failure = self.failure
