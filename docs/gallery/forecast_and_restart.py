@@ -15,8 +15,10 @@ import pandas as pd
 
 import hygrokf
 from hygrokf.live.condition import Surface
-from hygrokf.live.forecast import forecast, restart
+from hygrokf.live.forecast import forecast
+from hygrokf.live.heating import heating_sd
 from hygrokf.live.plan import plan
+from hygrokf.live.restart_advice import restart
 from hygrokf.live.scenarios import persistence
 from hygrokf.live.tracker import Reading
 
@@ -40,7 +42,7 @@ tracker.advance()
 state, surface = tracker.newest_state, Surface(follows=0.5)
 scenarios = persistence(record, state.time)  # ignores what came later
 ahead = forecast(tracker.plan, state, scenarios, surface)
-advice = restart(tracker.plan, state, scenarios, surface)
+advice = restart(tracker.plan, state, scenarios, surface, heating_sd_K=heating_sd(fit))
 print(scenarios.words, advice.statement, sep="\n")
 
 air = ahead.condition

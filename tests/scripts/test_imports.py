@@ -1,0 +1,44 @@
+"""Scripts and examples that no default test runs still import names that exist."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON = b"#!/usr/bin/env python3"
+PROGRAMS = [
+    path
+    for folder in ("scripts", ".ci", "docs/gallery")
+    for path in sorted((ROOT / folder).rglob("*"))
+    if path.is_file() and (path.suffix == ".py" or path.read_bytes().startswith(PYTHON))
+]
+
+
+def test_programs_are_found() -> None:
+    names = {path.name for path in PROGRAMS}
+    assert {"climate_trials", "live_trials", "first_fit.py", "command.py"} <= names
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_a_program_imports_of_the_package_is_there(path: Path) -> None:
+    missing = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("hygrokf"):
+            continue
+        try:
+            module = importlib.import_module(node.module)
+        except ImportError:
+            missing.append(node.module)
+            continue
+        folder = ROOT / node.module.replace(".", "/")
+        names = [alias.name for alias in node.names]
+        missing += [
+            f"{node.module}.{name}"
+            for name in names
+            if not hasattr(module, name) and not (folder / f"{name}.py").exists()
+        ]
+    assert not missing
