@@ -280,7 +280,7 @@ def test_mismatches_of_fit_and_record_are_reported(fit, record):
     assert "pre-heating" in sentence and "counts as off" in sentence
     assert f"note: {sentence}" in " ".join(evaluation_text(evaluate(fit, idle)).split())
     (sentence,) = simulation_summary(unfitted(idle), record).statements
-    assert "pre-heating" in sentence and "left out" in sentence
+    assert "pre-heating" in sentence and "does not use" in sentence
 
 
 def test_the_summary_of_a_thermal_fit_has_one_mean(record):
