@@ -205,7 +205,7 @@ def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
     stream, _ = read(text)
     node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
     with publishing(node, lambda number: node.bear(None, Cabinet_Temperature=21.5)):
-        (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 0.5)
+        (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 2.0)
     assert found.used == found.count > 0
     assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {
         ("T1", 21.5, "degC")
