@@ -1,7 +1,7 @@
 """hygrokf: hygrothermal models of converter cabinets by Kalman filtering.
 
 The names below are loaded at first use, so that `import hygrokf` and the command line start at once;
-docs/reference.md has an example of each.  Everything else is imported from its own module.
+docs/reference/reference.md has an example of each.  Everything else is imported from its own module.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from builders import house
-from builders.documents import DOCS, ROOT, run_page
+from builders.documents import DOCS, ROOT, document, run_page
 
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 
@@ -47,34 +47,34 @@ def broken_links(page: Path, text: str) -> list[str]:
     [
         (ROOT / "README.md", "python", ["turbine/case.toml"]),
         (
-            DOCS / "tutorial.md",
+            document("tutorial.md"),
             "python,bash",
             ["result/report.html", "simulated.csv", "step.png", "bode.png"],
         ),
         pytest.param(
-            DOCS / "fleet.md",
+            document("fleet.md"),
             "python,bash",
             ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
             marks=pytest.mark.slow,
         ),
-        (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
-        (DOCS / "own_model.md", "python", []),
-        (DOCS / "reference.md", "python", ["result/report.html", "fleet/report.html"]),
+        (document("add_a_mechanism.md"), "python,bash", ["turbine/case.toml"]),
+        (document("own_model.md"), "python", []),
+        (document("reference.md"), "python", ["result/report.html", "fleet/report.html"]),
         pytest.param(
-            DOCS / "climate.md",
+            document("climate.md"),
             "python,bash",
             ["climate/report.html", "checked/climate.csv", "regions/report.html"],
             marks=pytest.mark.slow,
         ),
-        (DOCS / "compare.md", "python,bash", ["compared/report.html", "compared/compare.csv"]),
+        (document("compare.md"), "python,bash", ["compared/report.html", "compared/compare.csv"]),
         pytest.param(
-            DOCS / "transfer.md",
+            document("transfer.md"),
             "python,bash",
             ["moved/report.html", "moved/synthetic-turbine-42/fit.json"],
             marks=pytest.mark.slow,
         ),
-        (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
-        (DOCS / "weather.md", "python", ["site.epw"]),
+        (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
+        (document("weather.md"), "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )
@@ -121,7 +121,7 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
 
 def test_every_page_is_linked_from_the_readme_or_the_index() -> None:
     linked = set()
-    for page in (ROOT / "README.md", DOCS / "index.md"):
+    for page in (ROOT / "README.md", document("index.md")):
         for target in re.findall(r"\]\(([^)\s#]+)", prose(page.read_text(encoding="utf-8"))):
             linked.add((page.parent / target).resolve())
     assert [str(page.relative_to(ROOT)) for page in DOCS.rglob("*.md") if page.resolve() not in linked] == []
@@ -142,7 +142,7 @@ def test_every_table_of_the_pictures_script_is_filled() -> None:
     made = set(re.findall(r'write_table\("([\w.]+)", "([\w ]+)"', script))
     assert made
     found = set()
-    for page in DOCS.glob("*.md"):
+    for page in DOCS.rglob("*.md"):
         for name, body in re.findall(
             r"<!-- made by scripts/pictures: ([\w ]+) -->(.*?)<!-- end -->",
             page.read_text(encoding="utf-8"),
@@ -157,7 +157,7 @@ def test_every_table_of_the_pictures_script_is_filled() -> None:
 
 def test_the_floor_plan_is_the_house() -> None:
     """The table in the docs is the one of the imports; the floors' own test guards them."""
-    text = (DOCS / "house.md").read_text(encoding="utf-8")
+    text = document("house.md").read_text(encoding="utf-8")
     assert len(house.table()) == len(house.PLACE) + 1
     for row in house.table():
         assert "| " + " | ".join(row) + " |" in text, (
@@ -166,7 +166,7 @@ def test_the_floor_plan_is_the_house() -> None:
 
 
 def test_the_tests_that_hold_a_promise_exist() -> None:
-    text = (DOCS / "live_guarantees.md").read_text(encoding="utf-8")
+    text = document("live_guarantees.md").read_text(encoding="utf-8")
     found = re.findall(r"`(test_\w+\.py)::(test_\w+)`", text)
     assert len(found) >= 40
     files = {file.name: file for file in (ROOT / "tests").rglob("test_*.py")}

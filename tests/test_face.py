@@ -7,7 +7,7 @@ import inspect
 import re
 
 import pytest
-from builders.documents import ROOT
+from builders.documents import ROOT, document
 
 import hygrokf
 
@@ -26,7 +26,7 @@ def test_a_public_name_leads_to_what_is_described(name: str) -> None:
 
 def test_the_reference_uses_every_public_name_and_lists_it() -> None:
     """test_docs.py runs its examples."""
-    text = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    text = document("reference.md").read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE))
     rows = "\n".join(line.split("|")[1] for line in text.splitlines() if line.startswith("| `"))
     assert sorted(set(re.findall(r"hygrokf\.(\w+)", code)) & set(NAMES)) == NAMES

@@ -16,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from builders.documents import DOCS, ROOT, run_page
+from builders.documents import ROOT, document, run_page
 from builders.fit_case import bare_fit
 from builders.ports import free_port
 from builders.track_case import MODEL
@@ -38,8 +38,8 @@ from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0
 PORT = "127.0.0.1:8080"
-TUTORIAL = DOCS / "live_tutorial.md"
-OPERATION = DOCS / "live_operation.md"
+TUTORIAL = document("live_tutorial.md")
+OPERATION = document("live_operation.md")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -123,13 +123,13 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
     ("page", "forms"),
     [
         (OPERATION, (TrackForm, TurbineForm, SignalForm, SurfaceForm, WanderingForm, Site)),
-        (DOCS / "live_mapping.md", (MappingForm,)),
+        (document("live_mapping.md"), (MappingForm,)),
         (OPERATION, (FileForm, PageForm)),
-        (DOCS / "live_page.md", (PageForm,)),
-        (DOCS / "live_mqtt.md", (MqttForm,)),
-        (DOCS / "live_notify.md", (MailForm, WebhookForm)),
-        (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
-        (DOCS / "live_postgres.md", (PostgresForm,)),
+        (document("live_page.md"), (PageForm,)),
+        (document("live_mqtt.md"), (MqttForm,)),
+        (document("live_notify.md"), (MailForm, WebhookForm)),
+        (document("live_opcua.md"), (ServerForm, SecurityForm)),
+        (document("live_postgres.md"), (PostgresForm,)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )  # fmt: skip

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from builders.documents import DOCS, ROOT
+from builders.documents import DOCS, ROOT, document
 from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import block, parsed, rst
 
@@ -139,7 +139,7 @@ def test_every_cause_has_its_mechanisms_and_what_to_check() -> None:
 
 
 def test_the_navigation_holds_every_page_once() -> None:
-    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    text = document("index.md").read_text(encoding="utf-8")
     found = [page for pages in navigation.sections(text).values() for _, page in pages]
     pages = {str(page.relative_to(DOCS).with_suffix("")) for page in DOCS.rglob("*.md")}
     assert sorted(found) == sorted(pages - {"index"})

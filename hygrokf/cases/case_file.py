@@ -34,7 +34,8 @@ class CaseFault(FormFault):
 def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
     """Read the record that a case file describes, in SI units and UTC, with doubtful readings masked.
 
-    path: the TOML file; the files that it names are relative to it.  docs/case_file.md describes its form.
+    path: the TOML file; the files that it names are relative to it.
+        docs/reference/case_file.md describes its form.
     cabinet: whether a cabinet signal to identify is required; False for drivers alone.
     ambient: whether an ambient temperature is required; False for a power alone.
 
@@ -187,7 +188,7 @@ def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
         raise CaseFault(file, [other] if other else fault.faults) from None
 
 
-_EXPECTED = "expected a case file that names it (docs/case_file.md)"
+_EXPECTED = "expected a case file that names it (docs/reference/case_file.md)"
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
@@ -199,8 +200,8 @@ def _other_than_case(file: Path) -> str:
         held = None
     if isinstance(held, dict):
         if {"design", "parameters"} <= set(held):
-            return "is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"
-        return "is JSON, expected a case file (docs/case_file.md)"
+            return "is a result of `hygrokf fit`, expected a case file (docs/reference/case_file.md)"
+        return "is JSON, expected a case file (docs/reference/case_file.md)"
     return f"is a table, {_EXPECTED}" if file.is_file() and file.suffix.lower() in _TABLES else ""
 
 

@@ -22,7 +22,7 @@ def stated_signal(name: object) -> Signal:
     """A row of the table of signals.  Raises ValueError."""
     if not isinstance(name, str) or name not in SIGNALS:
         near = suggestion(str(name), SIGNALS)
-        raise ValueError(f'unknown signal "{name}"{near} (docs/signals.md lists them all)')
+        raise ValueError(f'unknown signal "{name}"{near} (docs/reference/signals.md lists them all)')
     return SIGNALS[name]
 
 

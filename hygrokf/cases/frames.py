@@ -56,7 +56,7 @@ def read_frames(
         holds the times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the
         periods).
     signals: {column: signal} for columns that are not named after their signal.
-    units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
+    units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
     name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.

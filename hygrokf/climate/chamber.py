@@ -1,6 +1,6 @@
 """What a test in a climate chamber is asked for: the law of ageing, and what the chamber can do.
 
-docs/climate_test.toml is an example of the file.
+docs/how_to/climate_test.toml is an example of the file.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ CLASSES = (
         ("absolute humidity", "rate of change of temperature"),
     ),
 )
-"""The known classes; docs/climate.md shows them with their sources."""
+"""The known classes; docs/how_to/climate.md shows them with their sources."""
 
 
 def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
@@ -78,5 +78,5 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
     raise ClassFault(
         f"--limits {given}: expected a file of limits (.toml) or one of the classes {names}; the numbers of "
         "other classes are not in public documents: write those of your copy of the standard into a file, "
-        "see docs/climate.md"
+        "see docs/how_to/climate.md"
     )

@@ -1,5 +1,7 @@
-"""Limits of a requirement specification, and whether a climate keeps to them; docs/climate_limits.toml is an
-example."""
+"""Limits of a requirement specification, and whether a climate keeps to them.
+
+docs/how_to/climate_limits.toml is an example.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,7 @@ class LimitsForm:
     @across("limit")
     def names(self) -> list[str]:
         if not self.limit:
-            return ["expected at least one [[limit]], found none; see docs/climate.md"]
+            return ["expected at least one [[limit]], found none; see docs/how_to/climate.md"]
         return _doubled([one.stated() for one in self.limit])
 
 

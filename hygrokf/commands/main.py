@@ -47,7 +47,7 @@ FIRST = (init.VERB, check.VERB, fit.VERB, discover.VERB, climate.VERB)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status, see docs/command_line.md."""
+    """Run one command; returns the exit status, see docs/reference/command_line.md."""
     # the filter's matrices are small: more BLAS threads would only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")

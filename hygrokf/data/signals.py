@@ -361,7 +361,7 @@ def in_words(value: float, signal: str | Signal) -> str:
 
 
 def signal_table_markdown() -> str:
-    """The page docs/signals.md: the signal table and the unit table."""
+    """The page docs/reference/signals.md: the signal table and the unit table."""
     introduction = (
         "A case file names a signal, the column that holds it and the unit of that column. "
         "Inside the package every value is in the SI unit of this table. Readings outside of "

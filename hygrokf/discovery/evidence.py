@@ -27,7 +27,7 @@ VAGUE = (
 )
 WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
 """Logistic weights of `confidence`, from the causes accepted in simulated plants
-(docs/discover_measured.md)."""
+(docs/validation/discover_measured.md)."""
 
 
 def evidence(baseline: Baseline, candidate: Candidate, tried: int) -> Evidence:

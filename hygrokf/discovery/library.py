@@ -189,6 +189,9 @@ def named(name: str, library: Sequence[Cause] = LIBRARY) -> Cause:
 
 
 def cause_table() -> list[tuple[str, str, str]]:
-    """The causes with their forms and what is searched, for docs/discover.md; the head in the first row."""
+    """The causes with their forms and what is searched, for docs/explanation/discover.md.
+
+    The head is the first row.
+    """
     rows = [(f"`{cause.name}`", cause.forms, cause.searches or "–") for cause in LIBRARY]
     return [("cause", "forms tried", "settings searched"), *rows]

@@ -176,7 +176,7 @@ def _causes_at_top(module: object) -> list[Cause]:
     own = [one for one in found.values() if all(one is not known for known in LIBRARY)]
     if not own:
         text = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
-        raise LibraryFault([text + "docs/own_cause.md"])
+        raise LibraryFault([text + "docs/how_to/own_cause.md"])
     return own
 
 

@@ -56,7 +56,7 @@ def case_text(case: Contents) -> str:
 
 def _lines(case: Contents) -> Iterator[str]:
     yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
-    yield "# `hygrokf check` on this file. docs/case_file.md describes all keys."
+    yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
     yield f"name = {_text(case.name)}"
     if case.rated_kW is not None:
         yield f"rated_power_kW = {case.rated_kW:g}  # where the power stops rising; see the type plate"

@@ -7,7 +7,8 @@ the worst reason decides, and a number without any reason against it is believed
 A reason is "reject" where the evidence contradicts the number, or where the record does not determine it.  It
 is "caution" where the evidence is weak, or where it affects the interval but not the number.
 
-A further rule takes one function `rule(fit, part) -> reasons` in `RULES` and one row in docs/verdict.md.
+A further rule takes one function `rule(fit, part) -> reasons` in `RULES` and one row in
+docs/explanation/verdict.md.
 `fit` are the results of a fit, of which parts may be missing; `part` is "thermal" or "hygric".
 """
 

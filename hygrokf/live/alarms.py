@@ -73,7 +73,7 @@ RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSI
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
-`ESTIMATE_LEVELS`; docs/live.md has an example.
+`ESTIMATE_LEVELS`; docs/explanation/live.md has an example.
 """
 
 CABINET_CHANGES = {

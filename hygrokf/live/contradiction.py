@@ -24,8 +24,8 @@ BEYOND = 8.0
 """Standard deviations of the prediction beyond which a reading contradicts it.
 
 On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
-the bound is wider than a normal distribution would need: docs/live_trials.md has the shares of false and of
-right flags.
+the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares
+of false and of right flags.
 """
 
 

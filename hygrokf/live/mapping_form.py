@@ -54,7 +54,7 @@ class SignalForm(StatedSensor):
     """A row of [mapping.signals]."""
 
     field: str = entry_name()
-    signal: Signal = setting(help="a signal of docs/signals.md", read=stated_signal)
+    signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float = setting(0.0, "length averaged over", read=duration)
     scale: float = setting(

@@ -1,4 +1,4 @@
-"""Pages of the public names, made of their docstrings and of the tested examples in docs/reference.md."""
+"""Pages of the public names, made of docstrings and of the tested examples in docs/reference/reference.md."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def documented(name: str) -> Docstring:
 
 
 def groups() -> dict[str, list[str]]:
-    """Names by the headings of docs/reference.md."""
+    """Names by the headings of docs/reference/reference.md."""
     found: dict[str, list[str]] = {}
     title = ""
-    for line in (DOCS / "reference.md").read_text(encoding="utf-8").splitlines():
+    for line in (DOCS / "reference" / "reference.md").read_text(encoding="utf-8").splitlines():
         if line.startswith("## "):
             title = line[3:]
         elif line.startswith("| `"):
@@ -45,8 +45,8 @@ def groups() -> dict[str, list[str]]:
 
 
 def examples() -> dict[str, list[str]]:
-    """Statements of docs/reference.md that use each name; tests/test_docs.py runs its blocks."""
-    text = (DOCS / "reference.md").read_text(encoding="utf-8")
+    """Statements of docs/reference/reference.md that use each name; tests/test_docs.py runs its blocks."""
+    text = (DOCS / "reference" / "reference.md").read_text(encoding="utf-8")
     found: dict[str, list[str]] = {name: [] for name in NAMES}
     for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE):
         for statement in ast.parse(code).body:

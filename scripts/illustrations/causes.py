@@ -1,4 +1,4 @@
-"""The table of causes of docs/discover.md."""
+"""The table of causes of docs/explanation/discover.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many signals of exports `hygrokf init` finds, in docs/init.md."""
+"""How many signals of exports `hygrokf init` finds, in docs/how_to/init.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The floor plan of docs/house.md."""
+"""The floor plan of docs/project/house.md."""
 
 from __future__ import annotations
 

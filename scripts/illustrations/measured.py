@@ -263,7 +263,7 @@ def clocks(directory: Path, data: Path) -> None:
 
 
 def climate(directory: Path, data: Path) -> None:
-    """The pictures of docs/climate.md: a simulated cabinet under measured weather of two places."""
+    """The pictures of docs/how_to/climate.md: a simulated cabinet under measured weather of two places."""
     from plants import uk_plant
     from plants.as_record import to_record
 

@@ -17,7 +17,7 @@ def write_table(page: str, name: str, rows: Sequence[Sequence[str]], note: str =
     lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
     lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
     body = "\n".join(lines) + (f"\n\n{note}" if note else "")
-    path = DOCS / page
+    (path,) = DOCS.rglob(page)
     text = path.read_text(encoding="utf-8")
     begin, end = f"<!-- made by scripts/pictures: {name} -->", "<!-- end -->"
     head, found, rest = text.partition(begin)

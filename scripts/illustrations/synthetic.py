@@ -20,7 +20,7 @@ def demo(directory: Path) -> None:
 
 
 def fleet(directory: Path) -> None:
-    """The fleet of docs/fleet.md: its own blocks up to the picture, then its time constants."""
+    """The fleet of docs/how_to/fleet.md: its own blocks up to the picture, then its time constants."""
     import contextlib
     import json
     import re
@@ -30,7 +30,7 @@ def fleet(directory: Path) -> None:
     from hygrokf.fleet.tasks import TASKS
     from hygrokf.report.figures.fleet import figure_spreads
 
-    text = (DOCS / "fleet.md").read_text(encoding="utf-8").partition("## Outliers")[0]
+    text = (DOCS / "how_to" / "fleet.md").read_text(encoding="utf-8").partition("## Outliers")[0]
     here = {}
     with contextlib.chdir(directory):
         for language, block in re.findall(r"^```(\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):

@@ -1,4 +1,4 @@
-"""Tables of docs/theory.md: disturbances, steps and the logger's clock."""
+"""Tables of docs/explanation/theory.md: disturbances, steps and the logger's clock."""
 
 from __future__ import annotations
 

@@ -80,14 +80,14 @@ def filled(text: str, found: Mapping) -> str:
             continue
         if end not in rest:
             raise UserFault(
-                f"docs/reproduce_paper.md: expected {end} after {begin}, found none; put it there"
+                f"docs/validation/reproduce_paper.md: expected {end} after {begin}, found none; put it there"
             )
         text = f"{head}{begin}\n\n{markdown(table)}\n\n{rest[rest.index(end) :]}"
     return text
 
 
 def write_docs(found: Mapping, figures: Sequence[Drawn]) -> None:
-    """The tables and the pictures of docs/reproduce_paper.md."""
+    """The tables and the pictures of docs/validation/reproduce_paper.md."""
     from PIL import Image
 
     path = DOCS / "reproduce_paper.md"
@@ -124,7 +124,7 @@ def parser() -> argparse.ArgumentParser:
                            "validate")  # fmt: skip
     made.add_argument("--quick", action="store_true", help="one start a fit: a smoke test")
     made.add_argument(
-        "--docs", action="store_true", help="also make docs/reproduce_paper.md's tables and pictures again"
+        "--docs", action="store_true", help="also make the tables of docs/validation/reproduce_paper.md again"
     )
     return made
 

@@ -1,4 +1,4 @@
-"""The rows of docs/coverage.md: a record of a seed, and what its estimates are held against."""
+"""The rows of docs/validation/coverage.md: a record of a seed, and what its estimates are held against."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sums over the lines of a row, and the table of docs/coverage.md."""
+"""Sums over the lines of a row, and the table of docs/validation/coverage.md."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ HOURLY = ("sin", "cos")
 def cause_of(state: str, term: str) -> str | None:
     """The cause that a term of a state's equation stands for; None where the table has no entry.
 
-    The table is docs/head_to_head.md's.  A product counts by the first row that it meets.
+    The table is docs/validation/head_to_head.md's.  A product counts by the first row that it meets.
     """
     names = set(term.split())
     heat = state == "T"

@@ -182,7 +182,7 @@ FEWEST = 50
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """What docs/live_trials.md shows of condensation."""
+    """What docs/validation/live_trials.md shows of condensation."""
     cases = Cases(lines, "rows", COLUMNS)
     c = cases.columns
     came = c["margin_true"] < 0.0

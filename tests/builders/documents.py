@@ -13,6 +13,12 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 
+def document(name: str) -> Path:
+    """The one file of the docs that has this name, in whichever section it stands."""
+    (found,) = DOCS.rglob(name)
+    return found
+
+
 RUNNER = """
 import subprocess, sys
 from pathlib import Path

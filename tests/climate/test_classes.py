@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
+from builders.documents import document
 
 from hygrokf.climate.classes import CLASSES, ClassFault, limits_of
 from hygrokf.climate.limits import QUANTITIES, expect_names
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 @pytest.mark.parametrize(
@@ -30,14 +27,14 @@ def test_a_class_by_its_names(name: str) -> None:
 def test_every_class_has_sources_in_the_docs(one) -> None:
     expect_names(one.limits)
     assert {limit.quantity for limit in one.limits} <= set(QUANTITIES)
-    text = (DOCS / "climate.md").read_text(encoding="utf-8")
+    text = document("climate.md").read_text(encoding="utf-8")
     assert one.sources and f"| {one.name} " in text
     for limit in one.limits:
         assert f"{limit.side} {limit.level:g} {QUANTITIES[limit.quantity]}" in text
 
 
 def test_a_file_is_read_as_before() -> None:
-    assert len(limits_of(DOCS / "climate_limits.toml")) == 5
+    assert len(limits_of(document("climate_limits.toml"))) == 5
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,9 @@ def test_the_disturbance_keeps_its_memory_from_hour_to_hour() -> None:
         assert found == pytest.approx(expected, rel=0.08)
 
 
-@pytest.mark.parametrize("reads", ["cabinet_temperature", "cabinet_relative_humidity"])
+@pytest.mark.parametrize(
+    "reads", ["cabinet_temperature", pytest.param("cabinet_relative_humidity", marks=pytest.mark.slow)]
+)
 def test_every_member_drives_its_own_switch(reads: str) -> None:
     """Without disturbances all members are the free run of the model; with them a thermostat holds each above
     its set-point."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.climate_case import BEGIN_S, known_fit, made_up_weather
+from builders.documents import document
 
 from hygrokf.climate.chamber import ProfilePlan, read_test_plan
 from hygrokf.climate.limits import read_limits
@@ -276,6 +277,5 @@ def test_whatever_stands_in_a_file_of_limits_is_told(text: str, told: str, tmp_p
 
 
 def test_the_example_files_of_the_docs_are_read() -> None:
-    docs = Path(__file__).resolve().parents[2] / "docs"
-    assert len(read_limits(docs / "climate_limits.toml")) == 5
-    assert read_test_plan(docs / "climate_test.toml") == ProfilePlan()
+    assert len(read_limits(document("climate_limits.toml"))) == 5
+    assert read_test_plan(document("climate_test.toml")) == ProfilePlan()

@@ -67,6 +67,7 @@ def test_a_model_of_temperature_alone_has_a_climate() -> None:
     assert profile_files(study) == {}
 
 
+@pytest.mark.slow
 def test_years_far_apart_are_taken_and_those_between_told() -> None:
     weather = made_up_weather()
     region = climate_of(after(weather, moved(weather, 5 * 365.25)))

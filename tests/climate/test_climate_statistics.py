@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders.climate_case import study_of
-from builders.documents import DOCS
+from builders.documents import document
 
 from hygrokf.climate import statistics
 from hygrokf.climate.bounds import bounded, bounded_array, held
@@ -63,8 +63,8 @@ def test_rainflow_of_plain_courses() -> None:
 
 
 def test_the_number_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example of docs/climate.md, put into the module as the page says."""
-    page = (DOCS / "climate.md").read_text(encoding="utf-8")
+    """The example of docs/how_to/climate.md, put into the module as the page says."""
+    page = document("climate.md").read_text(encoding="utf-8")
     _, _, text = page.partition("## Adding a number")
     function, row = text.split("```text\n")[1].split("```")[0].split("\n\n\n")
     space = dict(vars(statistics))

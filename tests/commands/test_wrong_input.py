@@ -154,10 +154,10 @@ WRONG: dict[str, tuple] = {
         "case.toml is a case file"),
     "a fit as case": ("fit result/fit.json --out made", nothing,
         "hygrokf: result/fit.json: 1 fault\n  1. is a result of `hygrokf fit`, expected a case file "
-        "(docs/case_file.md)"),
+        "(docs/reference/case_file.md)"),
     "a table as case": ("fit cabinet.csv --out made", nothing,
         "hygrokf: cabinet.csv: 1 fault\n  1. is a table, expected a case file that names it "
-        "(docs/case_file.md)"),
+        "(docs/reference/case_file.md)"),
     "out with another program's fit.json": ("fit case.toml --out result",
         holds("result/fit.json", b'{"a": 1}'),
         "hygrokf: --out result: expected a new directory or one with an earlier fit, found a fit.json in it "

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.documents import document
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +29,7 @@ PAIRS = [(name, unit) for name in SIGNALS for unit in fitting_units(name)]
 
 
 def test_docs_page_is_made_from_the_table():
-    page = Path(__file__).resolve().parents[2] / "docs" / "signals.md"
+    page = document("signals.md")
     assert page.read_text(encoding="utf-8") == signal_table_markdown()
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from builders.documents import DOCS
+from builders.documents import document
 
 from hygrokf.cases.form import CaseForm, StatedColumn, StatedPeriod, StatedSource, StatedWeather
 from hygrokf.climate.chamber import ProfileForm
@@ -184,7 +184,7 @@ FORMS = [
 @pytest.mark.parametrize(("page", "forms"), FORMS)
 def test_every_key_stands_in_its_page(page: str, forms: tuple[type, ...]) -> None:
     """Those of the tracker's file: tests/test_live_docs.py; options of a fleet's task: tests/fleet."""
-    text = (DOCS / page).read_text(encoding="utf-8")
+    text = document(page).read_text(encoding="utf-8")
     keys = [key for form in forms for key in keys_of(form)]
     assert [key for key in keys if not re.search(rf"(^|[`\[{{ .]){key}[`\]\" =]", text, re.MULTILINE)] == []
     assert [key for form in forms for key, (_, stated, _) in keys_of(form).items() if not stated.help] == []

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.documents import DOCS
+from builders.documents import document
 from plants.as_record import to_record
 from plants.hidden import LIBRARY as HIDDEN
 from plants.hidden import hidden_plant
@@ -72,7 +72,7 @@ def test_plants_hide_causes_of_the_library() -> None:
 
 def test_the_page_has_the_causes_of_the_library() -> None:
     """`scripts/pictures --only causes` writes the table."""
-    page = (DOCS / "discover.md").read_text(encoding="utf-8")
+    page = document("discover.md").read_text(encoding="utf-8")
     _, _, rest = page.partition("<!-- made by scripts/pictures: causes -->")
     lines = rest[: rest.index("<!-- end -->")].strip().splitlines()
     head, *rows = ["| " + " | ".join(row) + " |" for row in cause_table()]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.documents import document
 from plants import plant
 from plants.as_record import to_record
 
@@ -36,7 +37,7 @@ from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.mechanisms.heat import wind_loss
 from hygrokf.physics.mechanisms.moisture import wind_exchange
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "own_cause.md"
+PAGE = document("own_cause.md")
 WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
 FILE = """
 import hygrokf
@@ -614,6 +615,6 @@ def test_a_faulty_library_is_told_before_the_work(
     said = capsys.readouterr()
     assert said.err.endswith(
         "hygrokf: library of causes: 1 fault\n  1. own.py: expected a hygrokf.Cause at the top level, "
-        "found none: NAME = hygrokf.cause_of(…), docs/own_cause.md\n"
+        "found none: NAME = hygrokf.cause_of(…), docs/how_to/own_cause.md\n"
     )
     assert said.out == "" and not (tmp_path / "made").exists()

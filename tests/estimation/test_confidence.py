@@ -391,6 +391,7 @@ signals.ambient_relative_humidity = {{ column = "RH_out", unit = "%" }}
 """
 
 
+@pytest.mark.slow
 def test_a_measured_house_ends_on_no_cliff(tmp_path: Path) -> None:
     """Room 9, the first three months: along the profile of k a disturbance grows with k and passes its limit,
     20 g/m³.

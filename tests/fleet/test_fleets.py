@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.command_line import run
+from builders.documents import document
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
@@ -32,7 +33,6 @@ from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
 from hygrokf.report.fleet_page import write_fleet_report
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 DAYS, TURBINES = 5.0, 5
 FLEET = 'name = "Park <A&B>"\ntask = "fit"\ncases = ["*/case.toml"]\n[options]\nstarts = 1\n'
 WHOLE, HALF = ("T1", "T2", "T4"), {"T3": "cabinet.csv: no such file", "T5": "correct the unit or the column"}
@@ -343,6 +343,7 @@ def cluster() -> Iterator[object]:
 
 
 @needs_proc
+@pytest.mark.slow
 def test_a_cluster_whose_worker_is_killed_gives_the_serial_table(
     park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
 ) -> None:
@@ -509,7 +510,7 @@ def test_every_task_has_its_function() -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_column_and_option_is_documented(task: str) -> None:
-    text = (DOCS / "fleet.md").read_text(encoding="utf-8")
+    text = document("fleet.md").read_text(encoding="utf-8")
     for name, meaning in TASKS[task].columns.items():
         assert f"| `{name}` | {meaning} |" in text, name
     for name, (_, option, _) in keys_of(TASKS[task].options).items():

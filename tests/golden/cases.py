@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from builders.documents import document
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
@@ -33,7 +34,6 @@ from hygrokf.report.discovery_page import discovery_text, write_discovery_report
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-DOCS = ROOT / "docs"
 UK = (ROOT / "../shared/data/kelmarsh_2018_2019_era5_power_hourly.csv.gz").resolve()
 ATTIC = (ROOT / "../shared/data/attic_trh1_R2_hourly.csv.gz").resolve()
 PLANTS = (
@@ -287,7 +287,7 @@ def uk(folder: Path) -> None:
     turbine(30.0, "A")(folder)
     (folder / "uk.toml").write_text(UK_WEATHER.format(file=UK))
     for name in ("climate_limits.toml", "climate_test.toml"):
-        shutil.copy(DOCS / name, folder)
+        shutil.copy(document(name), folder)
 
 
 def nothing(folder: Path) -> None:

@@ -1,5 +1,7 @@
-"""A fit on ambient readings of 10 minutes meets hourly means: its bands still hold (docs/theory.md has the
-table)."""
+"""A fit on ambient readings of 10 minutes meets hourly means: its bands still hold.
+
+docs/explanation/theory.md has the table.
+"""
 
 from __future__ import annotations
 

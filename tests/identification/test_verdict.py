@@ -7,9 +7,9 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from builders.documents import document
 from builders.fit_case import typed
 from builders.report_case import report_case
 
@@ -39,7 +39,7 @@ from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks, report_text
 from hygrokf.report.fit_text import judgements
 
-DOCS = Path(__file__).parents[2] / "docs" / "verdict.md"
+PAGE = document("verdict.md")
 
 
 def _sound() -> dict:
@@ -228,7 +228,7 @@ def test_each_rule_gives_its_reason_and_no_other(code: str) -> None:
 
 def test_the_docs_name_every_reason() -> None:
     rows = re.findall(
-        r"^\| `(\w+)` \| (\w+)", DOCS.read_text(encoding="utf-8").partition("## The reasons")[2], re.M
+        r"^\| `(\w+)` \| (\w+)", PAGE.read_text(encoding="utf-8").partition("## The reasons")[2], re.M
     )
     assert [code for code, _ in rows] == list(dict.fromkeys(code for code, _ in rows))
     assert {code for code, _ in rows} == set(CASES)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.documents import DOCS
+from builders.documents import document
 
 from hygrokf.identification.verdict_terms import REJECT, Inherited
 from hygrokf.live import alarms
@@ -122,8 +122,8 @@ def test_rules_can_end_what_they_begin() -> None:
 
 
 def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example of docs/live.md, put into the module as the page says."""
-    page = (DOCS / "live.md").read_text(encoding="utf-8")
+    """The example of docs/explanation/live.md, put into the module as the page says."""
+    page = document("live.md").read_text(encoding="utf-8")
     _, _, text = page.partition("### Adding an alarm")
     space = {**vars(alarms), "ZERO_CELSIUS_K": ZERO_CELSIUS_K}
     exec(text.split("```text\n")[1].split("```")[0], space)

@@ -43,7 +43,7 @@ def holds(outcome) -> None:
 
 # -- kill -9 -------------------------------------------------------------------------------------------------
 @needs_mosquitto
-@pytest.mark.parametrize("count", [4, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_tracker_killed_at_random_moments(tmp_path: Path, kills: ModuleType, count: int) -> None:
     found = kills.killed_tracker(tmp_path, seed=2, kills=count)
     holds(found)

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 import yaml
 from builders.databases import Server
-from builders.documents import DOCS, ROOT
+from builders.documents import DOCS, ROOT, document
 from builders.fit_case import bare_fit
 from builders.page_case import Case, filled, opened
 from builders.track_case import MODEL
@@ -293,6 +293,6 @@ def test_systemd_has_nothing_to_say_of_the_unit(unit: Path) -> None:
 
 
 def test_the_page_on_operation_names_every_file() -> None:
-    text = (DOCS / "live_operation.md").read_text(encoding="utf-8")
+    text = document("live_operation.md").read_text(encoding="utf-8")
     missing = [one.name for one in FILES.iterdir() if f"live_files/{one.name}" not in text]
     assert missing == []

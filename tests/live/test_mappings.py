@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from builders.documents import DOCS
+from builders.documents import document
 from builders.track_case import write_model
 
 from hygrokf.data.timestamps import zone_named
@@ -68,7 +68,7 @@ def config(folder: Path, mapping: str, sources: str = SOURCE) -> Config:
 
 def layouts() -> list[tuple[str, str, str, str]]:
     """(heading, payloads, mapping, what they give) of every layout of the page."""
-    page = (DOCS / "live_mapping.md").read_text(encoding="utf-8").split("## Layouts")[1]
+    page = document("live_mapping.md").read_text(encoding="utf-8").split("## Layouts")[1]
     found = []
     for part in page.split("\n### ")[1:]:
         blocks = re.findall(r"^```\w+\n(.*?)^```", part, re.DOTALL | re.MULTILINE)

@@ -18,6 +18,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from builders.documents import document
 from builders.live_case import expect_offline, live_record
 from builders.ports import free_port
 from builders.stream_case import Collected
@@ -505,6 +506,7 @@ def test_a_server_that_says_nothing_any_more_is_left(
     """Its connection stays open: only asking tells that nobody is there."""
     monkeypatch.setattr(opcua_client, "WATCH_S", 0.3)
     monkeypatch.setattr(opcua_client, "ANSWER_S", 1.0)
+    monkeypatch.setattr(opcua_client, "HISTORY_S", 1.0)
     tcab = named("Tcab")
     peer.add([tcab])
     run = started(peer.url, {tcab: "Tcab"})
@@ -771,7 +773,7 @@ def test_faults_are_told_together(papers: Path) -> None:
 
 
 def test_the_page_of_the_docs_states_every_key_and_its_example_is_read(papers: Path, tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "live_opcua.md").read_text(encoding="utf-8")
+    page = document("live_opcua.md").read_text(encoding="utf-8")
     example = tomllib.loads(re.search(r"```toml\n(.*?)```", page, re.DOTALL)[1])
     for name, place in (("tracker.pem", "pki"), ("tracker.key", "pki"), ("password", "secrets")):
         (tmp_path / place).mkdir(exist_ok=True)

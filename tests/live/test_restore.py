@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from builders.command_line import run
 from builders.databases import Server, program
+from builders.documents import document
 from builders.live_case import count_of, expect_offline
 from builders.service_case import Acknowledging, in_small_rounds, running
 from builders.store_case import T0, everything, observed
@@ -31,7 +32,7 @@ from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "live_store.md").read_text(encoding="utf-8")
+PAGE = document("live_store.md").read_text(encoding="utf-8")
 BACKUP, RESTORE = re.findall(r"^```text\n(.*?)^```", PAGE.split("## Backup")[1], re.DOTALL | re.MULTILINE)
 
 

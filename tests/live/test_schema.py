@@ -12,13 +12,14 @@ from pathlib import Path
 import psycopg
 import pytest
 from builders.databases import Server
+from builders.documents import document
 from builders.store_case import T0, a_condition, everything, observed
 
 from hygrokf.live.batch import Alarm, Batch, Estimates
 from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, created_views, migration
 from hygrokf.live.storage.store import Store, open_store
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "live_store.md").read_text(encoding="utf-8")
+PAGE = document("live_store.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```sql\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 ISO = "2023-11-14T22:13:20"
 """T0."""

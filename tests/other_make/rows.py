@@ -1,4 +1,4 @@
-"""The named scenarios of docs/coverage.md."""
+"""The named scenarios of docs/validation/coverage.md."""
 
 from __future__ import annotations
 

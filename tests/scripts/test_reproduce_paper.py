@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from builders.documents import document
 from paper import cabinets, command, experiments, models, sites, tables
 from plants import plant
 from plants.as_record import to_record
@@ -274,7 +275,7 @@ def numbers(text: str) -> list[float]:
 
 
 def test_the_page_in_docs_has_every_table_filled() -> None:
-    found = tables_of((ROOT / "docs" / "reproduce_paper.md").read_text(encoding="utf-8"))
+    found = tables_of(document("reproduce_paper.md").read_text(encoding="utf-8"))
     assert set(found) == {"periods", "time_constants", "table_3", "sister", "seeds", "local_air"}
     for body in found.values():
         assert NOTE in body and body.count("\n| ") >= 4
@@ -285,7 +286,7 @@ def test_the_page_in_docs_has_every_table_filled() -> None:
 def test_the_page_in_docs_says_what_a_full_run_gives() -> None:
     """Tables of the page to 2 % or 0.01, and what the page says in words."""
     found, _ = command.reproduce(experiments.Plan(), DATA)
-    page = (ROOT / "docs" / "reproduce_paper.md").read_text(encoding="utf-8")
+    page = document("reproduce_paper.md").read_text(encoding="utf-8")
     fresh = tables_of(command.filled(page, found))
     for name, body in tables_of(page).items():
         assert re.sub(r"[\d.,−]+", "#", body) == re.sub(r"[\d.,−]+", "#", fresh[name]), name
@@ -300,7 +301,7 @@ def within(values: np.ndarray, low: float, high: float, reach: float = 0.02) -> 
 
 
 def check_said_time_constants(seeds: list[dict]) -> None:
-    """What docs/reproduce_paper.md says of time constants beside its tables."""
+    """What docs/validation/reproduce_paper.md says of time constants beside its tables."""
     both = ("likelihood", "free run")
     assert len(seeds) == 11 and all(all(one["converged"].values()) for one in seeds)
     held = {
@@ -325,7 +326,7 @@ def check_said_time_constants(seeds: list[dict]) -> None:
 
 
 def check_said_scores(found: dict) -> None:
-    """What docs/reproduce_paper.md says of the scores beside its tables."""
+    """What docs/validation/reproduce_paper.md says of the scores beside its tables."""
     kelvin, grams = "temperature_K", "absolute_humidity_g_m3"
     both, seeds = ("likelihood", "free run"), found["seeds"]
 
