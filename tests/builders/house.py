@@ -125,10 +125,8 @@ def neighbours(name: str) -> list[str]:
 
 
 def table() -> list[tuple[str, ...]]:
-    """Floors from the highest to the lowest: number, folder, number of modules, what lives there."""
-    rows: list[tuple[str, ...]] = [("floor", "folder", "modules", "what lives there")]
+    """Floors from the highest to the lowest: number, folder, what lives there."""
+    rows: list[tuple[str, ...]] = [("floor", "folder", "what lives there")]
     for floor in reversed(range(len(FLOORS))):
-        for name in FLOORS[floor].split():
-            count = sum(folder(module) == name for module in MODULES)
-            rows.append((str(floor + 1), f"`{name}`", str(count), meaning(name)))
+        rows += [(str(floor + 1), f"`{name}`", meaning(name)) for name in FLOORS[floor].split()]
     return rows
