@@ -157,7 +157,8 @@ def pages() -> dict[str, str]:
     head = [
         heading("Causes", "="),
         "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
-        "causes are tried and accepted: :doc:`/explanation/discover_decides`. A cause of your own: :doc:`/how_to/own_cause`.",
+        "causes are tried and accepted: :doc:`/explanation/discover_decides`. A cause of your own:",
+        ":doc:`/how_to/own_cause`.",
         "",
     ]  # fmt: skip
     found["causes"] = "\n".join([*head, *(cause_section(cause) for cause in CAUSES)])
