@@ -362,6 +362,7 @@ def in_words(value: float, signal: str | Signal) -> str:
 
 def signal_table_markdown() -> str:
     """The page docs/reference/signals.md: the signal table."""
+    over_water = "over liquid water, also below 0 °C"
     held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == "zero-order")
     lines = [
         "# Signals",
@@ -369,8 +370,8 @@ def signal_table_markdown() -> str:
         "Made from `hygrokf/data/signals.py`; change that table, not this page.",
         "",
         "A case file names a signal, its column and the unit of that column. The first unit is the SI unit "
-        "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) is assumed "
-        "where the case file states none.",
+        "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
+        f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
         f"Models and live sources hold these between two instants: {held}. All others are joined by straight "
         "lines. Readings of a table follow their stamps instead ([case file](case_file.md)).",
@@ -386,6 +387,7 @@ def signal_table_markdown() -> str:
             shown = difference_from_si(row.default_accuracy, row.display, row)
             accuracy = f"{shown:.4g} {'K' if row.display == 'degC' else row.display}"
         lines.append(
-            f"| `{row.name}` | {', '.join(fitting_units(row))} | {limits} | {accuracy} | {row.meaning} |"
+            f"| `{row.name}` | {', '.join(fitting_units(row))} | {limits} | {accuracy} "
+            f"| {row.meaning.removesuffix(', ' + over_water)} |"
         )
     return "\n".join(lines) + "\n"
