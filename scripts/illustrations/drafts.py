@@ -1,4 +1,4 @@
-"""How many signals of exports `hygrokf init` finds, in docs/how_to/init.md."""
+"""How many signals of exports `hygrokf init` finds, in docs/validation/real_input.md."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from illustrations.pages import write_table
 
 HEAD = (
-    "export",
+    "exports",
+    "n",
     "right",
     "right, to confirm",
     "wrong",
@@ -22,25 +23,29 @@ def drafts(directory: Path, data: Path) -> None:
     from builders.measured_exports import EXPECTED, export_of
     from builders.vendor_exports import MAKES
 
-    rows = [HEAD]
+    makes, measured = [], []
     for number, make in enumerate(MAKES):
         made = make()
         folder = directory / f"make{number}"
         folder.mkdir()
         expected = {signal: (column,) for signal, column in made.expected.items()}
-        rows.append((made.make, *_row(made.write(folder), folder, expected)))
+        makes.append(_counts(made.write(folder), folder, expected))
     for number, (name, expected) in enumerate(EXPECTED.items()):
         folder = directory / f"measured{number}"
         folder.mkdir()
-        shown = f"`{Path(name).name}`" if "." in name else name
-        rows.append((shown, *_row([export_of(name, folder)], folder, expected)))
-    totals = [sum(int(row[column]) for row in rows[1:]) for column in range(1, 6)]
-    unedited = sum(row[6] == "yes" for row in rows[1:])
-    rows.append(("all", *map(str, totals), f"{unedited} of {len(rows) - 1}"))
-    write_table("init.md", "drafts", rows)
+        measured.append(_counts([export_of(name, folder)], folder, expected))
+    rows = [HEAD]
+    for words, counted in (
+        ("synthetic, layouts of makes and loggers", makes),
+        ("measured files", measured),
+        ("all", makes + measured),
+    ):
+        rows.append((words, str(len(counted)), *(str(sum(column)) for column in zip(*counted, strict=True))))
+    write_table("real_input.md", "drafts", rows)
 
 
-def _row(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+def _counts(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) -> tuple[int, ...]:
+    """Numbers of HEAD from the third column on, of one export."""
     from builders.measured_exports import counts
 
     from hygrokf.cases.case_file import CaseFault, read_case
@@ -51,8 +56,7 @@ def _row(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) 
     found = counts(signals, expected)
     try:
         read_case(folder / "case.toml", cabinet=False, ambient=False)
-        read = "yes"
+        read = 1
     except CaseFault:
-        read = "no"
-    numbers = (found.right, found.asked, found.wrong, found.missed, len(draft.doubts))
-    return (*map(str, numbers), read)
+        read = 0
+    return found.right, found.asked, found.wrong, found.missed, len(draft.doubts), read
