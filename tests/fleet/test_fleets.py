@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import os
-import re
 import signal
 import threading
 import time
@@ -509,25 +508,10 @@ def test_every_task_has_its_function() -> None:
     assert list(WORK) == list(TASKS)
 
 
-def documented_columns(text: str, task: str) -> list[str]:
-    """Columns of a task in the page's table: names, "all", "all but TASK" or tasks, meaning."""
-    found = []
-    for line in text.partition("## Columns")[2].partition("\n## ")[0].splitlines():
-        names = re.findall(r"`(\w+)`", line.split("|")[1]) if line.startswith("| `") else []
-        tasks = line.split("|")[2].strip() if names else ""
-        _, but, left_out = tasks.partition("all but ")
-        if tasks == "all" or (but and left_out != task) or task in tasks.split(", "):
-            found += names
-    return found
-
-
 @pytest.mark.parametrize("task", TASKS)
-def test_every_column_and_option_is_documented(task: str) -> None:
+def test_every_option_is_documented(task: str) -> None:
+    """Columns stand on a page of the site: tests/test_site.py."""
     text = document("fleet.md").read_text(encoding="utf-8")
-    columns = documented_columns(text, task)
-    both = ("_lower", "_upper")  # bounds of a column have its name
-    written = [one for one in columns_of(task) if not (one.endswith(both) and one[:-6] in columns)]
-    assert sorted(columns) == sorted(written)
     for name, (_, option, _) in keys_of(TASKS[task].options).items():
         assert f"`{name}`" in text and option.help in text, name
 
