@@ -138,8 +138,8 @@ def fleet_columns() -> str:
     """Columns of the table that `hygrokf fleet` writes, by task."""
     lines = [
         heading("Columns of a fleet", "="),
-        "The columns of ``fleet.csv``, made of the registry when the site is built. A cell is empty if the value",
-        "is unknown, not applicable or not bounded. Fleets: :doc:`/how_to/fleet`.",
+        "The columns of ``fleet.csv``, made of the registry when the site is built. A cell is empty if the",
+        "value is unknown, not applicable or not bounded. Fleets: :doc:`/how_to/fleet`.",
         "",
     ]
     named = {"every task": SHARED, **{f"``{name}``": task.columns for name, task in TASKS.items()}}

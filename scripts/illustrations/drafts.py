@@ -1,14 +1,11 @@
-"""How many signals of exports `hygrokf init` finds, in docs/validation/real_input.md."""
+"""How many signals of exports `hygrokf init` finds, printed for docs/validation/real_input.md."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from illustrations.pages import write_table
-
-HEAD = (
+COUNTED = (
     "exports",
-    "n",
     "right",
     "right, to confirm",
     "wrong",
@@ -34,18 +31,18 @@ def drafts(directory: Path, data: Path) -> None:
         folder = directory / f"measured{number}"
         folder.mkdir()
         measured.append(_counts([export_of(name, folder)], folder, expected))
-    rows = [HEAD]
     for words, counted in (
         ("synthetic, layouts of makes and loggers", makes),
         ("measured files", measured),
         ("all", makes + measured),
     ):
-        rows.append((words, str(len(counted)), *(str(sum(column)) for column in zip(*counted, strict=True))))
-    write_table("real_input.md", "drafts", rows)
+        sums = [len(counted), *(sum(column) for column in zip(*counted, strict=True))]
+        said = ", ".join(f"{name} {number}" for name, number in zip(COUNTED, sums, strict=True))
+        print(f"{words}: {said}", flush=True)
 
 
 def _counts(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) -> tuple[int, ...]:
-    """Numbers of HEAD from the third column on, of one export."""
+    """Numbers of COUNTED behind the first, of one export."""
     from builders.measured_exports import counts
 
     from hygrokf.cases.case_file import CaseFault, read_case
