@@ -25,7 +25,9 @@ TOP_LEVEL = {
 }  # fmt: skip
 SCRIPTS = (
     *sorted(
-        f"scripts/{p.name}" for p in (ROOT / "scripts").iterdir() if p.is_file() and p.name != "environment"
+        f"scripts/{p.name}"
+        for p in (ROOT / "scripts").iterdir()
+        if p.is_file() and p.name not in ("environment", "own_python.py")
     ),
     ".ci/run",
 )

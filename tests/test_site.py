@@ -157,6 +157,19 @@ def test_the_navigation_holds_every_page_once() -> None:
     assert navigation.with_navigation(text).count("{toctree}") == len(navigation.sections(text))
 
 
+def test_made_pages_link_to_pages_that_exist() -> None:
+    links = {
+        target
+        for module in (ROOT / "scripts" / "handbook").glob("*.py")
+        for target in re.findall(r":doc:`/([^`]+)`", module.read_text(encoding="utf-8"))
+    }
+    assert len(links) >= 3
+    assert [target for target in sorted(links) if not (DOCS / f"{target}.md").is_file()] == []
+    assert navigation.with_gallery("[a](../gallery/), [b](gallery/)") == (
+        "[a](../generated/gallery/index.rst), [b](generated/gallery/index.rst)"
+    )
+
+
 # -- the gallery ---------------------------------------------------------------------------------------------
 def test_the_gallery_lists_its_scripts() -> None:
     there = sorted(path.name for path in (DOCS / "gallery").glob("*.py"))

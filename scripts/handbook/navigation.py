@@ -31,7 +31,7 @@ def sections(text: str) -> dict[str, list[tuple[str, str]]]:
 
 def with_gallery(text: str) -> str:
     """A page whose links to the folder of the gallery lead to its built page."""
-    return text.replace("](gallery/)", "](generated/gallery/index.rst)")
+    return re.sub(r"\]\(((?:\.\./)*)gallery/\)", r"](\1generated/gallery/index.rst)", text)
 
 
 def with_navigation(text: str) -> str:
