@@ -70,7 +70,6 @@ def broken_links(page: Path, text: str) -> list[str]:
             marks=pytest.mark.slow,
         ),
         (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
-        (document("weather.md"), "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )

@@ -19,6 +19,7 @@ from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import block, parsed, rst
 
 import hygrokf
+from hygrokf.fleet.tasks import SHARED, TASKS
 
 NO_QUANTITY = {"read_fit", "write_fit", "write_report", "load_library", "run_fleet", "HygrokfError"}
 """Public names with no argument, result or field that has a unit."""
@@ -136,6 +137,15 @@ def test_every_cause_has_its_mechanisms_and_what_to_check() -> None:
             without.add(cause.name)
         assert all(f"<mechanism-{name}>" in section for name in names)
     assert without == {"sensor_response", "clock_shift"}
+
+
+def test_every_column_of_a_fleet_has_its_meaning() -> None:
+    text = registries.pages()["fleet_columns"]
+    for task in TASKS:
+        section = text.partition(f"Columns of ``{task}``")[2].partition("\nColumns of ")[0]
+        for name, meaning in TASKS[task].columns.items():
+            assert f"* - ``{name}``\n     - {rst(meaning)}\n" in section, name
+    assert all(f"``{name}``" in text.partition("Columns of ``")[0] for name in SHARED)
 
 
 def test_the_navigation_holds_every_page_once() -> None:

@@ -10,6 +10,7 @@ MADE = {
         ("API reference", "generated/api/index"),
         ("Mechanisms", "generated/mechanisms/index"),
         ("Causes", "generated/causes"),
+        ("Columns of a fleet", "generated/fleet_columns"),
     ),
 }
 """Pages that exist in the built site only, by heading; they stand first."""
