@@ -31,6 +31,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.procedure import discover
 from hygrokf.engine import jit
 from hygrokf.report.discovery_page import discovery_text, write_discovery_report
+from hygrokf.version import __version__
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -108,7 +109,8 @@ SPENT = re.compile(r"\b[\d.]+ (s of CPU|s CPU|seconds)\b")
 
 
 def scrubbed(value: Any, folder: Path) -> Any:
-    """Outputs without what is of one run alone: its folder, the present time, the time it took."""
+    """Outputs without what is of one run alone: its folder, the present time, the time it took, and the
+    version."""
     if isinstance(value, dict):
         return {key: scrubbed(one, folder) for key, one in value.items()}
     if isinstance(value, list):
@@ -117,7 +119,7 @@ def scrubbed(value: Any, folder: Path) -> Any:
         return value
     today = datetime.now(UTC).date().isoformat()
     text = TODAY.sub(lambda found: "NOW" if found.group().startswith(today) else found.group(), value)
-    return SPENT.sub(r"# \1", text.replace(str(folder), "FOLDER"))
+    return SPENT.sub(r"# \1", text.replace(str(folder), "FOLDER").replace(__version__, "VERSION"))
 
 
 def said(command: Sequence[str]) -> list[str]:
