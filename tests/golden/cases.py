@@ -316,6 +316,7 @@ CASES = (
         "discovery",
         turbine(20.0, "A"),
         (("discover", "A/case.toml", "--out", "out", "--starts", "1", "--budget", "inf"),),
+        large=True,
     ),
     Case("playback", nothing, (playback, ("export", "--store", "sqlite:store.db", "--out", "exported"))),
     Case("fleet", fleet, (("fleet", "fleet.toml", "--out", "park", "--workers", "1"),)),
