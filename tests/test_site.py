@@ -224,7 +224,7 @@ def test_one_command_builds_the_site_without_warnings(tmp_path: Path) -> None:
     site = copy / "build" / "docs"
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 90 and (site / "searchindex.js").is_file()
-    assert "<math " in (site / "theory.html").read_text(encoding="utf-8")
+    assert "<math " in (site / "explanation" / "theory.html").read_text(encoding="utf-8")
     broken = []
     for page in pages:
         text = page.read_text(encoding="utf-8")

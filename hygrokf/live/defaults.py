@@ -42,8 +42,8 @@ NAMES = {
 }
 """Turbine -> signals that it lacks."""
 FIRST = next(iter(NAMES))
-DAYS = 100.0
-IDENTIFIED_DAYS = 60.0
+DAYS = 77.0
+IDENTIFIED_DAYS = 37.0
 """Length of the record, and of its first part on which the model is identified [d]."""
 KNOWN_DAYS = 12.0
 """[d] before the live part that the tracker gets at once, as history for the forecasts."""

@@ -1,4 +1,4 @@
-"""Navigation of the site: the tables of docs/index.md, one list of pages for each heading."""
+"""Navigation of the site: the lists of docs/index.md, one for each heading."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from illustrations.pages import DOCS, identified, save, synthetic_record
 
 
 def demo(directory: Path) -> None:
-    """README's picture, and the profiles beside it."""
+    """README's picture, and the profiles of docs/explanation/theory.md."""
     from hygrokf.report.figures.course import figure_excerpts
     from hygrokf.report.figures.identification import figure_profiles
 
