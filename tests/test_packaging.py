@@ -295,18 +295,38 @@ def test_help_loads_no_heavy_package() -> None:
 
 
 # -- an installation -----------------------------------------------------------------------------------------
-@pytest.mark.slow
-def test_a_fresh_environment_runs_the_command(tmp_path: Path) -> None:
-    """The built wheel holds the package and nothing else, and its command runs outside the repository."""
-    source = tmp_path / "source"
+NEEDS = {
+    "cluster": "distributed hygrokf.commands.fleet_tasks",
+    "docs": "sphinx furo myst_parser sphinx_gallery latex2mathml distributed",
+    "excel": "openpyxl hygrokf.drafting",
+    "live": "cryptography prometheus_client uvicorn hygrokf.live.web.server hygrokf.live.web.application",
+    "mqtt": "cryptography paho.mqtt.client hygrokf.live.sources.mqtt",
+    "opcua": "asyncua cryptography hygrokf.live.sources.opcua",
+    "parquet": "pyarrow.parquet",
+    "postgres": "psycopg hygrokf.live.storage.postgres hygrokf.live.sources.postgres",
+    "weather": "xarray h5netcdf h5py hygrokf.weather",
+}
+"""What each extra is for: modules that can be imported where it alone is installed."""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
     source.mkdir()
     for name in tracked():
         if name.partition("/")[0] in {"hygrokf", "setup.cfg", "pyproject.toml", "README.md", "LICENSE"}:
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((ROOT / name).read_bytes())
-    made = run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", tmp_path, source)
+    made = run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", folder, source)
     assert made.returncode == 0, made.stderr
-    (wheel,) = tmp_path.glob("hygrokf-*.whl")
+    (found,) = folder.glob("hygrokf-*.whl")
+    return found
+
+
+@pytest.mark.slow
+def test_a_fresh_environment_runs_the_command(wheel: Path, tmp_path: Path) -> None:
+    """The built wheel holds the package and nothing else, and its command runs outside the repository."""
     with zipfile.ZipFile(wheel) as archive:
         inside = {name.partition("/")[0] for name in archive.namelist()}
         modules = {name for name in archive.namelist() if name.startswith("hygrokf/")}
@@ -323,3 +343,23 @@ def test_a_fresh_environment_runs_the_command(tmp_path: Path) -> None:
     demo = run(place / "bin" / "hygrokf", "demo", "--out", tmp_path / "demo", cwd=tmp_path, env=plain)
     assert demo.returncode == 0, demo.stderr
     assert (tmp_path / "demo" / "report.html").stat().st_size > 10_000
+
+
+def test_every_extra_is_tried_alone(settings: configparser.ConfigParser) -> None:
+    assert set(NEEDS) == set(settings["options.extras_require"]) - {"test"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", NEEDS)
+def test_an_extra_alone_brings_what_it_is_for(extra: str, wheel: Path, tmp_path: Path) -> None:
+    """The modules of some other extra are missing there, so that the environment proves something."""
+    place = tmp_path / "environment"
+    venv.create(place, with_pip=True)
+    installed = run(place / "bin" / "python", "-m", "pip", "install", f"{wheel}[{extra}]")
+    assert installed.returncode == 0, installed.stderr
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    text = f"import {', '.join(NEEDS[extra].split())}"
+    imported = run(place / "bin" / "python", "-c", text, cwd=tmp_path, env=plain)
+    assert imported.returncode == 0, imported.stderr
+    other = "openpyxl" if extra != "excel" else "pyarrow"
+    assert run(place / "bin" / "python", "-c", f"import {other}", cwd=tmp_path, env=plain).returncode == 1
