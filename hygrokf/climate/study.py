@@ -7,7 +7,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,6 +18,7 @@ from hygrokf.climate.bounds import Bounded, BoundedArray
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
+from hygrokf.data.drawn import drawn
 from hygrokf.data.files import CLIMATE, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.structured import renamed
@@ -25,6 +26,7 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.cold_surface import Surface
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 TABLE = "climate.csv"
@@ -172,6 +174,17 @@ class Study:
                 parts = {"hours": limit.hours, "number": limit.number, "longest_h": limit.longest_h}
                 for part, one in parts.items():
                     yield _row(region.name, "limit", f"{limit.name}: {part}", one)
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
+
+        axes: matplotlib's; one, or one for each panel (cabinet and weather; quantities).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_climate", self, axes)
 
     def to_frame(self) -> DataFrame:
         """The rows as a pandas frame, indexed by region, scope and statistic."""

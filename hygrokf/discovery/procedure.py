@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+from hygrokf.data.drawn import drawn
 from hygrokf.data.record import Record
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery.baseline import SECONDS, Baseline, Budget
@@ -38,6 +40,9 @@ from hygrokf.identification.procedure import Basis, assemble_fit, identify_stage
 from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 REFUTED = (
     "the held-out period refutes the cause found in the identification period: the model lacks something else"
 )
@@ -63,6 +68,17 @@ class Discovery:
         """The data of `discovery.json`."""
         data: JsonObject = plain(self.results)
         return data
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Readings, base and extended model where the error is largest; else errors over the drivers.
+
+        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_discovery", self, axes)
 
     def __str__(self) -> str:
         """The name with its verdict, and each cause with its confidence [1]."""

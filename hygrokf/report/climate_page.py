@@ -45,8 +45,17 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
     year_table,
 )
-from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_profile, figure_regions
+from hygrokf.report.figures.climate import (
+    DURATION_CAPTION,
+    JOINT_CAPTION,
+    REGIONS_CAPTION,
+    figure_duration,
+    figure_joint,
+    figure_profile,
+    figure_regions,
+)
 from hygrokf.report.figures.drawing import png
+from hygrokf.report.figures.lead import DURATION_HEADING, REGIONS_HEADING, YEAR_HEADING
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 
@@ -57,22 +66,9 @@ TONES: dict[str, Literal["open", "plain", "reject"]] = {
 """How the verdict on limits is shown."""
 MOST_CARDS = 4
 """Regions that have a card each on the first screen."""
-JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
-    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
-)
-DURATION_CAPTION = (
-    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
-    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
-    "weather."
-)
 PROFILE_CAPTION = (
     "Days of the simulated climate that together resemble all of it, warmed until they cause the same "
     "ageing as the years of service. The relative humidity is the site's own."
-)
-REGIONS_CAPTION = (
-    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
-    "years."
 )
 
 
@@ -220,19 +216,18 @@ def _year_figure(region: RegionClimate, place: int) -> Figure:
     """The picture of the year: temperature with humidity, or duration curves without humidity."""
     if region.joint is None:
         return _duration_figure(region, place)
-    heading = "The year by temperature and relative humidity"
-    return Figure(f"r{place}-joint", heading, JOINT_CAPTION, partial(figure_joint, region))
+    return Figure(f"r{place}-joint", YEAR_HEADING, JOINT_CAPTION, partial(figure_joint, region))
 
 
 def _duration_figure(region: RegionClimate, place: int) -> Figure:
     caption = DURATION_CAPTION.format(share=share_held([region]))
-    return Figure(f"r{place}-duration", "Duration curves", caption, partial(figure_duration, region))
+    return Figure(f"r{place}-duration", DURATION_HEADING, caption, partial(figure_duration, region))
 
 
 def _regions_figure(regions: Sequence[RegionClimate]) -> Figure:
     means = percent(min(one.mean_bounds_hold for one in regions))
     caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
-    return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
+    return Figure("regions", REGIONS_HEADING, caption, partial(figure_regions, regions))
 
 
 # --- a region --------------------------------------------------------------------------------
