@@ -19,7 +19,7 @@ from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
 from hygrokf.data.drawn import drawn
-from hygrokf.data.files import CLIMATE, write_text_whole
+from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.structured import renamed
 from hygrokf.identification.verdict_terms import Inherited
@@ -215,6 +215,8 @@ def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("test_profile*.csv"):  # of regions that are no longer there
         old.unlink()
+    for name in SUMMARIES:  # of other numbers
+        (folder / name).unlink(missing_ok=True)
     write_text_whole(folder / TABLE, climate_csv(study))
     for name, text in profile_files(study).items():
         write_text_whole(folder / name, text)

@@ -26,6 +26,7 @@ from hygrokf.data.files import (
     DISCOVERY_SERIES,
     FIT,
     REPORT,
+    SUMMARIES,
     write_bytes_whole,
     write_text_whole,
 )
@@ -145,7 +146,7 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     # numpy types the arrays' names as if one of them could be its own option allow_pickle
     np.savez_compressed(buffer, **fit.series)  # type: ignore[arg-type]
     directory.mkdir(parents=True, exist_ok=True)
-    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
+    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, *SUMMARIES):
         (directory / name).unlink(missing_ok=True)
     write_bytes_whole(directory / SERIES, buffer.getvalue())
     return write_text_whole(directory / FIT, text)

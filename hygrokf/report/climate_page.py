@@ -64,6 +64,7 @@ TONES: dict[str, Literal["open", "plain", "reject"]] = {
     "pass": "plain", "undecided": "open", "fail": "reject"
 }  # fmt: skip
 """How the verdict on limits is shown."""
+SYNTHETIC_CLIMATE = "The model or the weather is synthetic. Nothing on this page was measured."
 MOST_CARDS = 4
 """Regions that have a card each on the first screen."""
 PROFILE_CAPTION = (
@@ -107,7 +108,7 @@ def climate_blocks(study: Study) -> Page:
     regions = study.regions
     several = len(regions) > 1
     inherited = inherited_verdicts(study.verdicts, "The time constants of the model")
-    cards = Cards(_region_cards(study) if several else _cards(regions[0], _doubt(study)))
+    cards = Cards(_region_cards(study) if several else _cards(regions[0], doubt_text(study)))
     answer: tuple[Block, ...] = (cards,) if cards.cards else ()
     side_by_side = regions_table(regions)
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
@@ -117,7 +118,7 @@ def climate_blocks(study: Study) -> Page:
         study.name.strip() or "unnamed model",
         _about(study),
         (
-            *synthetic(made_up, "The model or the weather is synthetic. Nothing on this page was measured."),
+            *synthetic(made_up, SYNTHETIC_CLIMATE),
             *answer,
             _regions_figure(regions) if several else _year_figure(regions[0], 1),
         ),
@@ -139,7 +140,7 @@ def _about(study: Study) -> tuple[str, ...]:
     return (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",)
 
 
-def _doubt(study: Study) -> str:
+def doubt_text(study: Study) -> str:
     """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
     doubt = rests_on(study.verdicts)
     return sentence(doubt) if doubt else ""
@@ -208,7 +209,7 @@ def _region_cards(study: Study) -> tuple[Card, ...]:
             lines.append(f"limits: {_counted(region)}")
         if "wetness_h" in region.year:
             label = f"{region.name}: time of wetness"
-            cards.append(_hours_card(region, "wetness_h", label, _doubt(study), tuple(lines)))
+            cards.append(_hours_card(region, "wetness_h", label, doubt_text(study), tuple(lines)))
     return tuple(cards)
 
 
@@ -241,7 +242,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
     return (
         *section(
             _heading(title, "weather and power"),
-            Prose(_weather(region)),
+            Prose(weather_text(region)),
             _statements(region),
         ),
         *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
@@ -268,7 +269,8 @@ def _statements(region: RegionClimate) -> Items:
     return Items(tuple(map(sentence, region.statements)))
 
 
-def _weather(region: RegionClimate) -> str:
+def weather_text(region: RegionClimate) -> str:
+    """The span and the files of a region's weather, in a sentence."""
     spans = region.years
     many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
     if part := region.part_of_year:

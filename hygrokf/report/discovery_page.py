@@ -153,7 +153,7 @@ def discovery_blocks(
     return Page(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
-        _spans(before),
+        spans_text(before),
         (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
         body,
         _method(found, fit_page),
@@ -161,7 +161,7 @@ def discovery_blocks(
     )
 
 
-def _spans(before: Residuals | None) -> tuple[str, ...]:
+def spans_text(before: Residuals | None) -> tuple[str, ...]:
     """What the record covers, in words."""
     if before is None or not len(before.time_h):
         return ()

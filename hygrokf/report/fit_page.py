@@ -192,11 +192,17 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     )
 
 
-def _about(fit: FitResults) -> tuple[str, ...]:
+def period_text(fit: FitResults) -> str:
+    """The record's first and last instant and the end of its identification; empty where unknown."""
     start, until, end = (moment(one or "") for one in (fit.period.start, fit.period.until, fit.period.end))
-    lines = []
-    if start and end:
-        lines.append(f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else ""))
+    if not (start and end):
+        return ""
+    return f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else "")
+
+
+def _about(fit: FitResults) -> tuple[str, ...]:
+    span = period_text(fit)
+    lines = [span] if span else []
     n, rated = fit.period.n_readings, fit.rated_power_kW
     facts = [f"{n:,} times with a reading"] if n else []
     facts.append(f"rated power {rated:,.0f} kW" if math.isfinite(rated) else "rated power not stated")

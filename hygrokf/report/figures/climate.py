@@ -206,12 +206,12 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
         panels = region_panels(regions)
         made = new_figure(panels.height_in)
         axes = np.atleast_1d(made.subplots(1, len(panels.draw), sharey=True))
-        panels.on(list(axes))
         widest = max(len(one.name) for one in regions)
         made.subplots_adjust(
             left=min(0.025 + 0.0098 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
             top=1.0 - 0.4 / made.get_figheight(), wspace=0.14,
         )  # fmt: skip
+        panels.on(list(axes))
     return made
 
 
@@ -228,8 +228,10 @@ def region_panels(regions: Sequence[RegionClimate]) -> Panels:
             means = [found.mean_lower, found.mean_upper]
             axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
             axis.plot(found.value, row, "o", color=INK, markersize=3.2)
-        short = statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
-        axis.set_title(f"{short}\n[{statistic.unit}]", fontsize=rcParams["xtick.labelsize"])
+        axis.set_title(
+            f"{_narrowed(short_words(statistic), axis)}\n[{statistic.unit}]",
+            fontsize=rcParams["xtick.labelsize"],
+        )
         axis.grid(axis="y", visible=False)
         axis.margins(x=0.12)
         axis.set_yticks(range(len(regions)), [one.name for one in regions])
@@ -242,3 +244,18 @@ def region_panels(regions: Sequence[RegionClimate]) -> Panels:
         columns=len(chosen),
         shared="y",
     )
+
+
+def short_words(statistic: Statistic) -> str:
+    """A number of a climate in two or three words."""
+    return statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
+
+
+def _narrowed(words: str, axis: Axes) -> str:
+    """Words in lines that are no wider than the axes."""
+    import textwrap
+
+    figure = axis.get_figure(root=True)
+    assert figure is not None
+    letters = axis.get_window_extent().width / figure.dpi / (0.0095 * float(axis.xaxis.label.get_fontsize()))
+    return textwrap.fill(words, max(8, int(letters)), break_long_words=False)

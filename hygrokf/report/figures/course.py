@@ -160,7 +160,7 @@ def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figu
         every = [figure.add_subplot(grid[row]) for row in range(rows)]
         panels.without_key(every)
         for axes in every:
-            upright(axes, axes.get_ylabel())
+            upright(axes, axes.get_ylabel().replace("\n", " "))
         if panels.handles is not None:
             key(every[0], panels.handles())
     return figure
@@ -177,7 +177,7 @@ def validation_panels(series: Mapping[str, np.ndarray]) -> Panels:
 
     def draw(axes: Axes, name: str) -> None:
         _course(axes, record, name, span)
-        axes.set_ylabel(AXIS_LABEL[name])
+        axes.set_ylabel(AXIS_LABEL[name].replace(" [", "\n["))
         calendar(axes, span, _ticks(axes))
         _hatch_unscored(axes, record, span)
 
