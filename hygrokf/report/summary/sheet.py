@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, WORDS
@@ -58,7 +59,7 @@ def summary_sheet(summary: Summary) -> Figure:
 
     with _lettered():
         layout = _layout(summary)
-        figure = Figure(figsize=(WIDTH, HEIGHT))
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=PNG_DPI)
         end = _put(figure, layout.above, HEIGHT - TOP)
         picture = layout.picture_in
         if summary.picture is not None and picture > 0.3:
@@ -252,17 +253,29 @@ def lines_of(text: str, width_in: float, size: float, bold: bool = False) -> tup
 
 def _width_of(size: float, bold: bool) -> Callable[[str], float]:
     """A function that measures a text [in] in letters of a size [pt]."""
+    weight = "bold" if bold else "normal"
+
+    def wide(text: str) -> float:
+        return ROUNDED * size / 72.0 * sum(_advance(letter, weight) for letter in text)
+
+    return wide
+
+
+ROUNDED = 1.035
+"""[1] how much wider a text may get where its letters are rounded to the dots of a PNG."""
+
+
+@cache
+def _advance(letter: str, weight: str) -> float:
+    """[em] from a letter to the next one."""
     from matplotlib.backends.backend_agg import RendererAgg
     from matplotlib.font_manager import FontProperties
 
-    renderer = RendererAgg(1, 1, 720)
-    letters = FontProperties(size=size, weight="bold" if bold else "normal")
-
-    def wide(text: str) -> float:
-        # letters of a coarser drawing are up to two per cent wider
-        return 1.02 * float(renderer.get_text_width_height_descent(text, letters, False)[0]) / 720.0
-
-    return wide
+    renderer, font = RendererAgg(1, 1, 72), FontProperties(family="DejaVu Sans", size=100.0, weight=weight)
+    with_it, without = (
+        renderer.get_text_width_height_descent(text, font, False)[0] for text in (f"n{letter}n", "nn")
+    )
+    return float(with_it - without) / 100.0
 
 
 GUTTER = 0.16
