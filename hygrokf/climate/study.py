@@ -18,10 +18,12 @@ from hygrokf.climate.bounds import Bounded, BoundedArray
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
+from hygrokf.climate.statistics import STATISTICS
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.structured import renamed
+from hygrokf.data.tabular import with_units
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.cold_surface import Surface
 
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE = "climate.csv"
+UNITS = {one.name: one.unit for one in STATISTICS}
+"""Of the numbers of a climate, by name."""
 
 
 @dataclass(frozen=True)
@@ -187,10 +191,19 @@ class Study:
         return drawn("plot_climate", self, axes)
 
     def to_frame(self) -> DataFrame:
-        """The rows as a pandas frame, indexed by region, scope and statistic."""
+        """The rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of each."""
         import pandas as pd
 
-        return pd.DataFrame(list(self.rows()), columns=StudyRow._fields).set_index(list(StudyRow._fields[:3]))
+        frame = pd.DataFrame(list(self.rows()), columns=StudyRow._fields)
+        frame["unit"] = [_unit(scope, name) for scope, name in zip(frame.scope, frame.statistic, strict=True)]
+        return with_units(frame.set_index(list(StudyRow._fields[:3])), {})
+
+
+def _unit(scope: str, statistic: str) -> str:
+    """The unit of a row's numbers."""
+    if scope == "limit":
+        return {"hours": "h/a", "number": "1/a", "longest_h": "h"}[statistic.rpartition(": ")[2]]
+    return UNITS.get(statistic, "1")
 
 
 def _row(region: str, scope: str, statistic: str, one: Bounded, outside: float = math.nan) -> StudyRow:

@@ -32,6 +32,7 @@ from hygrokf.data.files import (
 )
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
+from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
@@ -105,7 +106,8 @@ class Fit:
             for part, one in inherited(self.results).items()
         }
         columns = ["value [h]", "lower bound [h]", "upper bound [h]", "verdict"]
-        return DataFrame.from_dict(rows, orient="index", columns=columns)
+        frame = DataFrame.from_dict(rows, orient="index", columns=columns)
+        return with_units(frame, dict.fromkeys(columns[:3], "h"))
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """Readings and free run with its 95 % band after the identification period, or in the last fortnight.
