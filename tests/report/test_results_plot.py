@@ -75,7 +75,8 @@ def test_without_axes_a_figure_of_pyplot_shows_all_panels(make) -> None:
 def test_the_picture_of_a_fit_shows_its_readings_in_its_units() -> None:
     shown = fit()
     warm, damp = shown.plot()
-    assert warm.get_ylabel() == "temperature [°C]" and damp.get_ylabel() == "absolute humidity [g/m³]"
+    labels = [axes.get_ylabel().split("\n") for axes in (warm, damp)]
+    assert labels == [["temperature", "[°C]"], ["absolute humidity", "[g/m³]"]]
     late = shown.series["time_s"] >= float(shown.series["until_s"])
     top = np.nanmax(shown.series["temperature_measured"][late]) - 273.15
     drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in warm.get_lines()])

@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ENTRY_EM, LINE_EM = 13.0, 1.75
-"""Width of an entry and height of a line of a key, in sizes of its letters."""
+SIGN_EM, LETTER_EM, LINE_EM = 3.7, 0.6, 1.75
+"""Width of an entry's sign with the space beside it, of a letter, and height of a line of a key, in sizes of
+its letters."""
 POINT_IN = 1.0 / 72.0
 
 
@@ -57,7 +58,7 @@ class Panels:
         self.without_key(axes)
         if self.handles is not None:
             handles, inches = self.handles(), figure.get_size_inches()
-            columns = _columns(0.95 * width * inches[0], len(handles))
+            columns = _columns(width * inches[0], [str(one.get_label()) for one in handles])
             legend = figure.legend(
                 handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(left, bottom + height)
             )
@@ -82,9 +83,14 @@ class Panels:
             self.finish(axes)
 
 
-def _columns(width_in: float, count: int) -> int:
-    """The entries of a key that fit side by side."""
-    return max(1, min(count, int(width_in / (ENTRY_EM * _letters() * POINT_IN))))
+def _columns(width_in: float, labels: Sequence[str]) -> int:
+    """The columns of a key that fit within a width [in]; its entries stand one below the other first."""
+    needs = [(SIGN_EM + LETTER_EM * len(one)) * _letters() * POINT_IN for one in labels]
+    for columns in range(len(needs), 1, -1):
+        rows = -(-len(needs) // columns)
+        if sum(max(needs[i : i + rows]) for i in range(0, len(needs), rows)) <= width_in:
+            return columns
+    return 1
 
 
 def _letters() -> float:

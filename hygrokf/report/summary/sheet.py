@@ -12,9 +12,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, WORDS
-from hygrokf.identification.wording import one_line
 from hygrokf.report.blocks import Table
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, expect_matplotlib, styled
+from hygrokf.report.page import prose
 from hygrokf.report.summary.content import TODO, Summary
 
 if TYPE_CHECKING:
@@ -233,10 +233,13 @@ def _wrapped(one: _Text) -> _Text:
 
 
 def lines_of(text: str, width_in: float, size: float, bold: bool = False) -> tuple[str, ...]:
-    """A text in lines of at most `width_in` [in]; a word that is wider than a line is parted."""
+    """A text in lines of at most `width_in` [in]; a word that is wider than a line is parted,
+    a number from its unit is not."""
     wide = _width_of(size, bold)
     lines, line = [], ""
-    for word in one_line(text).split():
+    for word in prose(text).split(" "):
+        if not word:
+            continue
         longer = f"{line} {word}" if line else word
         if wide(longer) <= width_in:
             line = longer
