@@ -33,7 +33,7 @@ from hygrokf.report.summary.content import MOST_ACTIONS, MOST_ROWS, Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
 from hygrokf.report.summary.page import summary_html
-from hygrokf.report.summary.remedies import ORDER, REMEDIES
+from hygrokf.report.summary.remedies import LONGER, ORDER, REMEDIES
 from hygrokf.report.summary.sheet import HEIGHT, LEFT, WIDTH, lines_of, summary_bytes, summary_sheet
 from hygrokf.report.summary.writing import SummaryFault, planned, write_summary
 
@@ -143,6 +143,21 @@ def test_a_named_cause_stands_with_its_confidence_gain_and_check() -> None:
     assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 2
 
 
+def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
+    data = empty_case()
+    text = "not even its order of magnitude is known"
+    data["baseline"]["time_constants"]["thermal"] |= {
+        "verdict": "reject", "reasons": [{"code": "undetermined", "verdict": "reject", "text": text}],
+    }  # fmt: skip
+    made = summary_of_discovery(typed(data), residuals_case(0.0), None)
+    assert made.tone == "open" and "not right" in made.answer and text in " ".join(made.reasons)
+    assert made.actions == ("Do not rely on the base model.", LONGER)
+    data = discovery_case()
+    data["causes"][0] |= {"remedy": "", "separate_by": ""}
+    (action,) = summary_of_discovery(typed(data), residuals_case(), None).actions
+    assert action.startswith("Use the extended model")
+
+
 def test_limits_are_kept_exceeded_or_undecided() -> None:
     (region,) = study().regions
 
@@ -228,6 +243,11 @@ def test_the_files_are_one_page_of_a4_and_the_same_every_time() -> None:
     (box,) = re.findall(rb"/MediaBox \[ ?([\d. ]+)\]", pdf)
     assert [float(one) for one in box.split()] == pytest.approx([0, 0, 595.4, 841.7], abs=0.5)
     assert struct.unpack(">II", png[16:24]) == (1240, 1753)
+
+
+def test_a_name_in_other_letters_or_signs_is_drawn_as_it_is() -> None:
+    pdf, png = summary_bytes(replace(caused(), name="风电场 <b> $x_1$ {0} \\alpha"))
+    assert pdf.startswith(b"%PDF") and png.startswith(b"\x89PNG")
 
 
 # --- the page --------------------------------------------------------------------------------

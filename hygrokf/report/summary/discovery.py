@@ -5,7 +5,7 @@ from __future__ import annotations
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.verdict import best_rule
+from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, QUANTITIES, fixed, sentence
 from hygrokf.report.blocks import SYNTHETIC_PAGE, Table
 from hygrokf.report.discovery_page import spans_text
@@ -25,6 +25,7 @@ from hygrokf.report.discovery_text import (
 )
 from hygrokf.report.figures.lead import lead_of_discovery
 from hygrokf.report.summary.content import Summary, drawable, known, made_by, named
+from hygrokf.report.summary.remedies import LACKING, remedies
 
 
 def summary_of_discovery(
@@ -36,7 +37,7 @@ def summary_of_discovery(
     """
     single = found.verdict == "named" and len(found.causes) == 1
     sure = f" (confidence {confidence_of(found.causes[0])})" if single else ""
-    actions = (*map(_check, found.causes), *advice(found), untried(found))
+    actions = [text for text in (*map(_check, found.causes), *advice(found), untried(found)) if text]
     return Summary(
         "Summary of a discovery",
         named(found.name),
@@ -46,7 +47,7 @@ def summary_of_discovery(
         tuple(map(sentence, (*(text for one in found.causes for text in _cause(one)), *meaning(found)))),
         _gains(found) if found.causes else _errors(found),
         drawable(lambda: lead_of_discovery(found, before, after)),
-        tuple(sentence(text) for text in actions if text),
+        tuple(map(sentence, actions or _otherwise(found))),
         (
             ("Record", named(found.name)),
             *known("Period", " ".join(spans_text(before))),
@@ -72,6 +73,15 @@ def _check(one: CauseFound) -> str:
     rivals = listed(spoken(name) for name in one.ambiguous_with)
     apart = f"To distinguish it from {rivals}: {one.separate_by}" if rivals and one.separate_by else ""
     return ". ".join(text for text in (about, apart) if text)
+
+
+def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
+    """What to do where the discovery states nothing: after a cause without a check, or a base model that is
+    wrong although no cause was found."""
+    if found.causes:
+        return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
+    reasons = [reason for one in inherited(found.baseline.fit).values() for reason in one.reasons]
+    return ("do not rely on the base model", *(one for one in remedies(reasons) if one != LACKING))
 
 
 def _gains(found: DiscoveryResults) -> Table:
