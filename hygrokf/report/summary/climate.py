@@ -35,7 +35,9 @@ def summary_of_climate(study: Study) -> Summary:
     doubt = doubt_text(study)
     limited = any(one.limits for one in regions)
     worst = next((v for v in WORST_FIRST if v in {one.verdict for one in regions}), "")
-    where = f"in {len(regions)} regions" if several else f"at “{regions[0].name}”"
+    place = regions[0].name.strip()
+    alone = f"at “{place}”" if place != "site" else "at the site"  # --weather states no name
+    where = f"in {len(regions)} regions" if several else alone
     made_up = study.synthetic or any(one.synthetic for one in regions)
     return Summary(
         "Summary of a climate",
@@ -65,12 +67,12 @@ def _answer(region: RegionClimate) -> str:
     if region.limits:
         return _limits_text(region.limits)
     numbers = [
-        f"{words} {value_and_bounds(region.year[name], hours_text)[0]} h a year"
+        f"{words} {span_text(region.year[name], hours_text)} h a year"
         for name, words in (("wetness_h", "wet for"), ("condensation_h", "condensation for"))
         if name in region.year
     ]
     if not numbers:
-        numbers = [f"{value_and_bounds(region.year['mean_temperature_degC'])[0]} °C on average"]
+        numbers = [f"{span_text(region.year['mean_temperature_degC'])} °C on average"]
     return sentence(", ".join(numbers))
 
 
