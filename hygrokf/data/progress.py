@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import TypeAlias
 
 Progress: TypeAlias = Callable[[str], None]
@@ -42,15 +43,11 @@ Line: TypeAlias = Callable[[str, bool], None]
 
 def _notebook() -> Line | None:
     """A line in the output of a notebook's cell; None outside of a notebook."""
-    if "IPython" not in sys.modules:
-        return None
-    from IPython import get_ipython
-    from IPython.display import display
-
-    shell = get_ipython()
+    ipython = sys.modules.get("IPython")  # a notebook has loaded it; nothing else needs it
+    shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):
         return None
-    handle = display({"text/plain": ""}, raw=True, display_id=True)
+    handle = import_module("IPython.display").display({"text/plain": ""}, raw=True, display_id=True)
     return lambda text, last: handle.update({"text/plain": text}, raw=True)
 
 
