@@ -46,11 +46,7 @@ def broken_links(page: Path, text: str) -> list[str]:
     ("page", "languages", "made"),
     [
         (ROOT / "README.md", "python", ["turbine/case.toml"]),
-        (
-            document("tutorial.md"),
-            "python,bash",
-            ["result/report.html", "simulated.csv", "step.png", "bode.png"],
-        ),
+        (document("tutorial.md"), "python,bash", ["result/report.html", "simulated.csv"]),
         pytest.param(
             document("fleet.md"),
             "python,bash",
@@ -74,7 +70,6 @@ def broken_links(page: Path, text: str) -> list[str]:
             marks=pytest.mark.slow,
         ),
         (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
-        (document("weather.md"), "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )

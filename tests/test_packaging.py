@@ -25,7 +25,9 @@ TOP_LEVEL = {
 }  # fmt: skip
 SCRIPTS = (
     *sorted(
-        f"scripts/{p.name}" for p in (ROOT / "scripts").iterdir() if p.is_file() and p.name != "environment"
+        f"scripts/{p.name}"
+        for p in (ROOT / "scripts").iterdir()
+        if p.is_file() and p.name not in ("environment", "own_python.py")
     ),
     ".ci/run",
 )
@@ -97,6 +99,9 @@ def test_the_version_has_one_place(settings: configparser.ConfigParser) -> None:
     assert isinstance(assigned, ast.Assign) and ast.literal_eval(assigned.value) == __version__
     stated = [p for p in ROOT.glob("hygrokf/**/*.py") if f'"{__version__}"' in p.read_text(encoding="utf-8")]
     assert stated == [ROOT / "hygrokf" / "version.py"]
+    changes = (ROOT / "docs" / "project" / "changes.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (\S+) \(\d{4}-\d\d-\d\d\)$", changes, re.MULTILINE)[0] == __version__
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_the_command_is_a_function_of_the_package(settings: configparser.ConfigParser) -> None:

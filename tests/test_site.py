@@ -19,6 +19,7 @@ from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import block, parsed, rst
 
 import hygrokf
+from hygrokf.fleet.tasks import SHARED, TASKS
 
 NO_QUANTITY = {"read_fit", "write_fit", "write_report", "load_library", "run_fleet", "HygrokfError"}
 """Public names with no argument, result or field that has a unit."""
@@ -138,6 +139,15 @@ def test_every_cause_has_its_mechanisms_and_what_to_check() -> None:
     assert without == {"sensor_response", "clock_shift"}
 
 
+def test_every_column_of_a_fleet_has_its_meaning() -> None:
+    text = registries.pages()["fleet_columns"]
+    for task in TASKS:
+        section = text.partition(f"Columns of ``{task}``")[2].partition("\nColumns of ")[0]
+        for name, meaning in TASKS[task].columns.items():
+            assert f"* - ``{name}``\n     - {rst(meaning)}\n" in section, name
+    assert all(f"``{name}``" in text.partition("Columns of ``")[0] for name in SHARED)
+
+
 def test_the_navigation_holds_every_page_once() -> None:
     text = document("index.md").read_text(encoding="utf-8")
     found = [page for pages in navigation.sections(text).values() for _, page in pages]
@@ -145,6 +155,19 @@ def test_the_navigation_holds_every_page_once() -> None:
     assert sorted(found) == sorted(pages - {"index"})
     assert set(navigation.MADE) <= set(navigation.sections(text))
     assert navigation.with_navigation(text).count("{toctree}") == len(navigation.sections(text))
+
+
+def test_made_pages_link_to_pages_that_exist() -> None:
+    links = {
+        target
+        for module in (ROOT / "scripts" / "handbook").glob("*.py")
+        for target in re.findall(r":doc:`/([^`]+)`", module.read_text(encoding="utf-8"))
+    }
+    assert len(links) >= 3
+    assert [target for target in sorted(links) if not (DOCS / f"{target}.md").is_file()] == []
+    assert navigation.with_gallery("[a](../gallery/), [b](gallery/)") == (
+        "[a](../generated/gallery/index.rst), [b](generated/gallery/index.rst)"
+    )
 
 
 # -- the gallery ---------------------------------------------------------------------------------------------
@@ -201,7 +224,7 @@ def test_one_command_builds_the_site_without_warnings(tmp_path: Path) -> None:
     site = copy / "build" / "docs"
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 90 and (site / "searchindex.js").is_file()
-    assert "<math " in (site / "theory.html").read_text(encoding="utf-8")
+    assert "<math " in (site / "explanation" / "theory.html").read_text(encoding="utf-8")
     broken = []
     for page in pages:
         text = page.read_text(encoding="utf-8")

@@ -76,7 +76,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
             return one.limits
     names = ", ".join(one.name for one in CLASSES)
     raise ClassFault(
-        f"--limits {given}: expected a file of limits (.toml) or one of the classes {names}; the numbers of "
+        f'limits "{given}": expected a file of limits (.toml) or one of the classes {names}; the numbers of '
         "other classes are not in public documents: write those of your copy of the standard into a file, "
         "see docs/how_to/climate.md"
     )

@@ -53,11 +53,21 @@ def run_fleet(
     Work with the same files, options and version is not repeated; failures are tried again.
 
     Returns the table (`results`, the same on processes and on a cluster), the outcomes, and the path of the
-    page.  Raises FleetFault where there is no cluster.
+    page.  Raises FleetFault where there is no cluster, ClassFault for limits of an unknown class.
     """
+    _expect_classes(plan)
     found = run_jobs(plan, out, do_task, workers=workers, cluster=cluster, say=say)
     write_fleet_report(out)
     return found
+
+
+def _expect_classes(plan: Plan) -> None:
+    """Raise ClassFault, before any work, for limits that are the name of no known class."""
+    from hygrokf.climate.classes import limits_of
+
+    for one in plan.options.get("limits", ()):
+        if not Path(one).is_file():
+            limits_of(one)
 
 
 def do_task(job: Job) -> Row:
@@ -223,7 +233,7 @@ def _climate(job: Job) -> Row:
     """Simulate the climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate`
     does."""
     from hygrokf.cases.case_file import read_case
-    from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.classes import limits_of
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report
@@ -235,7 +245,7 @@ def _climate(job: Job) -> Row:
         fit,
         [Region(job.turbine, weather, (job.case.name,))],
         None if still else read_power(job.case),
-        limits=[limit for file in options.limits for limit in read_limits(file)],
+        limits=[limit for file in options.limits for limit in limits_of(file)],
         members=options.members,
         seed=options.seed,
     )

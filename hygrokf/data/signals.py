@@ -361,24 +361,23 @@ def in_words(value: float, signal: str | Signal) -> str:
 
 
 def signal_table_markdown() -> str:
-    """The page docs/reference/signals.md: the signal table and the unit table."""
-    introduction = (
-        "A case file names a signal, the column that holds it and the unit of that column. "
-        "Inside the package every value is in the SI unit of this table. Readings outside of "
-        "the physical range are masked, with a warning. The accuracy is the 95 % accuracy "
-        "assumed for the sensor where the case file states none. The hold is how a model and a live source "
-        "continue the quantity between two instants; the hold of a table's readings follows from their "
-        "stamps ([case_file.md](case_file.md))."
-    )
+    """The page docs/reference/signals.md: the signal table."""
+    over_water = "over liquid water, also below 0 °C"
+    held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == "zero-order")
     lines = [
         "# Signals",
         "",
-        "Made from the table in `hygrokf/data/signals.py`; change the table, not this page.",
+        "Made from `hygrokf/data/signals.py`; change that table, not this page.",
         "",
-        introduction,
+        "A case file names a signal, its column and the unit of that column. The first unit is the SI unit "
+        "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
+        f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
-        "| signal | unit inside | units in a case file | range | accuracy | hold | meaning |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        f"Models and live sources hold these between two instants: {held}. All others are joined by straight "
+        "lines. Readings of a table follow their stamps instead ([case file](case_file.md)).",
+        "",
+        "| signal | units | range | accuracy | meaning |",
+        "| --- | --- | --- | --- | --- |",
     ]
     for row in SIGNALS.values():
         low, high = (float(from_si(bound, row.display, row)) for bound in (row.low, row.high))
@@ -388,18 +387,7 @@ def signal_table_markdown() -> str:
             shown = difference_from_si(row.default_accuracy, row.display, row)
             accuracy = f"{shown:.4g} {'K' if row.display == 'degC' else row.display}"
         lines.append(
-            f"| `{row.name}` | {row.unit} | {', '.join(fitting_units(row))} | {limits} "
-            f"| {accuracy} | {row.hold} | {row.meaning} |"
+            f"| `{row.name}` | {', '.join(fitting_units(row))} | {limits} | {accuracy} "
+            f"| {row.meaning.removesuffix(', ' + over_water)} |"
         )
-    lines += [
-        "",
-        "## Units",
-        "",
-        "SI value = factor × value + offset.",
-        "",
-        "| unit | dimension | factor | offset |",
-        "| --- | --- | --- | --- |",
-    ]
-    for unit in UNITS.values():
-        lines.append(f"| {unit.name} | {unit.dimension} | {unit.factor:.9g} | {unit.offset:.9g} |")
     return "\n".join(lines) + "\n"

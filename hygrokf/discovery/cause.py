@@ -68,8 +68,7 @@ class Cause:
         clock or a changed exchange hardly shows in the free run, and simulated switches lose their phase.
     event: whether it happened at times that nobody logs, which no simulation can foresee.
     mechanisms, features: name → factory, and name → (function, hold), of a user's own cause.
-    forms, searches: what is tried, and the settings that are searched, for the table of
-        docs/explanation/discover.md.
+    forms, searches: what is tried, and the settings that are searched, for the site's page of causes.
     """
 
     name: str
@@ -146,7 +145,7 @@ def cause_of(
         features that the mechanism does not bring itself: (function(record, time), hold).
     needs: signals that features read.  On a record that lacks one the cause is not tried.
     alone: [1] gain in evidence, in 2 ln L, that is enough without a better free run.
-    forms: what is tried, for the table of docs/explanation/discover.md.
+    forms: what is tried, for the site's page of causes.
 
     Returns the cause, for the library of the package or the `library` of `discover`.  For grids of dates or
     thresholds make a `Cause` with `variants` of your own.  Raises ValueError without a factory, TypeError

@@ -186,12 +186,3 @@ def named(name: str, library: Sequence[Cause] = LIBRARY) -> Cause:
         if cause.name == name:
             return cause
     raise KeyError(f"no cause {name!r}; the library has {', '.join(c.name for c in library)}")
-
-
-def cause_table() -> list[tuple[str, str, str]]:
-    """The causes with their forms and what is searched, for docs/explanation/discover.md.
-
-    The head is the first row.
-    """
-    rows = [(f"`{cause.name}`", cause.forms, cause.searches or "–") for cause in LIBRARY]
-    return [("cause", "forms tried", "settings searched"), *rows]

@@ -66,7 +66,8 @@ class Plan:
 
     def jobs(self, out: Path) -> list[Job]:
         """One job for each turbine, with results in a folder of `out`, and with the key of what it reads."""
-        beside = [Path(file) for name in TASKS[self.task].files for file in self.options[name]]
+        stated = [Path(one) for name in TASKS[self.task].files for one in self.options[name]]
+        beside = [one for one in stated if one.is_file()]
         jobs = []
         for turbine in self.turbines:
             job = Job(
@@ -96,10 +97,12 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     place = replace(top, name="[options]", of=f" for {form.task}")
     options = asdict(read_form(task.options, form.options, place))
     for name in task.files:
-        options[name] = [str((file.parent / one).absolute()) for one in options[name]]
-        for one in options[name]:
-            if not Path(one).is_file():
-                place.fault(f"{name}: no such file {one}")
+        stated = {one: (file.parent / one).absolute() for one in options[name]}
+        known = [one for one, full in stated.items() if name in task.named and full.suffix != ".toml"]
+        options[name] = [one if one in known else str(full) for one, full in stated.items()]
+        for one, full in stated.items():
+            if one not in known and not full.is_file():
+                place.fault(f"{name}: no such file {full}")
     turbines = _turbines(form, task, file.parent, top.faults)
     if top.faults:
         raise FleetFault(file, top.faults)

@@ -79,7 +79,9 @@ class ClimateOptions(LibraryOptions):
     """The options of the task "climate"."""
 
     standstill: bool = setting(False, "no power all year; otherwise the case must have `active_power`")
-    limits: tuple[str, ...] = setting((), "files with limits for the climate", expected=_FILES)
+    limits: tuple[str, ...] = setting(
+        (), "limits for the climate: files, or names of classes", expected=_FILES
+    )
     members: int = setting(50, "of the ensemble", least=2)
     seed: int = setting(1, "of the ensemble", least=0)
 
@@ -91,7 +93,7 @@ class Task:
     options: the dataclass of its options. columns: name → meaning with unit. compared: the quantities that
     turbines are compared by. ranking: the column by which they are ranked, largest first. uses_fit: whether
     it needs a fitted model. files: the options that hold paths; the results depend on the bytes of these
-    files.
+    files. named: those of them that also take a name instead of a file, which does not end in ".toml".
     """
 
     meaning: str
@@ -101,6 +103,7 @@ class Task:
     ranking: str = "temperature_rmse_K"
     uses_fit: bool = False
     files: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
 
 
 CLIMATE_COLUMNS = {
@@ -258,6 +261,7 @@ TASKS: Mapping[str, Task] = {
         ranking="ageing_h",
         uses_fit=True,
         files=("library", "limits"),
+        named=("limits",),
     ),
 }
 """Every task by its name in FLEET.toml."""

@@ -221,6 +221,11 @@ class Estimated:
     finding: Finding | None = None
 
 
+def signed(value: float, decimals: int = 0) -> str:
+    """A number with its sign, the minus as in print."""
+    return f"{value:+.{decimals}f}".replace("-", "−")
+
+
 def condensation_levels(now: Estimated) -> list[Level]:
     """The probability of condensation: that the coldest surface is below the dew point."""
     chances, margin = now.condition.condensation, now.condition.margin_K
@@ -229,10 +234,10 @@ def condensation_levels(now: Estimated) -> list[Level]:
     chance, place = float(chances[now.place]), now.place
     if chance < CONDENSATION.off:
         return [Level(CONDENSATION.kind, chance, "")]
+    value, lower, upper = (signed(one[place], 1) for one in (margin.value, margin.lower, margin.upper))
     statement = (
         f"water condenses on the coldest surface with a probability of {100 * chance:.0f} %: "
-        f"its margin to the dew point is {margin.value[place]:+.1f} K "
-        f"({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f})"
+        f"its margin to the dew point is {value} K ({lower} … {upper})"
     )
     return [Level(CONDENSATION.kind, chance, statement)]
 
@@ -262,11 +267,11 @@ def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) 
 def _shift_level(name: str, change: float, finding: Finding) -> Level:
     statement, remedy = CABINET_CHANGES[name, change > 0.0]
     if name == "heat_release_change":
-        size = f"{change:+.1f} K"
+        size = f"{signed(change, 1)} K"
     elif name == "humidity_offset":
-        size = f"{100.0 * change:+.0f} % relative humidity"
+        size = f"{signed(100.0 * change)} % relative humidity"
     else:
-        size = f"{100.0 * np.expm1(change):+.0f} %"
+        size = f"{signed(100.0 * np.expm1(change))} %"
     words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
     return Level(CHANGED.kind, 1.0, words, remedy, name)
 

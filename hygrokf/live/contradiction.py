@@ -88,8 +88,6 @@ def contradiction_level(one: Innovation) -> Level:
         for value in (one.reading, one.expected, one.expected - 2.0 * one.sd, one.expected + 2.0 * one.sd)
     )
     unit = {"degC": "°C"}.get(row.display, row.display)
-    statement = (
-        f"{one.signal.replace('_', ' ')} reads {reading:.1f} {unit}, where the estimate expects "
-        f"{expected:.1f} ({lower:.1f} … {upper:.1f})"
-    )
+    numbers = f"{reading:.1f} {unit}, where the estimate expects {expected:.1f} ({lower:.1f} … {upper:.1f})"
+    statement = f"{one.signal.replace('_', ' ')} reads {numbers.replace('-', '−')}"
     return Level(CONTRADICTS.kind, level, statement, subject=one.signal)

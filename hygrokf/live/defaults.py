@@ -2,8 +2,8 @@
 
 The default has one turbine per model, and signals under their own names.
 
-The demonstration tracks a synthetic turbine and needs no server and no file.  The model is identified on the
-first weeks, and the following weeks are played back faster than real time.  From some days before them on the
+The demonstration tracks a synthetic turbine and needs no server and no file.  The model is identified on some
+weeks, and the following weeks are played back faster than real time.  From some days before them on the
 cabinet loses heat more slowly (a clogged filter), which the tracker finds at the beginning of the playback.
 The same cabinet is also tracked without its humidity sensor and without any sensor, so that the model alone
 can be compared with the readings.
@@ -43,8 +43,11 @@ NAMES = {
 """Turbine -> signals that it lacks."""
 FIRST = next(iter(NAMES))
 DAYS = 100.0
-IDENTIFIED_DAYS = 60.0
-"""Length of the record, and of its first part on which the model is identified [d]."""
+LIVE_DAYS = 60.0
+"""Length of the record, and from its start to the live part [d]."""
+IDENTIFIED_DAYS = 30.0
+"""Length of the period before the change on which the model is identified [d]: with more of it the page would
+not be there within ten seconds."""
 KNOWN_DAYS = 12.0
 """[d] before the live part that the tracker gets at once, as history for the forecasts."""
 CHANGED_DAYS = -7.0
@@ -136,11 +139,13 @@ def demo_turbines(
     """
     folder.mkdir(parents=True, exist_ok=True)
     record = _record(folder / "turbine", seed, SyntheticParameters())
-    live_s = record.start_s + IDENTIFIED_DAYS * DAY_S
+    live_s = record.start_s + LIVE_DAYS * DAY_S
     date_s = live_s + CHANGED_DAYS * DAY_S
     model = folder / f"model-{seed}"
     if not (model / "fit.json").is_file():
-        fit = identify(record.window(record.start_s, min(date_s, live_s)), starts=1, progress=progress)
+        until_s = min(date_s, live_s)
+        history = record.window(until_s - IDENTIFIED_DAYS * DAY_S, until_s)
+        fit = identify(history, starts=1, progress=progress)
         write_fit(replace(fit, name=FIRST), model)
     fit = read_fit(model)
     changed = _record(folder / "changed", seed, CHANGED)

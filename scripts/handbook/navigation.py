@@ -1,4 +1,4 @@
-"""Navigation of the site: the tables of docs/index.md, one list of pages for each heading."""
+"""Navigation of the site: the lists of docs/index.md, one for each heading."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ MADE = {
         ("API reference", "generated/api/index"),
         ("Mechanisms", "generated/mechanisms/index"),
         ("Causes", "generated/causes"),
+        ("Columns of a fleet", "generated/fleet_columns"),
     ),
 }
 """Pages that exist in the built site only, by heading; they stand first."""
@@ -30,7 +31,7 @@ def sections(text: str) -> dict[str, list[tuple[str, str]]]:
 
 def with_gallery(text: str) -> str:
     """A page whose links to the folder of the gallery lead to its built page."""
-    return text.replace("](gallery/)", "](generated/gallery/index.rst)")
+    return re.sub(r"\]\(((?:\.\./)*)gallery/\)", r"](\1generated/gallery/index.rst)", text)
 
 
 def with_navigation(text: str) -> str:

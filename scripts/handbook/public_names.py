@@ -125,7 +125,7 @@ def page(name: str, shown: list[str]) -> str:
             lines += [block(part, "      ") for part in re.split(r"\n\s*\n", inspect.cleandoc(docstring))]
     module = hygrokf._WHERE[name]
     lines += [f"Defined in ``hygrokf.{module}``.", ""]
-    lines += [heading("Example", "-"), "", "From the tested examples of :doc:`/reference`:", ""]
+    lines += [heading("Example", "-"), "", "From the tested examples of :doc:`/reference/reference`:", ""]
     lines += [".. code-block:: python", ""]
     lines += [textwrap.indent("\n".join(shown[:3]), "   "), ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Pages of the mechanisms and causes, made of the registries."""
+"""Pages of the mechanisms, the causes and the columns of a fleet, made of the registries."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from handbook.docstrings import heading, prose_and_equations, rst, table
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY as CAUSES
+from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
@@ -133,6 +134,21 @@ def cause_section(cause: Cause) -> str:
     return "\n".join([*lines, "", ""])
 
 
+def fleet_columns() -> str:
+    """Columns of the table that `hygrokf fleet` writes, by task."""
+    lines = [
+        heading("Columns of a fleet", "="),
+        "The columns of ``fleet.csv``, made of the registry when the site is built. A cell is empty if the",
+        "value is unknown, not applicable or not bounded. Fleets: :doc:`/how_to/fleet`.",
+        "",
+    ]
+    named = {"every task": SHARED, **{f"``{name}``": task.columns for name, task in TASKS.items()}}
+    for title, columns in named.items():
+        rows = [[f"``{name}``", rst(meaning)] for name, meaning in columns.items()]
+        lines += [heading(f"Columns of {title}", "-"), table(("column", "meaning"), rows, "40 60"), ""]
+    return "\n".join(lines)
+
+
 def pages() -> dict[str, str]:
     """Pages of the registries by their name under docs/generated."""
     found = {}
@@ -157,8 +173,10 @@ def pages() -> dict[str, str]:
     head = [
         heading("Causes", "="),
         "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
-        "causes are tried and accepted: :doc:`/discover_decides`. A cause of your own: :doc:`/own_cause`.",
+        "causes are tried and accepted: :doc:`/explanation/discover_decides`. A cause of your own:",
+        ":doc:`/how_to/own_cause`.",
         "",
     ]  # fmt: skip
     found["causes"] = "\n".join([*head, *(cause_section(cause) for cause in CAUSES)])
+    found["fleet_columns"] = fleet_columns()
     return found

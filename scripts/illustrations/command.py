@@ -6,25 +6,22 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from illustrations.causes import causes
 from illustrations.drafts import drafts
 from illustrations.house_plan import house_plan
 from illustrations.live_page import live_page
 from illustrations.measured import attic, climate, clocks, uk
 from illustrations.synthetic import compare, demo, fleet, transfer
-from illustrations.theory import clock, noise, steps
+from illustrations.theory import clock, noise
 
 SYNTHETIC = {
     "fleet": fleet,
     "demo": demo,
     "noise": noise,
-    "steps": steps,
     "clock": clock,
     "compare": compare,
     "transfer": transfer,
     "live_page": live_page,
     "house_plan": house_plan,
-    "causes": causes,
 }
 
 

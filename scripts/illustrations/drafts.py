@@ -1,13 +1,11 @@
-"""How many signals of exports `hygrokf init` finds, in docs/how_to/init.md."""
+"""How many signals of exports `hygrokf init` finds, printed for docs/validation/real_input.md."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from illustrations.pages import write_table
-
-HEAD = (
-    "export",
+COUNTED = (
+    "exports",
     "right",
     "right, to confirm",
     "wrong",
@@ -22,25 +20,29 @@ def drafts(directory: Path, data: Path) -> None:
     from builders.measured_exports import EXPECTED, export_of
     from builders.vendor_exports import MAKES
 
-    rows = [HEAD]
+    makes, measured = [], []
     for number, make in enumerate(MAKES):
         made = make()
         folder = directory / f"make{number}"
         folder.mkdir()
         expected = {signal: (column,) for signal, column in made.expected.items()}
-        rows.append((made.make, *_row(made.write(folder), folder, expected)))
+        makes.append(_counts(made.write(folder), folder, expected))
     for number, (name, expected) in enumerate(EXPECTED.items()):
         folder = directory / f"measured{number}"
         folder.mkdir()
-        shown = f"`{Path(name).name}`" if "." in name else name
-        rows.append((shown, *_row([export_of(name, folder)], folder, expected)))
-    totals = [sum(int(row[column]) for row in rows[1:]) for column in range(1, 6)]
-    unedited = sum(row[6] == "yes" for row in rows[1:])
-    rows.append(("all", *map(str, totals), f"{unedited} of {len(rows) - 1}"))
-    write_table("init.md", "drafts", rows)
+        measured.append(_counts([export_of(name, folder)], folder, expected))
+    for words, counted in (
+        ("synthetic, layouts of makes and loggers", makes),
+        ("measured files", measured),
+        ("all", makes + measured),
+    ):
+        sums = [len(counted), *(sum(column) for column in zip(*counted, strict=True))]
+        said = ", ".join(f"{name} {number}" for name, number in zip(COUNTED, sums, strict=True))
+        print(f"{words}: {said}", flush=True)
 
 
-def _row(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+def _counts(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) -> tuple[int, ...]:
+    """Numbers of COUNTED behind the first, of one export."""
     from builders.measured_exports import counts
 
     from hygrokf.cases.case_file import CaseFault, read_case
@@ -51,8 +53,7 @@ def _row(files: list[Path], folder: Path, expected: dict[str, tuple[str, ...]]) 
     found = counts(signals, expected)
     try:
         read_case(folder / "case.toml", cabinet=False, ambient=False)
-        read = "yes"
+        read = 1
     except CaseFault:
-        read = "no"
-    numbers = (found.right, found.asked, found.wrong, found.missed, len(draft.doubts))
-    return (*map(str, numbers), read)
+        read = 0
+    return found.right, found.asked, found.wrong, found.missed, len(draft.doubts), read

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from illustrations.pages import QUANTITIES, bounds_text, identified, save, simulation_text, write_table
+from illustrations.pages import QUANTITIES, identified, save, write_table
 
 ATTIC = """\
 name = "attic R2, ambient {label}"
@@ -31,57 +28,14 @@ FRENCH = ("R80736_10min_2014_2015", "era5_hourly_2014_2015")
 
 
 def _attic_scores(label: str, r: Mapping) -> list[list[str]]:
-    """RMSE of the model and of the simple ones beside it."""
+    """RMSE of the model in the validation period, and that of a rule without a model."""
     rows = []
-    for period in ("identification", "validation"):
-        for quantity, unit in QUANTITIES.items():
-            own = r["rmse"][period][quantity]
-            others = [
-                r["baselines"][period].get(n, {}).get(quantity, {}).get("total")
-                for n in ("no_dynamics", "ambient", "ambient_pressure_balance")
-            ]
-            rows.append([label, period,
-                quantity.rsplit("_", 1)[0].replace("_g", "").replace("_", " ") + f" [{unit}]",
-                           f"{own['n']['total']:,}", f"**{own['total']:.2f}**",
-                           *("" if v is None else f"{v:.2f}" for v in others)])  # fmt: skip
-    return rows
-
-
-def _attic_constants(label: str, r: Mapping) -> list[list[str]]:
-    """Time constants by both criteria, and their shift under a thinned ambient."""
-    rows = []
-    for part, entry in r["time_constants"].items():
-        shift = entry["sampling"]["shift_ln_when_halved"]
+    for (quantity, unit), rule in zip(QUANTITIES.items(), ("no_dynamics", "ambient"), strict=True):
+        own = r["rmse"]["validation"][quantity]
+        name = quantity.rsplit("_", 1)[0].replace("_g", "").replace("_", " ")
+        simple = r["baselines"]["validation"][rule][quantity]["total"]
         rows.append(
-            [
-                label,
-                part,
-                bounds_text(entry),
-                f"{entry['factor']:.1f}",
-                simulation_text(entry),
-                f"{100 * math.expm1(shift):+.0f} %",
-            ]
-        )
-    return rows
-
-
-def _attic_bands(label: str, r: Mapping) -> list[list[str]]:
-    """How often the bands hold the readings."""
-    rows = []
-    for quantity, text in (
-        ("temperature_K", "temperature"),
-        ("relative_humidity", "relative humidity"),
-        ("absolute_humidity_g_m3", "absolute humidity"),
-    ):
-        rows.append(
-            [
-                label,
-                text,
-                *(
-                    f"{100 * r['bands'][lead][quantity]['coverage']:.0f} %"
-                    for lead in ("1h", "6h", "24h", "free_run")
-                ),
-            ]
+            [label, f"{name} [{unit}]", f"{own['n']['total']:,}", f"**{own['total']:.2f}**", f"{simple:.2f}"]
         )
     return rows
 
@@ -93,8 +47,8 @@ def attic(directory: Path, data: Path) -> None:
     file = (data / "attic_trh1_R2_hourly.csv.gz").resolve()
     fits = {}
     for label, columns in {
-        "from the weather station": ("T_fmi", "RH_fmi"),
-        "from the logger at the west eave": ("T_roofwest_outside", "RH_roofwest_outside"),
+        "weather station": ("T_fmi", "RH_fmi"),
+        "eave logger": ("T_roofwest_outside", "RH_roofwest_outside"),
     }.items():
         case = directory / f"{columns[0]}.toml"
         case.write_text(
@@ -102,38 +56,20 @@ def attic(directory: Path, data: Path) -> None:
             encoding="utf-8",
         )
         fits[label] = identified(read_case(case))
-    scores = [
-        ["ambient", "period", "quantity", "n", "model", "no heat storage", "c = c_amb", "c_amb T_amb/T_a"]
-    ]
-    constants = [
-        [
-            "ambient",
-            "time constant",
-            "by the innovations [h]",
-            "factor",
-            "by the free run [h]",
-            "every second ambient reading left out",
-        ]
-    ]
-    bands = [["ambient", "quantity", "1 h", "6 h", "24 h", "free run"]]
+    scores = [["ambient", "quantity", "n", "model", "rule without a model"]]
     for label, fit in fits.items():
         r = fit.to_json()
         scores += _attic_scores(label, r)
-        constants += _attic_constants(label, r)
-        bands += _attic_bands(label, r)
         print(label, r["converged"], r["statements"], sep="\n  ", flush=True)
         for name, row in r["parameters"].items():
             print(
                 f"    {name:34} {row['value']:.4g} ({row['lower']}, {row['upper']}) {row['unit']}", flush=True
             )
     write_table("real_input.md", "attic scores", scores)
-    write_table("real_input.md", "attic time constants", constants)
-    write_table("real_input.md", "attic bands", bands)
 
-    from hygrokf.report.figures.course import figure_excerpts, figure_residuals
+    from hygrokf.report.figures.course import figure_residuals
 
-    shown = fits["from the weather station"]
-    save(figure_excerpts(shown.results, shown.series), "attic")
+    shown = fits["weather station"]
     save(figure_residuals(shown.results, shown.series), "attic_residuals")
 
 
@@ -171,19 +107,6 @@ def uk(directory: Path, data: Path) -> None:
     from plants.as_record import to_record
 
     uk_module.UK_DRIVERS = data / "kelmarsh_2018_2019_era5_power_hourly.csv.gz"
-    rows = [
-        [
-            "cabinet",
-            "start",
-            "thermal: truth",
-            "estimate [h]",
-            "by the free run",
-            "hygric: truth",
-            "estimate [h]",
-            "by the free run",
-            "free run, validation",
-        ]
-    ]
     fits, truths = [], []
     for seed in (1, 2, 3, 4, 5):
         made = uk_plant(seed)
@@ -192,13 +115,6 @@ def uk(directory: Path, data: Path) -> None:
         fit = identified(replace(record, until_s=until))
         fits.append(fit)
         truths.append(made.truth)
-        c, r = fit.to_json()["time_constants"], fit.to_json()["rmse"]["validation"]
-        rows.append([
-            str(seed), str(np.datetime64(int(record.start_s), "s"))[:10],
-            f"{made.truth.tau_h:.2f}", bounds_text(c["thermal"]), simulation_text(c["thermal"]),
-            f"{made.truth.hygric_h:.3f}", bounds_text(c["hygric"]), simulation_text(c["hygric"]),
-            f"{r['temperature_K']['total']:.2f} K, {r['absolute_humidity_g_m3']['total']:.2f} g/m³",
-        ])  # fmt: skip
         print(
             fit.to_json()["converged"],
             fit.to_json()["statements"],
@@ -206,13 +122,7 @@ def uk(directory: Path, data: Path) -> None:
             made.truth.class_right,
             flush=True,
         )
-    write_table("real_input.md", "uk", rows)
-
-    from hygrokf.report.figures.course import figure_excerpts
-
-    label = "simulated cabinet"
-    save(figure_excerpts(fits[0].to_json(), fits[0].series), "uk", label)
-    save(truth_and_estimate(fits, truths), "uk_truth", label)
+    save(truth_and_estimate(fits, truths), "uk_truth", "simulated cabinet")
 
 
 def clocks(directory: Path, data: Path) -> None:
@@ -235,21 +145,6 @@ def clocks(directory: Path, data: Path) -> None:
     found = alignments(record)
     (error,) = clock_errors(found)
     by_signal = {one.signal: one for one in found}
-    rows = [["signal", "offset", "daily wave", "lag by", "winter [min]", "summer [min]"]]
-    for signal, name, unit in (
-        ("ambient_temperature", "outdoor temperature", "K"),
-        ("wind_speed", "wind speed", "m/s"),
-    ):
-        one = by_signal[signal]
-        for by, how in (("weather", "the weather"), ("mean_day", "the mean day")):
-            lags = [getattr(season, by) for season in (one.winter, one.summer)]
-            rows.append([
-                name, f"{one.offset.value:+.2f} ({one.offset.low:+.2f} … {one.offset.high:+.2f}) {unit}",
-                f"{100 * one.amplitude_ratio.value:.0f} %", how,
-                *(f"{lag.value / 60:+.0f} ({lag.low / 60:+.0f} … "
-                  f"{lag.high / 60:+.0f})" if lag.known else "–" for lag in lags),
-            ])  # fmt: skip
-    write_table("weather.md", "clocks", rows)
     temperature = by_signal["ambient_temperature"]
     (second,) = (one for one in record.compared if one.signal == "ambient_temperature")
     figure = figure_clocks(

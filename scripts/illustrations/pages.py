@@ -65,15 +65,6 @@ def bounds_text(entry: Mapping) -> str:
     return f"{entry['value_h']:.3g} ({entry['lower_h']:.3g} … {entry['upper_h']:.3g})"
 
 
-def simulation_text(entry: Mapping) -> str:
-    found = entry["simulation"]
-    if found is None:
-        return "–"
-    if not found["upper_h"] or found["upper_h"] > 1e3:
-        return f"{found['value_h']:.2g}, unbounded"
-    return f"{found['value_h']:.3g} ({found['lower_h']:.3g} … {found['upper_h']:.3g})"
-
-
 def save(figure, name: str, label: str = "") -> None:
     """Write a figure as a small PNG; `label` says in the picture itself what is not measured."""
     from PIL import Image

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from illustrations.pages import DOCS, QUANTITIES, identified, save, synthetic_record, write_table
+from illustrations.pages import DOCS, identified, save, synthetic_record
 
 
 def demo(directory: Path) -> None:
-    """README's picture, and the profiles beside it."""
+    """README's picture, and the profiles of docs/explanation/theory.md."""
     from hygrokf.report.figures.course import figure_excerpts
     from hygrokf.report.figures.identification import figure_profiles
 
@@ -61,28 +61,6 @@ def compare(directory: Path) -> None:
         columns.append(comparison_column(fit, record.replace_series(*thinned), label, own=every == 1))
     found = compare(columns).results
     save(figure_errors(found, "whole"), "compare", "synthetic turbine")
-    rows = [["weather", "quantity", "op", "st", "tot, 95 %", "n", "more than with 10 min, 95 %"]]
-    for one in found.columns:
-        for quantity, unit in QUANTITIES.items():
-            by = one.scores["whole"][quantity]
-            total = by["total"]
-            more = "–"
-            for pair in found.differences:
-                if pair.of == "every 10 min" and pair.less == one.label:
-                    apart = pair.scores["whole"][quantity]["total"]
-                    ends = [f"{0.0 - v:.3f}" for v in (apart.value, apart.upper, apart.lower)]
-                    more = f"{ends[0]} ({ends[1]} … {ends[2]})".replace("-", "−")
-            rows.append(
-                [
-                    one.label,
-                    f"{quantity.removesuffix('_K').removesuffix('_g_m3').replace('_', ' ')} [{unit}]",
-                    f"{by['operation'].rmse:.2f}",
-                    f"{by['standstill'].rmse:.2f}",
-                    f"{total.rmse:.2f} ({total.lower:.2f} … {total.upper:.2f})",
-                    f"{total.n:,}", more,
-                ]
-            )  # fmt: skip
-    write_table("compare.md", "ambient", rows)
 
 
 def transfer(directory: Path) -> None:

@@ -1,120 +1,42 @@
-"""Tables of docs/explanation/theory.md: disturbances, steps and the logger's clock."""
+"""Tables of docs/validation/modelling_choices.md: disturbances and the logger's clock."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from illustrations.pages import bounds_text, synthetic_record, true_values, write_table
+from illustrations.pages import bounds_text, synthetic_record, write_table
 
 
 def noise(directory: Path) -> None:
-    """Theory's table: the same records with and without coloured disturbances."""
+    """A table: the same records with and without coloured disturbances."""
     from hygrokf.estimation.confidence import uncertainty
     from hygrokf.estimation.likelihood import Likelihood
     from hygrokf.estimation.optimiser import Objective, maximise
     from hygrokf.modelling.design import design
     from hygrokf.modelling.inputs import prepare_run
 
-    rows = [["seed", "disturbances", "τ [h]", "Wald", "sandwich", "k [h]", "Wald", "sandwich", "ln L"]]
+    rows = [["seed", "τ [h]", "τ, white alone", "k [h]", "k, white alone"]]
     for seed in (1, 2, 3):
-        record, truth = synthetic_record(seed, directory)
+        record, _ = synthetic_record(seed, directory)
         early = record.identification()
-        k = truth.hygric_constant_s / 3600.0
-        rows.append(
-            [
-                str(seed),
-                "*truth*",
-                f"*{truth.parameters.thermal_time_constant_h}*",
-                "",
-                "",
-                f"*{k:.3f}*",
-                "",
-                "",
-                "",
-            ]
-        )
+        cells: dict[str, list[str]] = {"thermal_time_constant": [], "hygric_k": []}
         for coloured in (True, False):
             made = design(early, kind="joint", coloured=coloured)
             likelihood = Likelihood(made.model, prepare_run(made, early).timeline)
             estimate = maximise(likelihood)
             found = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
-            row = [str(seed), "coloured and white" if coloured else "white alone"]
-            for name in ("thermal_time_constant", "hygric_k"):
+            for name, row in cells.items():
                 place, value = found.place(name), estimate.values[name]
-                errors = (value * math.sqrt(c[place, place]) for c in (found.wald, found.sandwich))
-                row += [f"{value:.3f}", *(f"{e:.3f}" for e in errors)]
-            rows.append(
-                [*row, f"{estimate.loglik:,.0f}" + ("" if estimate.converged else " (not converged)")]
-            )
-    write_table("theory.md", "noise", rows)
-
-
-def _split(base, t, new: np.ndarray):
-    """The same run with more instants, at which nothing is read."""
-    from hygrokf.engine.timeline import timeline
-
-    model, old = base.model, t.time
-    ends, at = np.searchsorted(old, new), np.searchsorted(new, old)
-    inputs = {
-        n: np.interp(new, old, t.input(n)) if model.holds[n] == "linear" else t.input(n)[ends]
-        for n in model.inputs
-    }
-    readings = {}
-    for n in t.outputs:
-        readings[n] = np.full(len(new), np.nan)
-        readings[n][at] = t.reading(n)
-    return timeline(model, new, inputs, readings, origin_s=t.origin_s)
-
-
-def _finer(time: np.ndarray, parts: int) -> np.ndarray:
-    """Instants with every step divided."""
-    inner = [time[:-1] + (time[1:] - time[:-1]) * i / parts for i in range(1, parts)]
-    return np.unique(np.concatenate([time, *inner]))
-
-
-def _one_split(base, t, values: Mapping, count: int = 200) -> float:
-    """Largest change of the log-likelihood when one of the first 4,000 steps is halved, over `count` of
-    them."""
-    from hygrokf.estimation.likelihood import Likelihood
-
-    part = t.window(0, 4000)
-    whole = Likelihood(base.model, _split(base, part, part.time)).value(values)
-    changes = []
-    for k in np.random.default_rng(1).choice(np.arange(1, 4000), count, replace=False):
-        new = np.insert(part.time, k, 0.5 * (part.time[k - 1] + part.time[k]))
-        changes.append(abs(Likelihood(base.model, _split(base, part, new)).value(values) - whole))
-    return max(changes)
-
-
-def steps(directory: Path) -> None:
-    """Theory's table: what dividing every step changes."""
-    from hygrokf.estimation.likelihood import Likelihood
-    from hygrokf.modelling.design import design
-    from hygrokf.modelling.inputs import prepare_run
-
-    record, truth = synthetic_record(1, directory)
-    early = record.identification()
-    known = true_values(truth)
-    rows = [["model", "instants", "ln L", "one step in 2, at most", "every step in 2", "in 4", "in 8"]]
-    for kind in ("thermal", "cascade", "joint"):
-        base = design(early, kind=kind)
-        t = prepare_run(base, early).timeline
-        values = {q.name: known.get(q.name, q.start) for q in base.model.parameters}
-        found = [
-            Likelihood(base.model, _split(base, t, _finer(t.time, n))).value(values) for n in (1, 2, 4, 8)
-        ]
-        changes = [f"{_one_split(base, t, values):.1e}", *(f"{v - found[0]:+.2e}" for v in found[1:])]
-        rows.append([kind, f"{len(t):,}", f"{found[0]:,.1f}", *changes])
-    write_table("theory.md", "steps", rows)
+                error = value * math.sqrt(found.sandwich[place, place])
+                row.append(f"{value:.3f} ± {error:.3f}" + ("" if estimate.converged else " (not converged)"))
+        rows.append([str(seed), *(cell for row in cells.values() for cell in row)])
+    write_table("modelling_choices.md", "noise", rows)
 
 
 def clock(directory: Path) -> None:
-    """Theory's table: the cabinet logger's clock moved."""
+    """A table: the cabinet logger's clock moved."""
     from hygrokf import identify
 
     record, truth = synthetic_record(1, directory)
@@ -139,4 +61,4 @@ def clock(directory: Path) -> None:
         found = identify(moved, starts=1).to_json()["time_constants"]
         label = "as they are" if minutes == 0 else f"{abs(minutes)} min {'late' if minutes > 0 else 'early'}"
         rows.append([label, bounds_text(found["thermal"]), bounds_text(found["hygric"])])
-    write_table("theory.md", "clock", rows)
+    write_table("modelling_choices.md", "clock", rows)

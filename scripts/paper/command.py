@@ -25,9 +25,7 @@ from paper.tables import SIMULATED_NOTE, all_tables, csv_text, markdown
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 DOCS = ROOT / "docs"
-PICTURES = {"errors": "paper_errors", "time_constants": "paper_time_constants",
-    "era5_temperature": "paper_era5",
-            "sister_temperature": "paper_sister"}  # fmt: skip
+PICTURES = {"errors": "paper_errors", "time_constants": "paper_time_constants"}
 """Figures that the page in docs shows, and the names of their files."""
 
 
@@ -90,7 +88,7 @@ def write_docs(found: Mapping, figures: Sequence[Drawn]) -> None:
     """The tables and the pictures of docs/validation/reproduce_paper.md."""
     from PIL import Image
 
-    path = DOCS / "reproduce_paper.md"
+    path = DOCS / "validation" / "reproduce_paper.md"
     write_bytes_whole(path, filled(path.read_text(encoding="utf-8"), found).encode())
     for one in figures:
         if one.name not in PICTURES:

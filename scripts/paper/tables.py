@@ -178,7 +178,7 @@ def spread_table(found: Mapping) -> Table:
         for run, period, words, path in SPREAD:
             cells = [fixed(published_total(found, path, quantity))]
             for criterion in CRITERIA:
-                cells += _spread(totals(found, run, period, quantity, criterion))
+                cells.append(_spread(totals(found, run, period, quantity, criterion)))
             rows.append((f"{words} [{UNITS[quantity]}]", *cells))
         gain = published_total(found, ("whole", "era5"), quantity) - published_total(
             found, ("whole", "measured"), quantity
@@ -186,24 +186,25 @@ def spread_table(found: Mapping) -> Table:
         cells = [fixed(gain)]
         for criterion in CRITERIA:
             pair = (totals(found, run, "whole", quantity, criterion) for run in ("era5", "local"))
-            cells += _spread([a - b for a, b in zip(*pair, strict=True)])
+            cells.append(_spread([a - b for a, b in zip(*pair, strict=True)]))
         rows.append((f"what ERA5's air adds, whole record [{UNITS[quantity]}]", *cells))
-    n, others = len(found["seeds"]), [one["seed"] for one in found["seeds"][1:]]
+    seeds = [one["seed"] for one in found["seeds"]]
+    said = f"Seeds {seeds[0]} to {seeds[-1]}" if seeds[1:] else f"Seed {seeds[0]}"
     return Table(
         "All experiments over the seeds",
-        ("", "measured cabinet", *("shown seed", f"{n} seed{'s' if n > 1 else ''}") * 2),
+        ("", "measured cabinet", *(WORDS[c] for c in CRITERIA)),
         tuple(rows),
-        groups=(("", 1), ("paper", 1), *((f"here, {WORDS[c]}", 2) for c in CRITERIA)),
+        groups=(("", 1), ("paper", 1), ("here", len(CRITERIA))),
         note=(
-            "Root mean squared errors of the free run, operation and standstill together. Shown is seed "
-            f"{found['seeds'][0]['seed']}"
-            f"{f', the others are {others[0]} to {others[-1]}' if others else ''}. {SIMULATED_NOTE}"
+            f"Root mean squared errors of the free run, operation and standstill together. {said}. "
+            f"{SIMULATED_NOTE}"
         ),
     )
 
 
-def _spread(values: Sequence[float]) -> list[str]:
-    return [fixed(values[0]), f"{fixed(min(values))} … {fixed(max(values))}"]
+def _spread(values: Sequence[float]) -> str:
+    """The value of one seed, the range of several."""
+    return fixed(values[0]) if len(values) == 1 else f"{fixed(min(values))} … {fixed(max(values))}"
 
 
 def air_table(found: Mapping) -> Table:

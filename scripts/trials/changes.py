@@ -179,7 +179,7 @@ def waits(lines: Sequence[Mapping], variant: str) -> list[float]:
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """What docs/validation/live_trials.md shows of the changes."""
+    """Tables of the changes; docs/validation/live_trials.md sums them up."""
     out = [
         "| change | turbines | found within 14 days | days: median | longest | others reported besides |",
         "| --- | --- | --- | --- | --- | --- |",

@@ -162,7 +162,7 @@ def coverage(f: Forecasts, quantity: str, rows: np.ndarray) -> dict:
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """What docs/validation/live_trials.md shows of the forecasts."""
+    """Tables of the forecasts; docs/validation/live_trials.md sums them up."""
     f = Forecasts(lines)
     count = len(f.seed) // len(LEADS_H)
     out = [

@@ -118,7 +118,7 @@ def _drivers(
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """What docs/validation/live_trials.md shows of the advices."""
+    """Tables of the advice; docs/validation/live_trials.md sums them up."""
     rows = np.array([row for line in lines for row in line["rows"]])
     plants = sum(1 for line in lines if line["rows"])
     c = dict(zip(COLUMNS, rows.T, strict=True))

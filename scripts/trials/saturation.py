@@ -182,7 +182,7 @@ FEWEST = 50
 
 
 def table(lines: Sequence[Mapping]) -> str:
-    """What docs/validation/live_trials.md shows of condensation."""
+    """Tables of condensation; docs/validation/live_trials.md sums them up."""
     cases = Cases(lines, "rows", COLUMNS)
     c = cases.columns
     came = c["margin_true"] < 0.0

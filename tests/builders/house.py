@@ -4,6 +4,7 @@ docs read it here."""
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,6 +113,11 @@ def meaning(name: str) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
+def headline(name: str) -> str:
+    """What lives in a folder, up to the list of its parts."""
+    return re.split("[:;]", meaning(name))[0].rstrip(".")
+
+
 def neighbours(name: str) -> list[str]:
     """Folders that the modules of a folder import, lowest floor first."""
     found = {
@@ -125,10 +131,8 @@ def neighbours(name: str) -> list[str]:
 
 
 def table() -> list[tuple[str, ...]]:
-    """Floors from the highest to the lowest: number, folder, number of modules, what lives there."""
-    rows: list[tuple[str, ...]] = [("floor", "folder", "modules", "what lives there")]
+    """Floors from the highest to the lowest: number, folder, what lives there without its details."""
+    rows: list[tuple[str, ...]] = [("floor", "folder", "what lives there")]
     for floor in reversed(range(len(FLOORS))):
-        for name in FLOORS[floor].split():
-            count = sum(folder(module) == name for module in MODULES)
-            rows.append((str(floor + 1), f"`{name}`", str(count), meaning(name)))
+        rows += [(str(floor + 1), f"`{name}`", headline(name)) for name in FLOORS[floor].split()]
     return rows

@@ -81,6 +81,7 @@ def test_years_far_apart_are_taken_and_those_between_told() -> None:
         climate_of(unknown)
 
 
+@pytest.mark.slow
 def test_a_year_without_operation_counts_among_the_others() -> None:
     """Two years, the second at standstill: operation has half of its hours, at the temperature of the
     first."""
@@ -180,6 +181,7 @@ def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
     assert any("as shots, on average of vapour every" in one for one in found.statements)
 
 
+@pytest.mark.slow
 def test_years_out_of_reach_are_told() -> None:
     plan = ProfilePlan(20000, 0.01, chamber=Chamber(temperature_degC=(20.0, 85.0)))
     profile = climate_of(plan=plan).test_profile

@@ -400,7 +400,7 @@ def test_a_second_tracker_of_the_same_store_is_refused(folder: Path) -> None:
 def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer days than the demo has, as fast as they are taken: the same model, cabinets, change and
     questions."""
-    for name, days in (("IDENTIFIED_DAYS", 30.0), ("KNOWN_DAYS", 8.0), ("CHANGED_DAYS", 3.0), ("DAYS", 60.0)):
+    for name, days in (("LIVE_DAYS", 30.0), ("KNOWN_DAYS", 8.0), ("CHANGED_DAYS", 3.0), ("DAYS", 60.0)):
         monkeypatch.setattr(defaults, name, days)
     turbines, record, live_s = defaults.demo_turbines(tmp_path)
     record = record.window(record.start_s, live_s + 13.0 * 86400.0)

@@ -24,10 +24,7 @@ from hygrokf.report.discovery_page import discovery_text
 from hygrokf.report.discovery_text import gain_sentence
 
 DAY_S = 86400.0
-RIVALS = tuple(
-    named(one)
-    for one in ("exchange_step", "wind_driven_exchange", "moisture_sorption", "humidity_sensor_drift")
-)
+RIVALS = (named("exchange_step"), named("moisture_sorption"))
 CABINET = (
     Path(__file__).resolve().parents[2] / "../shared/data/turbine_controller_cabinet_660kW_10min_2013.csv.gz"
 )

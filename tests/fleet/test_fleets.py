@@ -19,6 +19,7 @@ from builders.command_line import run
 from builders.documents import document
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
+from hygrokf.climate.classes import ClassFault
 from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.data.result_file import result_text
 from hygrokf.data.toml_form import keys_of
@@ -509,10 +510,9 @@ def test_every_task_has_its_function() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_column_and_option_is_documented(task: str) -> None:
+def test_every_option_is_documented(task: str) -> None:
+    """Columns stand on a page of the site: tests/test_site.py."""
     text = document("fleet.md").read_text(encoding="utf-8")
-    for name, meaning in TASKS[task].columns.items():
-        assert f"| `{name}` | {meaning} |" in text, name
     for name, (_, option, _) in keys_of(TASKS[task].options).items():
         assert f"`{name}`" in text and option.help in text, name
 
@@ -552,6 +552,27 @@ def test_a_limits_file_that_is_wrong_is_named_in_the_row(
         reasons.append(str(found.row["reason"]))
     assert "wrong.toml: line" in reasons[0]
     assert 'two limits are called "temperature above 90 °C"' in reasons[1]
+
+
+def test_limits_may_be_a_class(park: Path, serial: tuple[Path, str], tmp_path: Path) -> None:
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    file = park / "classes.toml"
+    text = f'task = "climate"\ncases = ["T2/case.toml"]\nfit = "{fit}"\n[options]\nmembers = 2\nlimits = '
+    file.write_text(text + '["3K3"]\n')
+    plan = read_plan(file)
+    assert plan.options["limits"] == ["3K3"]
+    (job,) = plan.jobs(tmp_path)
+    found = perform(job, do_task)
+    assert found.status == "done", found.row["reason"]
+    data = json.loads((tmp_path / "turbines" / "T2" / "climate.json").read_text(encoding="utf-8"))
+    assert [one["level"] for one in data["regions"][0]["limits"]] == [40.0, 5.0, 85.0, 5.0]
+    file.write_text(text + '["3K22", "gone.toml"]\n')
+    with pytest.raises(FleetFault, match=r"no such file .*gone\.toml"):
+        read_plan(file)
+    file.write_text(text + '["3K22"]\n')
+    with pytest.raises(ClassFault, match="IEC 60721-3-3 3K3"):
+        run_fleet(read_plan(file), tmp_path / "never", workers=1)
+    assert not (tmp_path / "never").exists()
 
 
 # -- the command ---------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.procedure import discover
 from hygrokf.engine import jit
 from hygrokf.report.discovery_page import discovery_text, write_discovery_report
+from hygrokf.version import __version__
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -102,11 +103,14 @@ def made(case: Case, folder: Path) -> dict:
 
 
 TODAY = re.compile(r"\b20\d\d-\d\d-\d\d[ T]\d\d:\d\d(?::\d\d(?:\+00:00)?)?(?: UTC)?")
+BEAT = re.compile(r"hygrokf [a-z]+: \d+ s: ")
+"""Signs of life, which come on a slow machine alone."""
 SPENT = re.compile(r"\b[\d.]+ (s of CPU|s CPU|seconds)\b")
 
 
 def scrubbed(value: Any, folder: Path) -> Any:
-    """Outputs without what is of one run alone: its folder, the present time, the time it took."""
+    """Outputs without what is of one run alone: its folder, the present time, the time it took, and the
+    version."""
     if isinstance(value, dict):
         return {key: scrubbed(one, folder) for key, one in value.items()}
     if isinstance(value, list):
@@ -115,7 +119,7 @@ def scrubbed(value: Any, folder: Path) -> Any:
         return value
     today = datetime.now(UTC).date().isoformat()
     text = TODAY.sub(lambda found: "NOW" if found.group().startswith(today) else found.group(), value)
-    return SPENT.sub(r"# \1", text.replace(str(folder), "FOLDER"))
+    return SPENT.sub(r"# \1", text.replace(str(folder), "FOLDER").replace(__version__, "VERSION"))
 
 
 def said(command: Sequence[str]) -> list[str]:
@@ -123,7 +127,8 @@ def said(command: Sequence[str]) -> list[str]:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main(list(command))
-    return [f"exit {status}", *out.getvalue().splitlines(), *err.getvalue().splitlines()]
+    told = [line for line in err.getvalue().splitlines() if not BEAT.match(line)]
+    return [f"exit {status}", *out.getvalue().splitlines(), *told]
 
 
 def named(path: Path, folder: Path) -> str:
@@ -311,6 +316,7 @@ CASES = (
         "discovery",
         turbine(20.0, "A"),
         (("discover", "A/case.toml", "--out", "out", "--starts", "1", "--budget", "inf"),),
+        large=True,
     ),
     Case("playback", nothing, (playback, ("export", "--store", "sqlite:store.db", "--out", "exported"))),
     Case("fleet", fleet, (("fleet", "fleet.toml", "--out", "park", "--workers", "1"),)),

@@ -12,8 +12,8 @@ from pathlib import Path
 
 REFERENCES = Path(__file__).resolve().parent / "references"
 NUMBER = re.compile(r"[-\u2212]?\d[\d,\u202f\u2009]*(?:\.\d+)?(?:e[-+]?\d+)?")
-VOLATILE = re.compile(r"(?:_|^)(?:cpu_s|wall_s|seconds|created|began_utc|id)$")
-"""Keys of JSON whose values are of one run: times that it took."""
+VOLATILE = re.compile(r"(?:_|^)(?:cpu_s|wall_s|seconds|created|began_utc|id|key)$")
+"""Keys of JSON whose values are of one run or one version: times that it took, digests of what it read."""
 
 
 def read(name: str) -> dict:

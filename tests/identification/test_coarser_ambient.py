@@ -1,6 +1,6 @@
 """A fit on ambient readings of 10 minutes meets hourly means: its bands still hold.
 
-docs/explanation/theory.md has the table.
+docs/validation/modelling_choices.md states the result of twelve plants.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.procedure import identify
 
 SEEDS = range(41000, 41004)
-"""The first four of the table's twelve plants."""
+"""The first four of the twelve plants."""
 
 
 @pytest.fixture(scope="module")

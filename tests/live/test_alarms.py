@@ -99,7 +99,7 @@ def test_condensation_in_words() -> None:
     assert [one.level for one in condensation_levels(Estimated(found, 0, {}))] == [0.02]
     (level,) = condensation_levels(Estimated(found, 1, {}))
     assert level.level == 0.998
-    assert all(number in level.statement for number in ("100 %", "-1.5 K", "(-2.5 … -0.5)"))
+    assert all(number in level.statement for number in ("100 %", "−1.5 K", "(−2.5 … −0.5)"))
     bare = Condition(np.array([0.0]), one, *[None] * 7)
     assert condensation_levels(Estimated(bare, 0, {})) == []
 
@@ -111,7 +111,7 @@ def test_shifts_name_cause_and_remedy() -> None:
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25),
     }
     exchange, heat = shift_levels(found, Finding(0.0, ""))
-    assert exchange.statement.endswith("hygric k -50 %")
+    assert exchange.statement.endswith("hygric k −50 %")
     assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
     assert heat.statement.endswith("heat release change +2.2 K")
     assert {name for name, _ in CABINET_CHANGES} == {one.name for one in WATCHED}

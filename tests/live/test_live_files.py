@@ -89,7 +89,10 @@ def test_the_alert_rules_name_metrics_that_there_are(filled_store: Service) -> N
         rows = fleet_view(store, [NAME], time.time())
     states = {url: stream.state for url, stream in filled_store.streams.items()}
     text, _ = exposition(
-        Snapshot(time.time(), filled_store.health, states, 0, rows, (), {("", "malformed"): 1})
+        Snapshot(
+            time.time(), filled_store.health, states, 0, rows, (), {("", "malformed"): 1},
+            notices={"mail": 1},
+        )
     )
     samples = [one for family in text_string_to_metric_families(text.decode()) for one in family.samples]
     labels = {(key, value) for one in samples for key, value in one.labels.items()}

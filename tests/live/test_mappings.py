@@ -67,10 +67,11 @@ def config(folder: Path, mapping: str, sources: str = SOURCE) -> Config:
 
 
 def layouts() -> list[tuple[str, str, str, str]]:
-    """(heading, payloads, mapping, what they give) of every layout of the page."""
-    page = document("live_mapping.md").read_text(encoding="utf-8").split("## Layouts")[1]
+    """(heading, payloads, mapping, what they give) of every layout of the page and of `layouts.md` here."""
     found = []
-    for part in page.split("\n### ")[1:]:
+    pages = (document("live_mapping.md"), Path(__file__).with_name("layouts.md"))
+    parts = [page.read_text(encoding="utf-8").split("## Layouts")[1].split("\n### ")[1:] for page in pages]
+    for part in (one for some in parts for one in some):
         blocks = re.findall(r"^```\w+\n(.*?)^```", part, re.DOTALL | re.MULTILINE)
         assert len(blocks) == 3, part
         found.append((part.splitlines()[0], *blocks))

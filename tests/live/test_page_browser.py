@@ -21,6 +21,7 @@ from builders.service_case import running
 from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
 from hygrokf.live.batch import Alarm, Assessment, Batch
 from hygrokf.live.condition import Surface
@@ -77,6 +78,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
             assessments=[
                 Assessment("T1", "at risk", "condensation is likely now", now - 3600.0),
                 Assessment(EVIL, "alarm", EVIL, now - 7200.0),
+                Assessment("silent", "stale", f"the estimate is from {stamp_text(now - 18e3)}", now - 60.0),
             ],
             counters={("T1", "late"): 12, ("T1", "bad quality"): 1},
         )

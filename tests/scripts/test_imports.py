@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,3 +45,18 @@ def test_what_a_program_imports_of_the_package_is_there(path: Path) -> None:
             if not hasattr(module, name) and not (folder / f"{name}.py").exists()
         ]
     assert not missing
+
+
+@pytest.mark.parametrize(
+    "name", ["benchmark", "golden", "live_faults", "measured_cabinet", "transfer_trials"]
+)
+def test_a_program_goes_on_in_the_repository_s_environment(name: str) -> None:
+    """An interpreter that lacks the requirements gives the program to .venv, or says what to run."""
+    bare = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(
+        [sys.executable, "-S", ROOT / "scripts" / name, "--help"], env=bare, capture_output=True, text=True
+    )
+    if (ROOT / ".venv" / "bin" / "python").exists():
+        assert done.returncode == 0 and done.stdout.startswith("usage:"), done.stderr
+    else:
+        assert "run scripts/demo or scripts/test once" in done.stderr or done.stdout.startswith("usage:")

@@ -1,7 +1,7 @@
 """Transfers between simulated cabinets: the right verdict, the adapted model, and the objections in words.
 
 The plants share no code with the package.  `scripts/transfer_trials` does the same on many more pairs
-(docs/how_to/transfer.md).
+(docs/validation/coverage.md).
 """
 
 from __future__ import annotations
@@ -283,7 +283,7 @@ def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
 
 @pytest.mark.slow
 def test_right_verdicts_on_many_pairs() -> None:
-    """At least nine of ten, on seeds of their own; docs/how_to/transfer.md has more."""
+    """At least nine of ten, on seeds of their own; docs/validation/coverage.md has more."""
     right = 0
     for seed in range(600, 624):
         made = pair(seed)

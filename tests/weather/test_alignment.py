@@ -92,7 +92,7 @@ def test_unrelated_weather_tells_nothing() -> None:
 
 @pytest.mark.slow
 def test_bounds_hold_and_right_clocks_give_no_alarm() -> None:
-    """200 pairs of 90 days, seeds 7000 on, without sun on the housing; counts: docs/how_to/weather.md."""
+    """200 pairs of 90 days, seeds 7000 on, no sun on the housing; counts: docs/validation/coverage.md."""
     inside, alarms, missed, wrong = 0, 0, 0, 0
     for seed in range(7000, 7200):
         late_s = float(np.random.default_rng(seed).choice([0.0, 0.0, -3600.0, 3600.0, 1800.0]))
