@@ -57,6 +57,7 @@ def read_frames(
         periods).
     signals: {column: signal} for columns that are not named after their signal.
     units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
+        None: what the frames state in `attrs["units"]`, as those of `Record.to_frames` do.
     name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
@@ -84,7 +85,7 @@ def read_frames(
     for key, value in by_frame.items():
         if isinstance(value, Mapping):
             faults += _unknown_frames(key, value, named)
-    given = {**settings, "units": units}
+    given = {**settings, "units": _stated_units(named) if units is None else units}
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     prepared: dict[str, _Prepared] = {}
@@ -114,6 +115,12 @@ def read_frames(
         return prepared[source.file].table(source)
 
     return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
+
+
+def _stated_units(named: Mapping[str, pandas.DataFrame]) -> Settings:
+    """The units that frames state themselves, by frame and column."""
+    stated = {name: frame.attrs.get("units") for name, frame in named.items()}
+    return {name: dict(units) for name, units in stated.items() if isinstance(units, Mapping)} or None
 
 
 def _instead(key: str) -> str:

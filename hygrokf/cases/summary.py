@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
+from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.data.timestamps import DAY_S, modal_step, stamp_text
 from hygrokf.weather.clocks import SourceComparison, alignments, clock_errors, source_comparisons
 
@@ -105,10 +106,14 @@ class RecordSummary:
     files: tuple[FileDigest, ...]
 
     def to_frame(self) -> pandas.DataFrame:
-        """One row a signal."""
+        """One row a signal, stamps as times in UTC; `unit` is that of the readings, further units are in
+        `attrs["units"]`."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(one) for one in self.signals]).set_index("signal")
+        columns = [one.name for one in fields(SignalSummary)]
+        frame = pd.DataFrame([asdict(one) for one in self.signals], columns=columns)
+        units = {**units_by_name(columns), "days": "d"}
+        return with_units(frame.set_index("signal"), units, ("start", "end", "longest_gap_start"))
 
 
 def describe(record: Record) -> RecordSummary:

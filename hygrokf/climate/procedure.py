@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from hygrokf.climate.statements import (
 from hygrokf.climate.statistics import SCOPES, scalars, wetness_class
 from hygrokf.climate.study import RegionClimate, Study, YearSpan
 from hygrokf.climate.years import Gathered, is_whole, summary
+from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.fit import Fit
@@ -37,7 +38,6 @@ from hygrokf.version import __version__
 MEMBERS = 50
 STANDSTILL_YEAR = "standstill_all_year"
 NO_PROFILE = "there is no test profile: it needs humidity, and weather known hour by hour for whole days"
-Progress = Callable[[str], None]
 
 
 def climate_profile(
@@ -50,7 +50,7 @@ def climate_profile(
     members: int = MEMBERS,
     seed: int = 1,
     surface: Surface | None = None,
-    progress: Progress = lambda text: None,
+    progress: Progress | bool | None = None,
 ) -> Study:
     """The climate in a fitted cabinet under the weather of regions.
 
@@ -62,7 +62,7 @@ def climate_profile(
     members: of the ensemble, at least 2.
     seed: of the drawn parameters and disturbances.
     surface: the coldest one in the cabinet.
-    progress: is told each step in words.
+    progress: called with each step in words; True: shows them as one line.
 
     Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] a year by region and scope,
     with bounds.  Of several years those with less than `WHOLE` of their hours known are left out.
@@ -77,13 +77,14 @@ def climate_profile(
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
     found = []
-    for one in regions:
-        ensemble = _Ensemble(fit, drawn, seed, surface, progress, one.name)
-        try:
-            found.append(_region(ensemble, one, power, limits, plan))
-        except ValueError as fault:
-            files = f" ({', '.join(one.files)})" if one.files else ""
-            raise ValueError(f"{one.name}{files}: {fault}") from fault
+    with reporting(progress, "climate_profile") as say:
+        for one in regions:
+            ensemble = _Ensemble(fit, drawn, seed, surface, say, one.name)
+            try:
+                found.append(_region(ensemble, one, power, limits, plan))
+            except ValueError as fault:
+                files = f" ({', '.join(one.files)})" if one.files else ""
+                raise ValueError(f"{one.name}{files}: {fault}") from fault
     return Study(
         name=fit.name,
         version=__version__,

@@ -7,7 +7,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,16 +18,22 @@ from hygrokf.climate.bounds import Bounded, BoundedArray
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
-from hygrokf.data.files import CLIMATE, write_text_whole
+from hygrokf.climate.statistics import STATISTICS
+from hygrokf.data.drawn import drawn
+from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.structured import renamed
+from hygrokf.data.tabular import with_units
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.cold_surface import Surface
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 TABLE = "climate.csv"
+UNITS = {one.name: one.unit for one in STATISTICS}
+"""Of the numbers of a climate, by name."""
 
 
 @dataclass(frozen=True)
@@ -173,11 +179,31 @@ class Study:
                 for part, one in parts.items():
                     yield _row(region.name, "limit", f"{limit.name}: {part}", one)
 
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
+
+        axes: matplotlib's; one, or one for each panel (cabinet and weather; quantities).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_climate", self, axes)
+
     def to_frame(self) -> DataFrame:
-        """The rows as a pandas frame, indexed by region, scope and statistic."""
+        """The rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of each."""
         import pandas as pd
 
-        return pd.DataFrame(list(self.rows()), columns=StudyRow._fields).set_index(list(StudyRow._fields[:3]))
+        frame = pd.DataFrame(list(self.rows()), columns=StudyRow._fields)
+        frame["unit"] = [_unit(scope, name) for scope, name in zip(frame.scope, frame.statistic, strict=True)]
+        return with_units(frame.set_index(list(StudyRow._fields[:3])), {})
+
+
+def _unit(scope: str, statistic: str) -> str:
+    """The unit of a row's numbers."""
+    if scope == "limit":
+        return {"hours": "h/a", "number": "1/a", "longest_h": "h"}[statistic.rpartition(": ")[2]]
+    return UNITS.get(statistic, "1")
 
 
 def _row(region: str, scope: str, statistic: str, one: Bounded, outside: float = math.nan) -> StudyRow:
@@ -202,6 +228,8 @@ def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("test_profile*.csv"):  # of regions that are no longer there
         old.unlink()
+    for name in SUMMARIES:  # of other numbers
+        (folder / name).unlink(missing_ok=True)
     write_text_whole(folder / TABLE, climate_csv(study))
     for name, text in profile_files(study).items():
         write_text_whole(folder / name, text)

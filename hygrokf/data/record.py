@@ -8,14 +8,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
+from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 HOLDS = (LINEAR, ZERO_ORDER)
 
@@ -120,6 +124,21 @@ class Series:
         if last <= first:
             return None
         return dataclasses.replace(self, time=self.time[first:last], value=self.value[first:last])
+
+    def to_frame(self) -> DataFrame:
+        """The readings as a pandas frame over time in UTC, in a column named after the signal.
+
+        `attrs["units"]` is what `read_frames` takes as `units`; `attrs["interval_s"]` [s] that of means,
+        which stand at the end of their interval.
+        """
+        from pandas import DataFrame
+
+        frame = with_units(
+            DataFrame({self.signal: self.value}, index=utc_index(self.time)),
+            {self.signal: SIGNALS[self.signal].unit},
+        )
+        frame.attrs["interval_s"] = self.interval_s
+        return frame
 
     @cached_property
     def steps_s(self) -> np.ndarray:
@@ -353,6 +372,11 @@ class Record:
         inside = self.until_s is not None and start_s < self.until_s < end_s
         until_s = self.until_s if inside else None
         return dataclasses.replace(self, series=series, compared=compared, until_s=until_s)
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Every series as a pandas frame of its own, by signal, as `read_frames` takes them
+        (`Series.to_frame`)."""
+        return {one.signal: one.to_frame() for one in self.series}
 
     def identification(self) -> Record:
         """The identification period: readings up to and including `until_s`."""

@@ -11,12 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
+from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, search_likelihood, submodel_of, temper
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
-from hygrokf.identification.estimation import Progress, estimate_design, select_form, smoothed_temperature
+from hygrokf.identification.estimation import estimate_design, select_form, smoothed_temperature
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import CASCADE, Design, design, extended
 from hygrokf.modelling.inputs import prepare_run

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hygrokf.data.structured import renamed
+from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 
@@ -243,8 +244,8 @@ class DiscoveryResults:
     findings: tuple[Finding, ...] = renamed("misfits", default=())
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every cause that was tried, by name: verdict on it, confidence, gain in evidence, and RMSE before
-        and after [K] or [g/m³]."""
+        """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and RMSE
+        before and after in `unit`."""
         import pandas
 
         rows = [
@@ -252,8 +253,9 @@ class DiscoveryResults:
             *(_row(c, "refuted", gain=c.gain) for c in self.refuted),
             *(_row(c, "rejected", evidence=c.evidence) for c in self.rejected),
         ]
-        columns = ["cause", "form", "verdict", "confidence", "evidence", "rmse_before", "rmse_after"]
-        return pandas.DataFrame(rows, columns=columns).set_index("cause")
+        columns = ["cause", "form", "verdict", "confidence", "evidence", "rmse_before", "rmse_after", "unit"]
+        frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
+        return with_units(frame, {"confidence": "1", "evidence": "1"})
 
 
 def _row(
@@ -262,8 +264,9 @@ def _row(
     confidence: float = math.nan,
     evidence: Evidence | None = None,
     gain: Gain | None = None,
-) -> tuple[str, str, str, float, float, float, float]:
+) -> tuple[str | float, ...]:
     errors = (math.nan, math.nan) if gain is None else (gain.rmse_before, gain.rmse_after)
+    unit = "" if gain is None else units_by_name([gain.quantity]).get(gain.quantity, "1")
     return (
         one.cause,
         one.form,
@@ -271,4 +274,5 @@ def _row(
         confidence,
         math.nan if evidence is None else evidence.bic_gain,
         *errors,
+        unit,
     )

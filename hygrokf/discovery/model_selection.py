@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.progress import Progress
 from hygrokf.discovery.baseline import Baseline, Budget, BudgetSpent, redriven
 from hygrokf.discovery.candidate import MATERIAL, Candidate, attempt, polished, refined, restarted
 from hygrokf.discovery.cause import Cause
@@ -17,7 +18,6 @@ from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.strata import SATURATED
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.engine.parallel import mapped
-from hygrokf.identification.estimation import Progress
 from hygrokf.physics.switches import SWITCHES
 
 EVIDENCE = 10.0

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+from hygrokf.data.drawn import drawn
+from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery.baseline import SECONDS, Baseline, Budget
@@ -32,11 +35,14 @@ from hygrokf.discovery.residual_structure import remaining
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.submodel import HYGRIC, SEARCH_STEP, THERMAL, simulation_values, submodel_of
 from hygrokf.estimation.optimiser import refine
-from hygrokf.identification.estimation import DesignEstimate, Progress, Stage, assess_stage, output_errors
+from hygrokf.identification.estimation import DesignEstimate, Stage, assess_stage, output_errors
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit, identify_stages
 from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 REFUTED = (
     "the held-out period refutes the cause found in the identification period: the model lacks something else"
@@ -64,6 +70,17 @@ class Discovery:
         data: JsonObject = plain(self.results)
         return data
 
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Readings, base and extended model where the error is largest; else errors over the drivers.
+
+        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_discovery", self, axes)
+
     def __str__(self) -> str:
         """The name with its verdict, and each cause with its confidence [1]."""
         causes = [
@@ -82,7 +99,7 @@ def discover(
     *,
     library: Sequence[Cause] = LIBRARY,
     starts: int = 4,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     budget_s: float = SECONDS,
 ) -> Discovery:
     """Find what the identified model of a record lacks, and name the cause from a library.
@@ -93,16 +110,22 @@ def discover(
     record: as for `identify`.
     library: the causes to try; `load_library` reads further ones from a file.
     starts: number of start points of each maximisation.
-    progress: receives each step in words.
+    progress: called with each step in words; True: shows them as one line, also in a notebook.
     budget_s: [s] of wall-clock time.  `not_tried` of the results lists what was left out; `math.inf` gives
         results that do not depend on the machine.
 
     Returns the base fit, the extended fit where a cause was accepted, and `results` as in discovery.json.
     Raises ValueError as `identify` does, and LibraryFault for user causes that cannot be used.
     """
-    budget = Budget(budget_s)
     adopt(library)
-    say = progress or (lambda text: None)
+    with reporting(progress, "discover") as say:
+        return _discovered(record, library, starts, say, budget_s)
+
+
+def _discovered(
+    record: Record, library: Sequence[Cause], starts: int, say: Progress, budget_s: float
+) -> Discovery:
+    budget = Budget(budget_s)
     record, repeated = without_repeats(record)
     early = record.identification()
     basis = identify_stages(early, CASCADE, starts, True, say)

@@ -7,13 +7,14 @@ import io
 import math
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.discovery.discovery_results import DiscoveryResults
@@ -21,6 +22,8 @@ from hygrokf.discovery.residuals import Residuals
 from hygrokf.identification.fit import write_fit
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hygrokf.discovery.procedure import Discovery
 
 WHICH = ("before", "after")
@@ -34,6 +37,17 @@ class Discovered:
     results: DiscoveryResults
     before: Residuals | None = None
     after: Residuals | None = None
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Readings, base and extended model where the error is largest; else errors over the drivers.
+
+        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_discovery", self, axes)
 
 
 def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:

@@ -7,15 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.model import Equations
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
 
@@ -36,6 +41,23 @@ class Prediction:
         """The quantity with a name used in reports: temperature_K, relative_humidity,
         absolute_humidity_g_m3."""
         return getattr(self, quantity.removesuffix("_K").removesuffix("_g_m3"))
+
+    def to_frame(self, time_s: np.ndarray) -> DataFrame:
+        """The readings and their standard deviations as a pandas frame over time in UTC, with units in the
+        names of its columns.
+
+        time_s: [s] (T,) since 1970-01-01T00:00Z, `run.timeline.seconds`.
+        """
+        from pandas import DataFrame
+
+        columns = {}
+        for quantity, unit in zip(QUANTITIES, ("K", "1", "g/m³"), strict=True):
+            pair = self.of(quantity)
+            if pair is not None:
+                name = quantity.removesuffix("_K").removesuffix("_g_m3").replace("_", " ")
+                columns[f"{name} [{unit}]"], columns[f"{name}, standard deviation [{unit}]"] = pair
+        frame = DataFrame(columns, index=utc_index(time_s))
+        return with_units(frame, {one: one.partition(" [")[2].removesuffix("]") for one in columns})
 
 
 def measured(run: Run) -> dict[str, np.ndarray]:

@@ -20,6 +20,7 @@ from hygrokf.data.files import (
     DISCOVERY_SERIES,
     FIT,
     REPORT,
+    SUMMARIES,
     TRANSFER,
     TRANSFER_SERIES,
     write_text_whole,
@@ -42,6 +43,7 @@ WRITES = (
     ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES,
     TRANSFER,
     TRANSFER_SERIES, CLIMATE, "climate.csv", "test_profile.csv", "test_profile.png",
+    *SUMMARIES,
 )  # fmt: skip
 
 

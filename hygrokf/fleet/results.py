@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.structured import Cell, optional
+from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.fleet.job import DONE, Row
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.identification.turbine_type import TurbineType
@@ -50,10 +51,12 @@ class FleetResults:
         return [row for row in self.rows if row.get("status") != DONE]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The table, by turbine."""
+        """The table, by turbine, stamps as times in UTC; `attrs["units"]` has the units of its columns."""
         import pandas
 
-        return pandas.DataFrame(list(self.rows)).set_index("turbine")
+        frame = pandas.DataFrame(list(self.rows)).set_index("turbine")
+        stamps = [name for name in ("start", "end") if name in frame.columns]
+        return with_units(frame, units_by_name(list(frame.columns)), stamps)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.task}, {len(self.done)} of {len(self.rows)} turbines with a result"

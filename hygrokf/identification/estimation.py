@@ -6,13 +6,14 @@ A cascade has two stages (thermal, hygric), a joint identification one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.input_paths import thinned
+from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
@@ -40,7 +41,6 @@ LEVEL = 0.95
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
 """[d] stretch of the record on which starts and forms are tried."""
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)

@@ -10,25 +10,29 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.drawn import drawn
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
     DISCOVERY,
     DISCOVERY_SERIES,
     FIT,
     REPORT,
+    SUMMARIES,
     write_bytes_whole,
     write_text_whole,
 )
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
+from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
@@ -39,7 +43,11 @@ from hygrokf.modelling.registry import absent
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
+
+
+SERIES = "series.npz"
 
 
 class LibraryAbsent(ResultFault):
@@ -98,7 +106,19 @@ class Fit:
             for part, one in inherited(self.results).items()
         }
         columns = ["value [h]", "lower bound [h]", "upper bound [h]", "verdict"]
-        return DataFrame.from_dict(rows, orient="index", columns=columns)
+        frame = DataFrame.from_dict(rows, orient="index", columns=columns)
+        return with_units(frame, dict.fromkeys(columns[:3], "h"))
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """Readings and free run with its 95 % band after the identification period, or in the last fortnight.
+
+        axes: matplotlib's; one, or one for each panel: temperature [°C], humidity [g/m³].
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
+        return drawn("plot_fit", self, axes)
 
     def __str__(self) -> str:
         """The name with its time constants and their verdicts."""
@@ -128,16 +148,17 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     # numpy types the arrays' names as if one of them could be its own option allow_pickle
     np.savez_compressed(buffer, **fit.series)  # type: ignore[arg-type]
     directory.mkdir(parents=True, exist_ok=True)
-    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
+    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, *SUMMARIES):
         (directory / name).unlink(missing_ok=True)
-    write_bytes_whole(directory / "series.npz", buffer.getvalue())
+    write_bytes_whole(directory / SERIES, buffer.getvalue())
     return write_text_whole(directory / FIT, text)
 
 
-def read_fit(path: str | os.PathLike[str]) -> Fit:
+def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
     """Read a fit that `write_fit` or `hygrokf fit` wrote.
 
     path: of fit.json, or of its directory.
+    series: whether to read `series.npz` beside it too, which `Fit.plot` needs.
 
     Returns the fit.  Raises ResultFault with the reason and the remedy, and LibraryAbsent where the model has
     mechanisms of a user's that are not loaded (`load_library`).
@@ -187,7 +208,25 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
             f"{file}: damaged, or of another version than hygrokf {__version__} (it states "
             f"{data['version']}): {'; '.join(faults)}; run `hygrokf fit` again"
         )
-    return fit
+    return replace(fit, series=read_series(file.parent)) if series else fit
+
+
+def read_series(directory: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The arrays of `series.npz` in a directory.  Raises ResultFault with the reason and the remedy."""
+    path, again = Path(directory) / SERIES, "run `hygrokf fit` with --out on this directory first"
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            series = {name: np.asarray(file[name]) for name in file.files}
+    except FileNotFoundError:
+        raise ResultFault(f"{path}: no such file; {again}") from None
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as fault:
+        raise ResultFault(
+            f"{path}: expected arrays written by `hygrokf fit`, found: {fault}; {again}"
+        ) from None
+    if text := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:
+        found = ", ".join(sorted(text))
+        raise ResultFault(f"{path}: expected numbers, found text or objects in {found}; {again}")
+    return series
 
 
 def _is_case(file: Path) -> bool:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
@@ -25,7 +26,6 @@ from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
     LEVEL,
     TIME_CONSTANTS,
-    Progress,
     Stage,
     assess_stage,
     estimate_design,
@@ -70,7 +70,7 @@ def identify(
     kind: str = DEFAULT_KIND,
     starts: int = STARTS,
     profiles: bool = True,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     prior: Callable[[Design], Mapping[str, Prior]] | None = None,
 ) -> Fit:
     """Identify the thermal model of a record, and the hygric one where the record has humidity.
@@ -84,7 +84,7 @@ def identify(
         at once.
     starts: number of start points of the maximisation.
     profiles: whether to compute profile-likelihood bounds.
-    progress: called with each step in words.
+    progress: called with each step in words; True: shows them as one line, also in a notebook.
     prior: gives priors of a design's parameters, from other turbines of the type (`TurbineType.prior`).
 
     Returns the fit: time constants [h] with bounds in `results.time_constants`.
@@ -94,11 +94,12 @@ def identify(
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
     if criterion not in CRITERIA:
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
-    say = progress or (lambda text: None)
     early = record.identification()
-    basis = identify_stages(early, kind, starts, profiles, say, prior)
-    say("output-error fit")
-    return assemble_fit(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
+    with reporting(progress, "identify") as say:
+        basis = identify_stages(early, kind, starts, profiles, say, prior)
+        say("output-error fit")
+        simulated = output_errors(early, basis.whole, basis.values)
+        return assemble_fit(record, basis, simulated, criterion, say)
 
 
 @dataclass(frozen=True)

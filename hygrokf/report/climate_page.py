@@ -45,8 +45,17 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
     year_table,
 )
-from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_profile, figure_regions
+from hygrokf.report.figures.climate import (
+    DURATION_CAPTION,
+    JOINT_CAPTION,
+    REGIONS_CAPTION,
+    figure_duration,
+    figure_joint,
+    figure_profile,
+    figure_regions,
+)
 from hygrokf.report.figures.drawing import png
+from hygrokf.report.figures.lead import DURATION_HEADING, REGIONS_HEADING, YEAR_HEADING
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 
@@ -55,24 +64,12 @@ TONES: dict[str, Literal["open", "plain", "reject"]] = {
     "pass": "plain", "undecided": "open", "fail": "reject"
 }  # fmt: skip
 """How the verdict on limits is shown."""
+SYNTHETIC_CLIMATE = "The model or the weather is synthetic. Nothing on this page was measured."
 MOST_CARDS = 4
 """Regions that have a card each on the first screen."""
-JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
-    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
-)
-DURATION_CAPTION = (
-    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
-    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
-    "weather."
-)
 PROFILE_CAPTION = (
     "Days of the simulated climate that together resemble all of it, warmed until they cause the same "
     "ageing as the years of service. The relative humidity is the site's own."
-)
-REGIONS_CAPTION = (
-    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
-    "years."
 )
 
 
@@ -111,7 +108,7 @@ def climate_blocks(study: Study) -> Page:
     regions = study.regions
     several = len(regions) > 1
     inherited = inherited_verdicts(study.verdicts, "The time constants of the model")
-    cards = Cards(_region_cards(study) if several else _cards(regions[0], _doubt(study)))
+    cards = Cards(_region_cards(study) if several else _cards(regions[0], doubt_text(study)))
     answer: tuple[Block, ...] = (cards,) if cards.cards else ()
     side_by_side = regions_table(regions)
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
@@ -121,7 +118,7 @@ def climate_blocks(study: Study) -> Page:
         study.name.strip() or "unnamed model",
         _about(study),
         (
-            *synthetic(made_up, "The model or the weather is synthetic. Nothing on this page was measured."),
+            *synthetic(made_up, SYNTHETIC_CLIMATE),
             *answer,
             _regions_figure(regions) if several else _year_figure(regions[0], 1),
         ),
@@ -143,7 +140,7 @@ def _about(study: Study) -> tuple[str, ...]:
     return (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",)
 
 
-def _doubt(study: Study) -> str:
+def doubt_text(study: Study) -> str:
     """A sentence where the climate rests on numbers of the fit that are not reliable; else empty."""
     doubt = rests_on(study.verdicts)
     return sentence(doubt) if doubt else ""
@@ -212,7 +209,7 @@ def _region_cards(study: Study) -> tuple[Card, ...]:
             lines.append(f"limits: {_counted(region)}")
         if "wetness_h" in region.year:
             label = f"{region.name}: time of wetness"
-            cards.append(_hours_card(region, "wetness_h", label, _doubt(study), tuple(lines)))
+            cards.append(_hours_card(region, "wetness_h", label, doubt_text(study), tuple(lines)))
     return tuple(cards)
 
 
@@ -220,19 +217,18 @@ def _year_figure(region: RegionClimate, place: int) -> Figure:
     """The picture of the year: temperature with humidity, or duration curves without humidity."""
     if region.joint is None:
         return _duration_figure(region, place)
-    heading = "The year by temperature and relative humidity"
-    return Figure(f"r{place}-joint", heading, JOINT_CAPTION, partial(figure_joint, region))
+    return Figure(f"r{place}-joint", YEAR_HEADING, JOINT_CAPTION, partial(figure_joint, region))
 
 
 def _duration_figure(region: RegionClimate, place: int) -> Figure:
     caption = DURATION_CAPTION.format(share=share_held([region]))
-    return Figure(f"r{place}-duration", "Duration curves", caption, partial(figure_duration, region))
+    return Figure(f"r{place}-duration", DURATION_HEADING, caption, partial(figure_duration, region))
 
 
 def _regions_figure(regions: Sequence[RegionClimate]) -> Figure:
     means = percent(min(one.mean_bounds_hold for one in regions))
     caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
-    return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
+    return Figure("regions", REGIONS_HEADING, caption, partial(figure_regions, regions))
 
 
 # --- a region --------------------------------------------------------------------------------
@@ -246,7 +242,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
     return (
         *section(
             _heading(title, "weather and power"),
-            Prose(_weather(region)),
+            Prose(weather_text(region)),
             _statements(region),
         ),
         *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
@@ -273,7 +269,8 @@ def _statements(region: RegionClimate) -> Items:
     return Items(tuple(map(sentence, region.statements)))
 
 
-def _weather(region: RegionClimate) -> str:
+def weather_text(region: RegionClimate) -> str:
+    """The span and the files of a region's weather, in a sentence."""
     spans = region.years
     many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
     if part := region.part_of_year:

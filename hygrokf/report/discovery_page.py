@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Finding
+from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
 from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.residuals import QUANTITIES, UNITS, Residuals
 from hygrokf.discovery.results import read_discovery, write_discovery
@@ -49,7 +49,6 @@ from hygrokf.report.discovery_tables import (
 from hygrokf.report.discovery_text import (
     NO_CHECK,
     NOT_RIGHT,
-    PARTS,
     confidence_of,
     error_sentences,
     evidence_sentence,
@@ -65,8 +64,10 @@ from hygrokf.report.discovery_text import (
     untried,
     verdict_sentences,
 )
-from hygrokf.report.figures.findings import figure_episodes
+from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
 from hygrokf.report.figures.residual_structure import (
+    DRIVERS_HEADING,
+    drivers_caption,
     figure_day_hour,
     figure_drivers,
     figure_innovations,
@@ -152,7 +153,7 @@ def discovery_blocks(
     return Page(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
-        _spans(before),
+        spans_text(before),
         (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
         body,
         _method(found, fit_page),
@@ -160,7 +161,7 @@ def discovery_blocks(
     )
 
 
-def _spans(before: Residuals | None) -> tuple[str, ...]:
+def spans_text(before: Residuals | None) -> tuple[str, ...]:
     """What the record covers, in words."""
     if before is None or not len(before.time_h):
         return ()
@@ -358,9 +359,7 @@ def _method(found: DiscoveryResults, fit_page: str) -> tuple[Block, ...]:
 
 def _episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """The worst findings: readings, base and extended model where the error shows."""
-    caption = "Where the background is shaded the simulation should stay with the blue readings" + (
-        ": compare the base model (red) with the extended one (green)." if after is not None else "."
-    )
+    caption = episodes_caption(after is not None)
     return [
         Figure(
             f"episodes-{place}",
@@ -368,51 +367,32 @@ def _episodes(found: DiscoveryResults, before: Residuals, after: Residuals | Non
             caption if place == 1 else "",
             partial(figure_episodes, before, one, after),
         )
-        for place, one in enumerate(_drawable(found)[:EPISODE_FIGURES], start=1)
+        for place, one in enumerate(drawable(found)[:EPISODE_FIGURES], start=1)
     ]
-
-
-def _drawable(found: DiscoveryResults) -> list[Finding]:
-    return [one for one in found.findings if one.spans and one.quantity in QUANTITIES and one.statement]
 
 
 def _events(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """Accepted causes that were found in stretches of time, in the quantity that gained most there."""
-    result: list[Figure] = []
     said = "Shaded: where the cause was found. The simulation should stay with the blue readings there."
-    for cause in found.causes:
-        spans = tuple((float(a), float(b)) for a, b in cause.settings.get("spans", ()) if a < b)
-        shares = {
-            PARTS[part]: share
-            for part, share in cause.evidence.free_run_gain.items()
-            if part in PARTS and np.isfinite(share)
-        }
-        statement = cause.statement.split(";")[0]
-        if spans and shares and statement:
-            quantity = max(shares, key=lambda name: shares[name])
-            event = Finding(
-                quantity, "", "", 0.0, UNITS[quantity], "", float("nan"), len(spans), len(spans), 0.0,
-                statement, 0.0, 0.0, None, "episode", spans=spans,
-            )  # fmt: skip
-            draw = partial(figure_episodes, before, event, after)
-            result.append(Figure(f"event-{len(result) + 1}", f"{title(cause.cause)}: when", said, draw))
-    return result
+    return [
+        Figure(
+            f"event-{place}",
+            f"{title(cause.cause)}: when",
+            said,
+            partial(figure_episodes, before, event, after),
+        )
+        for place, (cause, event) in enumerate(events(found), start=1)
+    ]
 
 
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """The errors over drivers, over days and hours, and the innovations."""
-    drivers = [one.driver for one in _drawable(found) if one.driver]
-    bend = (
-        "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where only "
-        "green shows, both are alike."
-        if after is not None
-        else "; a bend shows what the model lacks."
-    )
+    drivers = [one.driver for one in drawable(found) if one.driver]
     figures = [
         Figure(
             "drivers",
-            "Error against what drives the cabinet",
-            f"Medians should lie on zero along every driver{bend}",
+            DRIVERS_HEADING,
+            drivers_caption(after is not None),
             lambda: figure_drivers(before, telling_drivers(before, drivers), after),
         )
     ]

@@ -145,6 +145,11 @@ def verdict_sentences(found: DiscoveryResults) -> list[str]:
 
 def _consequences(found: DiscoveryResults) -> list[str]:
     """What the verdict means for a user of the simulation."""
+    return [*meaning(found), *advice(found)]
+
+
+def meaning(found: DiscoveryResults) -> list[str]:
+    """What the verdict says of the model and of the errors that are left."""
     left = remainder(found)
     none_of = f"none of {tried(found)} causes of the library"
     if found.verdict == "named":
@@ -158,23 +163,27 @@ def _consequences(found: DiscoveryResults) -> list[str]:
     if found.verdict == "none":
         return [
             f"{none_of} improves the simulation significantly and by enough to matter; its errors look like "
-            "the ordinary disturbances of a cabinet",
-            "keep the base model; a cause may be missing that this record does not show",
+            "the ordinary disturbances of a cabinet"
         ]
     if repeats_itself(found):
+        return [left]
+    said = left or "the remaining errors have a structure that no cause of the library explains"
+    if not found.causes:
+        return [said, f"{none_of} explains it, so no cause is named"]
+    names = listed(spoken(one.cause) for one in found.causes)
+    return [said, f"{names} explains only a part of the errors; take the name with caution"]
+
+
+def advice(found: DiscoveryResults) -> list[str]:
+    """What to do after a verdict that names no cause, or not the whole one."""
+    if found.verdict == "named" or (found.verdict == "none" and _doubts(found)):
+        return []
+    if found.verdict == "none":
+        return ["keep the base model; a cause may be missing that this record does not show"]
+    if repeats_itself(found):
         check = "find out why the logger repeats readings, and correct that first"
-        return [
-            left,
-            f"{check}; the causes named here were found in the other readings" if found.causes else check,
-        ]
-    said = [left or "the remaining errors have a structure that no cause of the library explains"]
-    if found.causes:
-        names = listed(spoken(one.cause) for one in found.causes)
-        said.append(f"{names} explains only a part of the errors; take the name with caution")
-    else:
-        said.append(f"{none_of} explains it, so no cause is named")
-    said.append("do not rely on the simulation under these conditions; look there for influences not logged")
-    return said
+        return [f"{check}; the causes named here were found in the other readings" if found.causes else check]
+    return ["do not rely on the simulation under these conditions; look there for influences not logged"]
 
 
 def remainder(found: DiscoveryResults) -> str:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_text_whole
+from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, structured
 from hygrokf.errors import HygrokfError
+from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import with_verdicts
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT
@@ -56,7 +57,6 @@ from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
-SERIES = "series.npz"
 NEEDED = ("name", "version", "parameters", "time_constants")
 """What every fit.json holds."""
 
@@ -110,18 +110,9 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
     except (OSError, ValueError, RecursionError) as fault:
         faults.append(f"{folder / FIT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
     try:
-        with open(folder / SERIES, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            series = {name: np.asarray(file[name]) for name in file.files}
-    except FileNotFoundError:
-        faults.append(f"{folder / SERIES}: no such file; {again}")
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as fault:
-        faults.append(f"{folder / SERIES}: expected arrays written by `hygrokf fit`, found: {fault}; {again}")
-    text = [name for name, value in series.items() if value.dtype.kind not in "fiub"]
-    if text:
-        faults.append(
-            f"{folder / SERIES}: expected numbers, found text or objects in {', '.join(sorted(text))}; "
-            f"{again}"
-        )
+        series = read_series(folder)
+    except ResultFault as fault:
+        faults.append(str(fault))
     if faults:
         raise ReportFault("\n".join(faults))
     return fit, series
@@ -201,11 +192,17 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     )
 
 
-def _about(fit: FitResults) -> tuple[str, ...]:
+def period_text(fit: FitResults) -> str:
+    """The record's first and last instant and the end of its identification; empty where unknown."""
     start, until, end = (moment(one or "") for one in (fit.period.start, fit.period.until, fit.period.end))
-    lines = []
-    if start and end:
-        lines.append(f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else ""))
+    if not (start and end):
+        return ""
+    return f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else "")
+
+
+def _about(fit: FitResults) -> tuple[str, ...]:
+    span = period_text(fit)
+    lines = [span] if span else []
     n, rated = fit.period.n_readings, fit.rated_power_kW
     facts = [f"{n:,} times with a reading"] if n else []
     facts.append(f"rated power {rated:,.0f} kW" if math.isfinite(rated) else "rated power not stated")

@@ -175,22 +175,28 @@ def doubted(fit: FitResults) -> list[Judgement]:
     ]
 
 
-def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
+def head(fit: FitResults, name: str) -> str:
+    """Whether a time constant is reliable, in a sentence; a colon at its end leads to the reasons."""
     constant = time_constant(fit, name)
     if constant.found is None:
-        said = f"There is no {name} time constant: nothing in the record determines one."
-        return [Judgement(CAUTION, said, name)]
+        return f"There is no {name} time constant: nothing in the record determines one."
     known = constant.value
     if constant.closed:
         found = constant.found
         known += f", known to {spread_words(found.value_h, found.lower_h, found.upper_h)}"
-    verdict = constant.verdict
-    head = {
+    return {
         BELIEVE: f"The {name} time constant, {known}, is reliable.",
         CAUTION: f"The {name} time constant, {known}, should be used with caution:",
         REJECT: f"The {name} time constant ({known}) is not reliable:",
-    }[verdict.verdict]
-    made = [Judgement(verdict.verdict, head, name)]
+    }[constant.verdict.verdict]
+
+
+def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
+    constant = time_constant(fit, name)
+    if constant.found is None:
+        return [Judgement(CAUTION, head(fit, name), name)]
+    verdict = constant.verdict
+    made = [Judgement(verdict.verdict, head(fit, name), name)]
     made += [
         Judgement(one.verdict, sentence(one.text), name, reason=True)
         for one in verdict.reasons

@@ -32,7 +32,7 @@ def _template() -> Template:
     made = Environment(
         autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True, finalize=_printable
     )
-    made.filters |= {"prose": _prose, "line": one_line, "symbol": _symbol}
+    made.filters |= {"prose": prose, "line": one_line, "symbol": _symbol}
     made.globals |= {
         "kind_of": lambda block: type(block).__name__,
         "starts": _group_starts,
@@ -51,7 +51,7 @@ def _printable(value: object) -> object:
     return "".join(c if c.isprintable() or c == "\xa0" else " " for c in value)
 
 
-def _prose(text: str) -> str:
+def prose(text: str) -> str:
     """A text on one line in which no number is parted from its unit."""
     return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "\xa0", one_line(text))
 

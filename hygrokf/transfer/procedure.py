@@ -22,13 +22,14 @@ from typing import Literal
 
 import numpy as np
 
+from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
 from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
-from hygrokf.identification.estimation import TIME_CONSTANTS, Progress, Stage
+from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
@@ -45,20 +46,27 @@ SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
 
 def transfer_fit(
-    source: Fit | TurbineType, record: Record, progress: Progress | None = None, fits: bool = True
+    source: Fit | TurbineType,
+    record: Record,
+    progress: Progress | bool | None = None,
+    fits: bool = True,
 ) -> Transfer:
     """Judge the model of one turbine, or of a type, on another turbine's record.
 
     source: a fit, or a type of turbines (`identification.turbine_type`).
     record: of the other turbine.
-    progress: called with each step in words.
+    progress: called with each step in words; True: shows them as one line, also in a notebook.
     fits: whether to make the record's own fits too, with their scores and bands.
 
     Returns `results` as in transfer.json: the verdict, and by group of parameters whether it holds, with
     held-out errors [K], [g/m³] of each set of values.
     Raises ValueError where the record lacks an input or a reading that the model needs.
     """
-    say = progress or (lambda text: None)
+    with reporting(progress, "transfer_fit") as say:
+        return _transferred(source, record, say, fits)
+
+
+def _transferred(source: Fit | TurbineType, record: Record, say: Progress, fits: bool) -> Transfer:
     baseline, statements = baseline_of(Origin.of(source), record)
     say("as it is")
     found = _estimates(baseline, say)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.climate.statistics import Statistic
 from hygrokf.climate.study import DurationCurve, RegionClimate
 from hygrokf.report.climate_tables import compared_statistics, share_held
 from hygrokf.report.figures.drawing import (
@@ -22,8 +24,10 @@ from hygrokf.report.figures.drawing import (
     new_figure,
     styled,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -37,8 +41,35 @@ PANELS = (
 )
 
 
+JOINT_CAPTION = (
+    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
+    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
+)
+DURATION_CAPTION = (
+    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
+    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
+    "weather."
+)
+REGIONS_CAPTION = (
+    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
+    "years."
+)
+
+
 def figure_joint(region: RegionClimate) -> Figure:
     """Hours a year by temperature and relative humidity, in the cabinet and outside."""
+    with styled():
+        panels = joint_panels(region, scale=False)
+        made = new_figure(2.7)
+        axes = list(made.subplots(1, 2, sharex=True, sharey=True))
+        panels.on(axes)
+        made.subplots_adjust(left=0.065, right=0.9, bottom=0.16, top=0.91, wspace=0.07)
+        _hours_scale(axes, made.add_axes((0.92, 0.16, 0.016, 0.75)))
+    return made
+
+
+def joint_panels(region: RegionClimate, scale: bool = True) -> Panels:
+    """The cabinet, then the weather of `figure_joint`; `scale`: with a colour scale beside them."""
     joint = region.joint
     if joint is None:
         raise NothingToShow("The model has no humidity.")
@@ -46,51 +77,86 @@ def figure_joint(region: RegionClimate) -> Figure:
 
     warm, damp = joint.temperature_edges_degC, joint.humidity_edges_percent
     shown = (joint.hours, joint.outside)
-    top = max(float(one.max()) for one in shown)
+    top = max(2.0, *(float(one.max()) for one in shown))
     shades = LinearSegmentedColormap.from_list("hours", SHADES)
-    with styled():
-        made = new_figure(2.7)
-        axes = made.subplots(1, 2, sharex=True, sharey=True)
-        for axis, hours, title in zip(axes, shown, ("in the cabinet", "outside"), strict=True):
-            drawn = axis.pcolormesh(
-                warm, damp, np.where(hours >= 1.0, hours, np.nan).T, cmap=shades,
-                norm=LogNorm(1.0, max(top, 2.0)),
-                rasterized=True,
-            )  # fmt: skip
-            axis.axhline(80.0, color=SIMULATED, linewidth=0.8)
-            axis.set_title(title)
-            axis.set_xlabel("temperature [°C]")
-            axis.set_ylim(0.0, 100.0)
-            axis.set_yticks(range(0, 101, 20))
-        used = np.flatnonzero((shown[0] >= 1.0).any(axis=1) | (shown[1] >= 1.0).any(axis=1))
-        axes[0].set_xlim(warm[used[0]] - 1.0, warm[used[-1] + 1] + 1.0)
-        axes[0].set_ylabel("relative humidity [%]")
-        made.subplots_adjust(left=0.065, right=0.9, bottom=0.16, top=0.91, wspace=0.07)
-        bar = made.colorbar(drawn, cax=made.add_axes((0.92, 0.16, 0.016, 0.75)))
-        ticks = [t for t in (1, 3, 10, 30, 100, 300, 1000) if t <= max(top, 2.0)]
-        bar.set_ticks(ticks, labels=[f"{t}" for t in ticks])
-        bar.minorticks_off()
-        bar.set_label("hours a year")
-        bar.outline.set_visible(False)
-    return made
+    used = np.flatnonzero((shown[0] >= 1.0).any(axis=1) | (shown[1] >= 1.0).any(axis=1))
+
+    def draw(axis: Axes, hours: np.ndarray, title: str) -> None:
+        axis.pcolormesh(
+            warm, damp, np.where(hours >= 1.0, hours, np.nan).T, cmap=shades, norm=LogNorm(1.0, top),
+            rasterized=True,
+        )  # fmt: skip
+        axis.axhline(80.0, color=SIMULATED, linewidth=0.8)
+        axis.set_title(title)
+        axis.set_xlabel("temperature [°C]")
+        axis.set_ylabel("relative humidity [%]")
+        axis.set_ylim(0.0, 100.0)
+        axis.set_yticks(range(0, 101, 20))
+        axis.set_xlim(warm[used[0]] - 1.0, warm[used[-1] + 1] + 1.0)
+
+    titles = ("in the cabinet", "outside")
+    return Panels(
+        tuple(partial(draw, hours=hours, title=title) for hours, title in zip(shown, titles, strict=True)),
+        height_in=2.7,
+        columns=2,
+        shared="y",
+        finish=_hours_scale if scale else None,
+    )
+
+
+def _hours_scale(axes: Sequence[Axes], place: Axes | None = None) -> None:
+    """The colour scale of the hours; without a `place` it takes its room from the axes."""
+    drawn = axes[0].collections[0]
+    top = float(np.max(drawn.get_clim()))
+    figure = axes[0].get_figure(root=True)
+    assert figure is not None
+    own = {"cax": place} if place is not None else {"ax": list(axes), "fraction": 0.05, "pad": 0.02}
+    bar = figure.colorbar(drawn, **own)
+    ticks = [t for t in (1, 3, 10, 30, 100, 300, 1000) if t <= top]
+    bar.set_ticks(ticks, labels=[f"{t}" for t in ticks])
+    bar.minorticks_off()
+    bar.set_label("hours a year")
+    bar.outline.set_visible(False)
 
 
 def figure_duration(region: RegionClimate) -> Figure:
     """Duration curves of the quantities and of their rates, with bounds."""
+    with styled():
+        panels = duration_panels(region)
+        count = len(panels.draw)
+        made = new_figure(4.5)
+        axes = made.subplots(2, 3).ravel()
+        for axis, draw in zip(axes, panels.draw, strict=False):
+            draw(axis)
+        for axis in axes[count:]:
+            axis.set_axis_off()
+        axes[count if count < 6 else 0].legend(handles=_duration_handles(share_held([region])), loc="center")
+        made.subplots_adjust(left=0.06, right=0.99, bottom=0.09, top=0.95, wspace=0.2, hspace=0.42)
+    return made
+
+
+def duration_panels(region: RegionClimate) -> Panels:
+    """The curves of `figure_duration`: quantities first, then their rates."""
     curves = {"duration": region.duration, "rates": region.rates}
     there = [(kind, curves[kind][name], label) for kind, name, label in PANELS if name in curves[kind]]
     if not there:
         raise NothingToShow("The result has no duration curves.")
-    with styled():
-        made = new_figure(4.5)
-        axes = made.subplots(2, 3).ravel()
-        for axis, (kind, curve, label) in zip(axes, there, strict=False):
-            _duration(axis, curve, label, kind == "rates")
-        for axis in axes[len(there) :]:
-            axis.set_axis_off()
-        _duration_key(axes[len(there)] if len(there) < 6 else axes[0], share_held([region]))
-        made.subplots_adjust(left=0.06, right=0.99, bottom=0.09, top=0.95, wspace=0.2, hspace=0.42)
-    return made
+    return Panels(
+        tuple(
+            partial(_duration, curve=curve, label=label, rate=kind == "rates") for kind, curve, label in there
+        ),
+        height_in=2.4 if len(there) < 4 else 4.5,
+        columns=min(3, len(there)),
+        handles=partial(_duration_handles, share_held([region])),
+    )
+
+
+def _duration_handles(share: str) -> list[Artist]:
+    return [
+        line_handle(MEASURED, "cabinet, simulated", 0.9),
+        area_handle(MEASURED, f"{share} of single years", 0.25, edgecolor=MEASURED),
+        line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
+    ]
 
 
 def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
@@ -108,15 +174,6 @@ def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
     axis.set_title(label)
     axis.set_xlabel("share of the time beyond [%]")
     axis.margins(x=0.01)
-
-
-def _duration_key(axis: Axes, share: str) -> None:
-    handles = [
-        line_handle(MEASURED, "cabinet, simulated", 0.9),
-        area_handle(MEASURED, f"{share} of single years", 0.25, edgecolor=MEASURED),
-        line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
-    ]
-    axis.legend(handles=handles, loc="center")
 
 
 def figure_profile(region: RegionClimate) -> Figure:
@@ -145,28 +202,60 @@ def figure_profile(region: RegionClimate) -> Figure:
 
 def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
     """Regions side by side: value, bounds for a year, bounds for the mean."""
-    if len(regions) < 2:
-        raise NothingToShow("There is only one region.")
-    chosen = compared_statistics(regions)
     with styled():
-        made = new_figure(0.95 + 0.3 * len(regions))
-        axes = np.atleast_1d(made.subplots(1, len(chosen), sharey=True))
-        for axis, statistic in zip(axes, chosen, strict=True):
-            for row, one in enumerate(regions):
-                found = one.year[statistic.name]
-                axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
-                means = [found.mean_lower, found.mean_upper]
-                axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
-                axis.plot(found.value, row, "o", color=INK, markersize=3.2)
-            short = statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
-            axis.set_title(f"{short}\n[{statistic.unit}]", fontsize=7.0)
-            axis.grid(axis="y", visible=False)
-            axis.margins(x=0.12)
-        axes[0].set_yticks(range(len(regions)), [one.name for one in regions])
-        axes[0].set_ylim(len(regions) - 0.5, -0.5)
+        panels = region_panels(regions)
+        made = new_figure(panels.height_in)
+        axes = np.atleast_1d(made.subplots(1, len(panels.draw), sharey=True))
         widest = max(len(one.name) for one in regions)
         made.subplots_adjust(
             left=min(0.025 + 0.0098 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
             top=1.0 - 0.4 / made.get_figheight(), wspace=0.14,
         )  # fmt: skip
+        panels.on(list(axes))
     return made
+
+
+def region_panels(regions: Sequence[RegionClimate]) -> Panels:
+    """A panel of `figure_regions` for each of the numbers by which regions are compared."""
+    if len(regions) < 2:
+        raise NothingToShow("There is only one region.")
+    from matplotlib import rcParams
+
+    def draw(axis: Axes, statistic: Statistic) -> None:
+        for row, one in enumerate(regions):
+            found = one.year[statistic.name]
+            axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
+            means = [found.mean_lower, found.mean_upper]
+            axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
+            axis.plot(found.value, row, "o", color=INK, markersize=3.2)
+        axis.set_title(
+            f"{_narrowed(short_words(statistic), axis)}\n[{statistic.unit}]",
+            fontsize=rcParams["xtick.labelsize"],
+        )
+        axis.grid(axis="y", visible=False)
+        axis.margins(x=0.12)
+        axis.set_yticks(range(len(regions)), [one.name for one in regions])
+        axis.set_ylim(len(regions) - 0.5, -0.5)
+
+    chosen = compared_statistics(regions)
+    return Panels(
+        tuple(partial(draw, statistic=one) for one in chosen),
+        height_in=0.95 + 0.3 * len(regions),
+        columns=len(chosen),
+        shared="y",
+    )
+
+
+def short_words(statistic: Statistic) -> str:
+    """A number of a climate in two or three words."""
+    return statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
+
+
+def _narrowed(words: str, axis: Axes) -> str:
+    """Words in lines that are no wider than the axes."""
+    import textwrap
+
+    figure = axis.get_figure(root=True)
+    assert figure is not None
+    letters = axis.get_window_extent().width / figure.dpi / (0.0095 * float(axis.xaxis.label.get_fontsize()))
+    return textwrap.fill(words, max(8, int(letters)), break_long_words=False)

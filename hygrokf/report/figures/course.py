@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +40,7 @@ from hygrokf.report.figures.drawing import (
     upright,
 )
 from hygrokf.report.figures.excerpts import choose_excerpts
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -149,26 +151,50 @@ def _whole(record: _Record, name: str, why: str) -> Figure:
 
 def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
     """Readings, free run and its 95 % band after the identification period, or in the last fortnight."""
+    with styled():
+        panels = validation_panels(series)
+        rows = len(panels.draw)
+        figure = new_figure(0.45 + 1.25 * rows)
+        bottom = 0.115 if rows > 1 else 0.19
+        grid = figure.add_gridspec(rows, 1, hspace=0.12, left=0.075, right=0.995, top=0.91, bottom=bottom)
+        every = [figure.add_subplot(grid[row]) for row in range(rows)]
+        panels.without_key(every)
+        for axes in every:
+            upright(axes, axes.get_ylabel().replace("\n", " "))
+        if panels.handles is not None:
+            key(every[0], panels.handles())
+    return figure
+
+
+def validation_panels(series: Mapping[str, np.ndarray]) -> Panels:
+    """The temperature, and below it the humidity, of `figure_validation`."""
     record = _Record(series)
     names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
     if not names:
         raise NothingToShow("The fit has neither a temperature nor a humidity of the cabinet to show.")
     begin = record.until if record.validation else record.span[1] - FORTNIGHT_S
     span = (max(begin, record.span[0]), record.span[1])
-    with styled():
-        figure = new_figure(0.45 + 1.25 * len(names))
-        bottom = 0.115 if names[1:] else 0.19
-        grid = figure.add_gridspec(
-            len(names), 1, hspace=0.12, left=0.075, right=0.995, top=0.91, bottom=bottom
-        )
-        every = [figure.add_subplot(grid[row]) for row in range(len(names))]
-        for axes, name in zip(every, names, strict=True):
-            _course(axes, record, name, span)
-            upright(axes, AXIS_LABEL[name])
-            calendar(axes, span, 10, labels=axes is every[-1])
-            _hatch_unscored(axes, record, span)
-        key(every[0], _handles(record, names[0]))
-    return figure
+
+    def draw(axes: Axes, name: str) -> None:
+        _course(axes, record, name, span)
+        axes.set_ylabel(AXIS_LABEL[name].replace(" [", "\n["))
+        calendar(axes, span, _ticks(axes))
+        _hatch_unscored(axes, record, span)
+
+    return Panels(
+        tuple(partial(draw, name=name) for name in names),
+        height_in=0.45 + 1.25 * len(names),
+        shared="x",
+        handles=partial(_handles, record, names[0]),
+    )
+
+
+def _ticks(axes: Axes) -> int:
+    """The ticks of a calendar whose labels fit below the axes."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    width_in = axes.get_window_extent().width / figure.dpi
+    return max(2, int(width_in / (0.088 * float(axes.xaxis.label.get_fontsize()))))
 
 
 def _course(

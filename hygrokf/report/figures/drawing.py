@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -38,7 +39,7 @@ LEVEL_SD = 1.959964
 BINS = 520
 """Stretches of time over the width of a page; each keeps its least and its largest value."""
 
-_STYLE = {
+_STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 7.5,
@@ -100,16 +101,34 @@ class NothingToShow(ValueError):
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
+def styled(larger: float = 1.0) -> Iterator[None]:
+    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards.
+
+    larger: [1] factor on the size of all letters.
+    """
     import matplotlib
 
     plain = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
-    style: Any = {**plain, **_STYLE}
+    letters = {name: larger * _STYLE[name] for name in _STYLE if name.endswith(_LETTERS)}
+    style: Any = {**plain, **_STYLE, **letters}
     with matplotlib.rc_context(style):
         yield
+
+
+_LETTERS = ("font.size", "titlesize", "labelsize", "fontsize")
+
+
+def expect_matplotlib() -> None:
+    """Raise HygrokfError where matplotlib, with which everything is drawn, is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise HygrokfError(
+            "drawing needs matplotlib, which comes with hygrokf unless it was installed without its "
+            "dependencies; found none: pip install matplotlib"
+        ) from None
 
 
 def new_figure(height_in: float) -> Figure:

@@ -5,15 +5,18 @@ The residuals of an extended model, given as `after`, are laid over those of the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.discovery_results import Finding
-from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, hourly
+from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Finding
+from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, hourly
 from hygrokf.identification.wording import one_line
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.report.discovery_text import PARTS
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -34,6 +37,7 @@ from hygrokf.report.figures.drawing import (
     styled,
     upright,
 )
+from hygrokf.report.figures.panels import Panels
 from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label, held_out
 
 if TYPE_CHECKING:
@@ -54,6 +58,42 @@ NARROW = 200
 """Stretches of time over the width of a panel."""
 LINE = 100
 """Letters of a heading's line."""
+
+
+# --- what to draw ----------------------------------------------------------------------------
+
+
+def drawable(found: DiscoveryResults) -> list[Finding]:
+    """The findings whose episodes can be drawn, worst first."""
+    return [one for one in found.findings if one.spans and one.quantity in QUANTITIES and one.statement]
+
+
+def events(found: DiscoveryResults) -> list[tuple[CauseFound, Finding]]:
+    """Accepted causes that were found in stretches of time, each as a finding of the quantity that gained
+    most there."""
+    result = []
+    for cause in found.causes:
+        spans = tuple((float(a), float(b)) for a, b in cause.settings.get("spans", ()) if a < b)
+        shares = {
+            PARTS[part]: share
+            for part, share in cause.evidence.free_run_gain.items()
+            if part in PARTS and np.isfinite(share)
+        }
+        statement = cause.statement.split(";")[0]
+        if spans and shares and statement:
+            quantity = max(shares, key=lambda name: shares[name])
+            event = Finding(
+                quantity, "", "", 0.0, UNITS[quantity], "", float("nan"), len(spans), len(spans), 0.0,
+                statement, 0.0, 0.0, None, "episode", spans=spans,
+            )  # fmt: skip
+            result.append((cause, event))
+    return result
+
+
+def episodes_caption(overlaid: bool) -> str:
+    """What to look for in `figure_episodes`; `overlaid`: with the extended model."""
+    compare = ": compare the base model (red) with the extended one (green)." if overlaid else "."
+    return f"Where the background is shaded the simulation should stay with the blue readings{compare}"
 
 
 # --- episodes --------------------------------------------------------------------------------
@@ -82,18 +122,17 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
         for column, (start, end, spans) in enumerate(windows):
             main = figure.add_subplot(grid[0, column])
             error = figure.add_subplot(grid[1, column])
-            _course(main, residuals, quantity, (start, end), after)
+            _window(main, residuals, quantity, (start, end), spans, after)
+            main.tick_params(labelbottom=False)
             error.axhline(0.0, color=QUIET, linewidth=0.6)
             for one, colour in _before_after(residuals, after):
                 reach = max(reach, _error_line(error, one, quantity, (start, end), colour))
-            for axes in (main, error):
-                for first, last in spans:
-                    inside = (max(first, start), min(last, end))
-                    shade(axes, *inside, color=CONDITION, alpha=0.75, zorder=0, linewidth=0)
-                _midnights(axes, (start, end), labels=axes is error)
+            _shade(error, (start, end), spans)
+            _midnights(error, (start, end))
             if column == len(windows) - 1:
                 year = np.datetime64(int(end // DAY_S), "D").item().year
                 error.set_xlabel(f"{year}, midnights UTC", loc="right", color=QUIET, fontsize=6.8)
+            main.set_ylabel("")
             if column == 0:
                 upright(main, COURSE_LABEL[quantity])
                 upright(error, f"error [{UNITS[quantity]}]")
@@ -102,6 +141,53 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
             error.set_ylim(-1.1 * reach, 1.1 * reach)
             error.locator_params(axis="y", nbins=5)
     return figure
+
+
+def episode_panels(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Panels:
+    """The upper row of `figure_episodes`, or the only panel of a lasting finding."""
+    quantity = finding.quantity
+    _measured(residuals, quantity)
+    if finding.kind in LASTING:
+        draw = partial(_lasting_course, residuals=residuals, finding=finding, after=after)
+        return Panels((draw,), height_in=2.5, handles=partial(_lasting_handles, after is not None))
+    windows = _windows(finding, residuals)
+    if not windows:
+        raise NothingToShow("The finding has no episodes.")
+
+    def window(axes: Axes, place: int) -> None:
+        start, end, spans = windows[place]
+        _window(axes, residuals, quantity, (start, end), spans, after)
+        axes.set_xlabel(f"{np.datetime64(int(end // DAY_S), 'D').item().year}, midnights UTC")
+        if place:
+            axes.set_ylabel("")
+
+    return Panels(
+        tuple(partial(window, place=place) for place in range(len(windows))),
+        height_in=2.6,
+        columns=len(windows),
+        handles=partial(_course_handles, after is not None, "under the condition"),
+    )
+
+
+def _window(
+    axes: Axes,
+    residuals: Residuals,
+    quantity: str,
+    span: tuple[float, float],
+    shaded: Sequence[tuple[float, float]],
+    after: Residuals | None,
+) -> None:
+    """Readings and simulations of a stretch of time [s], with the episodes in it shaded."""
+    _course(axes, residuals, quantity, span, after)
+    _shade(axes, span, shaded)
+    _midnights(axes, span)
+    axes.set_ylabel(COURSE_LABEL[quantity])
+
+
+def _shade(axes: Axes, span: tuple[float, float], shaded: Sequence[tuple[float, float]]) -> None:
+    for first, last in shaded:
+        inside = (max(first, span[0]), min(last, span[1]))
+        shade(axes, *inside, color=CONDITION, alpha=0.75, zorder=0, linewidth=0)
 
 
 def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[Residuals, str]]:
@@ -193,58 +279,65 @@ def _heading(figure: Figure, finding: Finding, handles: list[Artist]) -> float:
     return used + 0.24
 
 
-def _midnights(axes: Axes, span: tuple[float, float], labels: bool) -> None:
+def _midnights(axes: Axes, span: tuple[float, float]) -> None:
     """Days of a window, at most five of them named; noons as small ticks."""
     first, last = np.ceil(span[0] / DAY_S), np.floor(span[1] / DAY_S)
     every = np.arange(first, last + 1.0)
     named = every[:: max(1, -(-len(every) // 5))]
     words = [f"{np.datetime64(int(day), 'D').item():%-d %b}" for day in named]
     axes.set_xlim(float(days(span[0])), float(days(span[1])))
-    axes.set_xticks(named, words if labels else None)
+    axes.set_xticks(named, words)
     axes.set_xticks(np.arange(first - 0.5, last + 1.0), minor=True)
     axes.tick_params(axis="x", which="minor", length=1.5, color=QUIET, width=0.5)
     axes.set_xlim(float(days(span[0])), float(days(span[1])))
-    axes.tick_params(labelbottom=labels)
 
 
 def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) -> Figure:
     """Daily means of the error over the whole record, and its means before and after, or by month."""
-    quantity = finding.quantity
-    hours = hourly(residuals)
     with styled():
-        overlaid = after is not None
-        handles = [
-            line_handle(SIMULATED, f"daily mean{', before' * overlaid}"),
-            area_handle(SIMULATED, "middle 80 % of the day", 0.13),
-            line_handle(INK, "mean of either part", 1.1, dashes=(5, 2)),
-            area_handle(CONDITION, "where the finding is"),
-        ]
-        if overlaid:
-            handles.insert(1, line_handle(AFTER, "after"))
         height = 2.5
         figure = new_figure(height)
-        used = _heading(figure, finding, handles)
+        used = _heading(figure, finding, _lasting_handles(after is not None))
         axes = figure.add_axes((0.072, 0.31 / height, 0.923, 1.0 - (used + 0.31) / height))
-        axes.axhline(0.0, color=QUIET, linewidth=0.6)
-        for one, colour in _before_after(residuals, after):
-            day, mean, low, high = _daily(one, quantity)
-            if colour == SIMULATED:
-                axes.fill_between(days(day), low, high, color=colour, alpha=0.13, linewidth=0)
-            axes.plot(days(day), mean, color=colour, linewidth=1.0)
-        inside = np.zeros(len(hours), dtype=bool)
-        for first, last in finding.spans:
-            shade(axes, first, last, color=CONDITION, alpha=0.6, zorder=0, linewidth=0)
-            inside |= (hours.time_s >= first) & (hours.time_s <= last)
-        error = -hours.error[quantity]
-        for flag in (inside, ~inside):
-            if np.isfinite(error[flag]).any():
-                level = np.where(flag, np.nanmean(error[flag]), np.nan)
-                axes.plot(days(hours.time_s), level, color=INK, linewidth=1.1, dashes=(5, 2))
-        calendar(axes, (float(residuals.time_s[0]), float(residuals.time_s[-1])), 12)
-        axes.locator_params(axis="y", nbins=6)
-        held_out(axes, residuals, axes.get_ylim()[1])
-        upright(axes, error_label(quantity))
+        _lasting_course(axes, residuals, finding, after)
+        upright(axes, error_label(finding.quantity))
     return figure
+
+
+def _lasting_handles(overlaid: bool) -> list[Artist]:
+    handles = [
+        line_handle(SIMULATED, f"daily mean{', before' * overlaid}"),
+        area_handle(SIMULATED, "middle 80 % of the day", 0.13),
+        line_handle(INK, "mean of either part", 1.1, dashes=(5, 2)),
+        area_handle(CONDITION, "where the finding is"),
+    ]
+    if overlaid:
+        handles.insert(1, line_handle(AFTER, "after"))
+    return handles
+
+
+def _lasting_course(axes: Axes, residuals: Residuals, finding: Finding, after: Residuals | None) -> None:
+    quantity = finding.quantity
+    hours = hourly(residuals)
+    axes.axhline(0.0, color=QUIET, linewidth=0.6)
+    for one, colour in _before_after(residuals, after):
+        day, mean, low, high = _daily(one, quantity)
+        if colour == SIMULATED:
+            axes.fill_between(days(day), low, high, color=colour, alpha=0.13, linewidth=0)
+        axes.plot(days(day), mean, color=colour, linewidth=1.0)
+    inside = np.zeros(len(hours), dtype=bool)
+    for first, last in finding.spans:
+        shade(axes, first, last, color=CONDITION, alpha=0.6, zorder=0, linewidth=0)
+        inside |= (hours.time_s >= first) & (hours.time_s <= last)
+    error = -hours.error[quantity]
+    for flag in (inside, ~inside):
+        if np.isfinite(error[flag]).any():
+            level = np.where(flag, np.nanmean(error[flag]), np.nan)
+            axes.plot(days(hours.time_s), level, color=INK, linewidth=1.1, dashes=(5, 2))
+    calendar(axes, (float(residuals.time_s[0]), float(residuals.time_s[-1])), 12)
+    axes.locator_params(axis="y", nbins=6)
+    held_out(axes, residuals, axes.get_ylim()[1])
+    axes.set_ylabel(error_label(quantity))
 
 
 def _daily(residuals: Residuals, quantity: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

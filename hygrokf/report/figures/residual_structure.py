@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,8 +44,10 @@ from hygrokf.report.figures.drawing import (
     styled,
     upright,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -84,6 +87,50 @@ def figure_drivers(
 
     drivers: up to four names; without any, those along which the medians move most.
     """
+    with styled():
+        panels = driver_panels(residuals, drivers, after)
+        height = panels.height_in
+        figure = new_figure(height)
+        grid = figure.add_gridspec(
+            panels.rows, panels.columns, hspace=0.25, wspace=0.08, left=0.078, right=0.995,
+            top=1.0 - 0.42 / height,
+            bottom=0.46 / height,
+        )  # fmt: skip
+        for place, draw in enumerate(panels.draw):
+            row, column = divmod(place, panels.columns)
+            axes = figure.add_subplot(grid[row, column])
+            draw(axes)
+            axes.xaxis.label.set_fontsize(6.8)
+            if row < panels.rows - 1:
+                axes.tick_params(labelbottom=False)
+                axes.set_xlabel("")
+            if column:
+                axes.tick_params(labelleft=False)
+                axes.set_ylabel("")
+            else:
+                upright(axes, axes.get_ylabel())
+        figure_key(figure, _band_handles(after is not None))
+    return figure
+
+
+DRIVERS_HEADING = "Error against what drives the cabinet"
+
+
+def drivers_caption(overlaid: bool) -> str:
+    """What to look for in `figure_drivers`; `overlaid`: with the extended model."""
+    bend = (
+        "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where only "
+        "green shows, both are alike."
+        if overlaid
+        else "; a bend shows what the model lacks."
+    )
+    return f"Medians should lie on zero along every driver{bend}"
+
+
+def driver_panels(
+    residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
+) -> Panels:
+    """The panels of `figure_drivers`: a row for each quantity, a column for each driver."""
     quantities = _known(residuals)
     early = hourly(residuals)
     late = hourly(after) if after is not None else None
@@ -91,41 +138,34 @@ def figure_drivers(
     chosen = chosen[:DRIVERS]
     if not chosen:
         raise NothingToShow("No driver varies enough to hold the error against it.")
-    with styled():
-        height = 0.7 + 1.7 * len(quantities)
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            len(quantities), len(chosen), hspace=0.25, wspace=0.08, left=0.078, right=0.995,
-            top=1.0 - 0.42 / height,
-            bottom=0.46 / height,
-        )  # fmt: skip
-        for row, quantity in enumerate(quantities):
-            error = -early.error[quantity]
-            reach = 1.05 * float(np.nanquantile(np.abs(error), 0.95)) or 1.0
-            for column, name in enumerate(chosen):
-                axes = figure.add_subplot(grid[row, column])
-                axes.axhline(0.0, color=INK, linewidth=0.7)
-                value, unit = displayed(name, early.drivers[name])
-                edges = _shares(value[np.isfinite(error)])
-                _bands(axes, value, error, edges)
-                if late is not None and name in late.drivers:
-                    other, _ = displayed(name, late.drivers[name])
-                    x, middle = _medians(other, -late.error[quantity], edges)
-                    axes.plot(x, middle, color=AFTER, linewidth=1.4, marker="o", markersize=2.4)
-                axes.set_ylim(-reach, reach)
-                axes.locator_params(axis="x", nbins=5)
-                if row == len(quantities) - 1:
-                    short = unit.replace("% of the rated power", "% of rated")
-                    axes.set_xlabel(_two_lines(f"{words(name)} [{short or '1'}]"), fontsize=6.8)
-                else:
-                    axes.tick_params(labelbottom=False)
-                if column:
-                    axes.tick_params(labelleft=False)
-                else:
-                    upright(axes, error_label(quantity))
-                    axes.set_title(TITLE[quantity])
-        _band_key(figure, after is not None)
-    return figure
+    from matplotlib import rcParams
+
+    def draw(axes: Axes, quantity: str, name: str) -> None:
+        error = -early.error[quantity]
+        reach = 1.05 * float(np.nanquantile(np.abs(error), 0.95)) or 1.0
+        axes.axhline(0.0, color=INK, linewidth=0.7)
+        value, unit = displayed(name, early.drivers[name])
+        edges = _shares(value[np.isfinite(error)])
+        _bands(axes, value, error, edges)
+        if late is not None and name in late.drivers:
+            other, _ = displayed(name, late.drivers[name])
+            x, middle = _medians(other, -late.error[quantity], edges)
+            axes.plot(x, middle, color=AFTER, linewidth=1.4, marker="o", markersize=2.4)
+        axes.set_ylim(-reach, reach)
+        axes.locator_params(axis="x", nbins=5)
+        short = unit.replace("% of the rated power", "% of rated")
+        axes.set_xlabel(_two_lines(f"{words(name)} [{short or '1'}]"), fontsize=rcParams["xtick.labelsize"])
+        axes.set_ylabel(error_label(quantity))
+        if name == chosen[0]:
+            axes.set_title(TITLE[quantity])
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity, name=name) for quantity in quantities for name in chosen),
+        height_in=0.7 + 1.7 * len(quantities),
+        columns=len(chosen),
+        shared="xy",
+        handles=partial(_band_handles, after is not None),
+    )
 
 
 def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
@@ -192,7 +232,7 @@ def _bands(axes: Axes, value: np.ndarray, error: np.ndarray, edges: np.ndarray) 
     axes.plot(x, middle, color=SIMULATED, linewidth=1.4, marker="o", markersize=2.4)
 
 
-def _band_key(figure: Figure, overlaid: bool) -> None:
+def _band_handles(overlaid: bool) -> list[Artist]:
     before = "median" + (", before" if overlaid else "")
     handles = [
         line_handle(SIMULATED, before, 1.4, marker="o", markersize=2.4),
@@ -201,7 +241,7 @@ def _band_key(figure: Figure, overlaid: bool) -> None:
     ]
     if overlaid:
         handles.insert(1, line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4))
-    figure_key(figure, handles)
+    return handles
 
 
 # --- day and hour ----------------------------------------------------------------------------

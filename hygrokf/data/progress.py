@@ -1,0 +1,63 @@
+"""The steps of a long computation, told to a caller, or shown as one line that changes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import TypeAlias
+
+Progress: TypeAlias = Callable[[str], None]
+"""Receives each step in words."""
+
+
+@contextmanager
+def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]:
+    """The function that tells the steps of the computation `name` within this context.
+
+    progress: a function: that one.  True: one line with the present step and the time taken, in a notebook by
+        IPython's display, else on standard error.  None, False: nothing is told.
+    """
+    if callable(progress) or not progress:
+        yield progress if callable(progress) else lambda text: None
+        return
+    show, begin = _notebook() or _Stderr(), time.monotonic()
+
+    def say(text: str, last: bool = False) -> None:
+        show(f"{name}: {text} ({time.monotonic() - begin:.0f} s)", last)
+
+    say("begins")
+    try:
+        yield say
+    except BaseException as stop:
+        say(f"stopped by {type(stop).__name__}", last=True)
+        raise
+    say("done", last=True)
+
+
+Line: TypeAlias = Callable[[str, bool], None]
+"""Shows a text in the place of the one before; the second argument: whether it is the last."""
+
+
+def _notebook() -> Line | None:
+    """A line in the output of a notebook's cell; None outside of a notebook."""
+    ipython = sys.modules.get("IPython")  # a notebook has loaded it; nothing else needs it
+    shell = None if ipython is None else ipython.get_ipython()
+    if shell is None or not hasattr(shell, "kernel"):
+        return None
+    handle = import_module("IPython.display").display({"text/plain": ""}, raw=True, display_id=True)
+    return lambda text, last: handle.update({"text/plain": text}, raw=True)
+
+
+class _Stderr:
+    """A line on standard error: overwritten on a terminal, else a line for each step."""
+
+    def __call__(self, text: str, last: bool) -> None:
+        if sys.stderr is None:
+            return
+        if sys.stderr.isatty():
+            print(f"\r{text}\x1b[K", end="\n" if last else "", file=sys.stderr, flush=True)
+        else:
+            print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,179 @@
+"""The summary of a climate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hygrokf.climate.limits import Exceedance
+from hygrokf.climate.study import RegionClimate, Study, profile_files
+from hygrokf.identification.verdict_terms import REJECT
+from hygrokf.identification.wording import NONE, sentence
+from hygrokf.report.blocks import Table
+from hygrokf.report.climate_page import SYNTHETIC_CLIMATE, TONES, doubt_text, weather_text
+from hygrokf.report.climate_tables import (
+    compared_statistics,
+    hours_text,
+    limits_table,
+    number_text,
+    regions_table,
+    share_held,
+    span_text,
+    value_and_bounds,
+)
+from hygrokf.report.discovery_text import listed
+from hygrokf.report.figures.climate import short_words
+from hygrokf.report.figures.lead import lead_of_climate
+from hygrokf.report.summary.content import Summary, drawable, first_actions, first_rows, made_by, named
+
+
+def summary_of_climate(study: Study) -> Summary:
+    """The climate in the cabinet: limits kept or not, else hours of wetness; several regions beside each
+    other."""
+    regions = study.regions
+    several = len(regions) > 1
+    doubt = doubt_text(study)
+    limited = any(one.limits for one in regions)
+    worst = next((v for v in WORST_FIRST if v in {one.verdict for one in regions}), "")
+    place = regions[0].name.strip()
+    alone = f"at “{place}”" if place != "site" else "at the site"  # --weather states no name
+    where = f"in {len(regions)} regions" if several else alone
+    made_up = study.synthetic or any(one.synthetic for one in regions)
+    return Summary(
+        "Summary of a climate",
+        named(study.name, "unnamed model"),
+        f"Does the climate in the cabinet keep the limits {where}?"
+        if limited
+        else f"What is the climate in the cabinet {where}?",
+        _answer_of_regions(regions) if several else _answer(regions[0]),
+        REJECT if doubt else "",
+        tuple(text for text in (doubt, *_conditions(study)) if text),
+        first_rows(_numbers(study)),
+        drawable(lambda: lead_of_climate(study)),
+        first_actions(_actions(study, doubt)),
+        (
+            ("Model", named(study.name, "unnamed model")),
+            *(("Weather", weather_text(one).removeprefix("Weather ")) for one in regions[:3]),
+            ("Ensemble", f"{study.members} members, seed {study.seed}"),
+            made_by(study.version),
+        ),
+        TONES.get(worst, "plain"),
+        SYNTHETIC_CLIMATE if made_up else "",
+    )
+
+
+def _answer(region: RegionClimate) -> str:
+    """The limits in words, else hours of wetness and of condensation, else the mean temperature."""
+    if region.limits:
+        return _limits_text(region.limits)
+    numbers = [
+        f"{words} {span_text(region.year[name], hours_text)} h a year"
+        for name, words in (("wetness_h", "wet for"), ("condensation_h", "condensation for"))
+        if name in region.year
+    ]
+    if not numbers:
+        numbers = [f"{span_text(region.year['mean_temperature_degC'])} °C on average"]
+    return sentence(", ".join(numbers))
+
+
+def _answer_of_regions(regions: Sequence[RegionClimate]) -> str:
+    """Where the limits are kept, else the regions with the least and the most hours of wetness."""
+    if any(one.limits for one in regions):
+        parts = []
+        for verdict, words in VERDICTS_IN_WORDS.items():
+            there = [one.name for one in regions if one.verdict == verdict]
+            if there:
+                place = listed(there) if len(there) <= MOST_NAMES else f"{len(there)} regions"
+                parts.append(f"{words} in {place}")
+        return f"The limits are {listed(parts)}."
+    name, words, unit = ("wetness_h", "Wet for", "h a year")
+    if not all(name in one.year for one in regions):
+        name, words, unit = ("mean_temperature_degC", "On average", "°C")
+    text = number_text(name)
+    least, *_, most = sorted(regions, key=lambda one: one.year[name].value)
+    low, high = (f"{text(one.year[name].value)} {unit} ({one.name})" for one in (least, most))
+    return f"{words} {low} to {high}."
+
+
+WORST_FIRST = ("fail", "undecided", "pass")
+VERDICTS_IN_WORDS = {"pass": "kept", "fail": "exceeded", "undecided": "undecided"}
+MOST_NAMES = 4
+"""Regions that are named; of more the number is given."""
+
+
+def _limits_text(limits: tuple[Exceedance, ...]) -> str:
+    """How many limits are kept: "Of 3 limits 2 are kept and 1 is exceeded." """
+    found: list[str] = [one.verdict for one in limits]
+    if set(found) == {"undecided"}:
+        return "Undecided: this climate does not show whether the limits are kept."
+    if len(set(found)) == 1 and len(found) > 1:
+        return f"All {len(found)} limits are {'kept' if found[0] == 'pass' else 'exceeded'}."
+    parts = []
+    for kind, words in VERDICTS_IN_WORDS.items():
+        if count := found.count(kind):
+            parts.append(f"{count} {'is' if count == 1 else 'are'} {words}")
+    if len(found) == 1:
+        return f"The limit {parts[0][2:]}."
+    return f"Of {len(found)} limits {listed(parts)}."
+
+
+def _conditions(study: Study) -> tuple[str, ...]:
+    """On what the answer rests: the share of years that the bounds hold, and how much weather there was."""
+    parts = {one.part_of_year for one in study.regions if one.part_of_year}
+    said = f"The bounds hold {share_held(study.regions)} of single years."
+    return (said, *(f"Judged on {part} of weather, not on a year." for part in sorted(parts)))
+
+
+def _numbers(study: Study) -> Table:
+    """The limits of a single region, else the numbers by which regions are compared."""
+    regions = study.regions
+    chosen = compared_statistics(regions)
+    if len(regions) > MOST_NAMES:
+        heads = (f"{short_words(one)} [{one.unit}]" for one in chosen)
+        cells = ((span_text(one.year[s.name], number_text(s.name)) for s in chosen) for one in regions)
+        many = tuple((one.name, *row) for one, row in zip(regions, cells, strict=True))
+        return Table("The numbers", ("", *heads), many)
+    if (several := regions_table(regions)) is not None:
+        return several
+    if regions[0].limits:
+        worst_first = sorted(regions[0].limits, key=lambda one: WORST_FIRST.index(one.verdict))
+        table = limits_table(replace(regions[0], limits=tuple(worst_first)))
+        kept = table.brief
+        found = tuple(tuple(row[i] for i in kept) for row in table.rows)
+        return Table("The numbers", tuple(table.columns[i] for i in kept), found, left=(0, 1, len(kept) - 1))
+    rows = []
+    for one in chosen:
+        text = number_text(one.name)
+        outside = regions[0].outside
+        weather = text(outside[one.name]) if one.weather and one.name in outside else NONE
+        value, bounds = value_and_bounds(regions[0].year[one.name], text)
+        rows.append((one.words, one.unit, value, bounds or NONE, weather))
+    return Table("The numbers", ("", "unit", "cabinet", "bounds", "outside"), tuple(rows), left=(0, 1))
+
+
+def _actions(study: Study, doubt: str) -> list[str]:
+    """What doubts about the model, the limits and the test profile ask for."""
+    several = len(study.regions) > 1
+    profiles = list(profile_files(study))
+    said = ["Do not use this climate before the model is reliable."] if doubt else []
+    said += [text for one in study.regions for text in _limit_actions(one, several)]
+    if profiles:
+        name = listed(profiles) if len(profiles) <= MOST_NAMES else "the files test_profile_….csv"
+        said.append(f"For a test in a chamber use {name}.")
+    return said or ["No limits were given (--limits FILE): nothing was judged."]
+
+
+def _limit_actions(region: RegionClimate, several: bool) -> list[str]:
+    """What the verdicts on the limits ask for."""
+    place = f"{region.name}: " if several else ""
+    said = []
+    for one in sorted(region.limits, key=lambda one: WORST_FIRST.index(one.verdict)):
+        hours = f"{span_text(one.hours, hours_text)} h a year, {hours_text(one.hours_a_year)} h allowed"
+        if one.verdict == "fail":
+            said.append(f"{place}Act on the limit “{one.name.strip()}”: exceeded for {hours}.")
+        elif one.verdict == "undecided":
+            why = one.why or "the allowed hours lie between the bounds"
+            said.append(f"{place}Do not decide on the limit “{one.name.strip()}” yet: {hours} ({why}).")
+    if region.limits and not said:
+        said.append(f"{place}The limits are kept, also at the upper bounds: no measure is needed.")
+    return said

@@ -1,0 +1,333 @@
+"""A result on one page: what stands on it, that it fits, and how it is written."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shutil
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.climate_case import study_of
+from builders.discovery_case import discovery_case, empty_case, residuals_case, typed, unexplained_case
+from builders.documents import document
+from builders.report_case import report_case, results, write_case
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from playwright.sync_api import Browser, sync_playwright
+
+from hygrokf.climate.limits import Exceedance, Limit
+from hygrokf.climate.study import RegionClimate, Study, write_climate
+from hygrokf.data.files import SUMMARIES
+from hygrokf.report.summary import sheet
+from hygrokf.report.summary.climate import summary_of_climate
+from hygrokf.report.summary.content import MOST_ACTIONS, MOST_ROWS, Summary
+from hygrokf.report.summary.discovery import summary_of_discovery
+from hygrokf.report.summary.fit import summary_of_fit
+from hygrokf.report.summary.page import summary_html
+from hygrokf.report.summary.remedies import LONGER, ORDER, REMEDIES
+from hygrokf.report.summary.sheet import HEIGHT, LEFT, WIDTH, lines_of, summary_bytes, summary_sheet
+from hygrokf.report.summary.writing import SummaryFault, planned, write_summary
+
+LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
+LIMITS = (
+    Limit("never", "temperature_degC", "above", 90.0),
+    Limit("broken", "temperature_degC", "above", -60.0),
+)
+
+
+def fitted(**changes: object) -> Summary:
+    data, series = report_case()
+    return summary_of_fit(results(data | changes), series)
+
+
+@cache
+def rejected() -> Summary:
+    """An estimation that did not converge, of a record with a long name."""
+    return fitted(converged=False, message="the search stopped after 200 steps", name=LONG)
+
+
+@cache
+def temperature_only() -> Summary:
+    data, series = report_case()
+    del data["time_constants"]["hygric"]
+    for quantities in (*data["rmse"].values(), *data["sensor_share"].values()):
+        del quantities["absolute_humidity_g_m3"]
+    dry = {n: np.full_like(v, np.nan) if "humidity" in n else v for n, v in series.items()}
+    return summary_of_fit(results(data | {"synthetic": False}), dry)
+
+
+@cache
+def caused() -> Summary:
+    return summary_of_discovery(typed(discovery_case()), residuals_case(), residuals_case(0.2))
+
+
+@cache
+def unexplained() -> Summary:
+    return summary_of_discovery(typed(unexplained_case()), residuals_case(), None)
+
+
+@cache
+def nothing_found() -> Summary:
+    return summary_of_discovery(typed(empty_case()), residuals_case(0.0), None)
+
+
+@cache
+def study() -> Study:
+    return study_of(limits=LIMITS)
+
+
+def with_region(**changes: object) -> Study:
+    return replace(study(), regions=(replace(study().regions[0], **changes),))
+
+
+@cache
+def limited() -> Summary:
+    return summary_of_climate(study())
+
+
+@cache
+def unlimited() -> Summary:
+    return summary_of_climate(with_region(limits=(), joint=None, test_profile=None))
+
+
+def of_regions(count: int = 9) -> Summary:
+    (region,) = study().regions
+    regions = tuple(replace(region, name=f"{place} {LONG[:20]}", limits=()) for place in range(count))
+    return summary_of_climate(replace(study(), regions=regions))
+
+
+MADE: tuple[Callable[[], Summary], ...] = (
+    fitted, rejected, temperature_only, caused, unexplained, nothing_found, limited, unlimited, of_regions,
+)  # fmt: skip
+every = pytest.mark.parametrize("make", MADE, ids=lambda make: make.__name__)
+
+
+# --- what stands on it -----------------------------------------------------------------------
+
+
+@every
+def test_a_summary_asks_answers_and_says_what_to_do(make) -> None:
+    made = make()
+    assert made.question.endswith("?") and made.answer.endswith(".") and made.picture is not None
+    assert made.actions and all(text.endswith(".") for text in (*made.actions, *made.reasons))
+    assert made.bounds and {term for term, _ in made.foot} >= {"Made by"}
+    assert bool(made.synthetic) == (make not in (temperature_only, limited, unlimited, of_regions))
+
+
+def test_the_verdict_of_a_fit_is_its_worst_one() -> None:
+    assert (fitted().verdict, rejected().verdict) == ("caution", "reject")
+    assert [row[0] for row in fitted().bounds.rows[:2]] == ["thermal time constant", "hygric time constant"]
+    assert fitted().reasons[0].startswith("Hygric") and len(rejected().reasons) == 2
+    assert "must not be used" in rejected().actions[0]
+    assert [row[0] for row in temperature_only().bounds.rows] == [
+        "thermal time constant", "error of the simulated temperature, on new data",
+    ]  # fmt: skip
+
+
+def test_a_named_cause_stands_with_its_confidence_gain_and_check() -> None:
+    made = caused()
+    assert made.answer == "Solar gain (confidence 87 %)." and made.verdict == "" and made.tone == "plain"
+    assert made.bounds.rows == (
+        ("Solar gain: temperature error", "1.79 K", "1.57 K", "0.13 … 0.31 K", "87 %"),
+    )
+    assert "shade or paint the wall" in made.actions[0] and "irradiance measured" in made.actions[0]
+    assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 2
+
+
+def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:
+    data = empty_case()
+    text = "not even its order of magnitude is known"
+    data["baseline"]["time_constants"]["thermal"] |= {
+        "verdict": "reject", "reasons": [{"code": "undetermined", "verdict": "reject", "text": text}],
+    }  # fmt: skip
+    made = summary_of_discovery(typed(data), residuals_case(0.0), None)
+    assert made.tone == "open" and "not right" in made.answer and text in " ".join(made.reasons)
+    assert made.actions == ("Do not rely on the base model.", LONGER)
+    data = discovery_case()
+    data["causes"][0] |= {"remedy": "", "separate_by": ""}
+    (action,) = summary_of_discovery(typed(data), residuals_case(), None).actions
+    assert action.startswith("Use the extended model")
+
+
+def test_limits_are_kept_exceeded_or_undecided() -> None:
+    (region,) = study().regions
+
+    def answer(*verdicts: str) -> tuple[str, str]:
+        limits = tuple(
+            replace(region.limits[0], name=f"{place}", verdict=one) for place, one in enumerate(verdicts)
+        )
+        made = summary_of_climate(with_region(limits=limits))
+        return made.answer, made.tone
+
+    assert answer("pass") == ("The limit is kept.", "plain")
+    assert answer("pass", "pass") == ("All 2 limits are kept.", "plain")
+    assert answer("pass", "fail", "fail") == ("Of 3 limits 1 is kept and 2 are exceeded.", "reject")
+    assert answer("undecided", "pass") == ("Of 2 limits 1 is kept and 1 is undecided.", "open")
+    assert answer("undecided", "undecided")[1] == "open"
+
+
+def test_the_worst_limits_come_first_and_the_rest_is_counted() -> None:
+    kept, broken = study().regions[0].limits
+    limits: tuple[Exceedance, ...] = (replace(kept, verdict="pass"),) * MOST_ROWS + (broken,) * MOST_ROWS
+    made = summary_of_climate(with_region(limits=limits))
+    assert {row[0] for row in made.bounds.rows} == {"broken"} and len(made.bounds.rows) == MOST_ROWS
+    assert f"{MOST_ROWS} more rows" in made.bounds.note and len(made.actions) == MOST_ACTIONS + 1
+
+
+def test_regions_are_ranked_or_told_by_their_limits() -> None:
+    (here,) = study().regions
+    wet = here.year["wetness_h"]
+    there: RegionClimate = replace(
+        here, name="there", scopes={"all": {**here.year, "wetness_h": replace(wet, value=9.0 * wet.value)}}
+    )
+    dry = [replace(one, limits=()) for one in (there, here)]
+    made = summary_of_climate(replace(study(), regions=tuple(dry)))
+    assert re.fullmatch(r"Wet for \S+ h a year \(here\) to \S+ h a year \(there\)\.", made.answer)
+    kept = replace(there, limits=tuple(replace(one, verdict="pass") for one in there.limits))
+    assert summary_of_climate(replace(study(), regions=(here, kept))).answer == (
+        "The limits are kept in there and exceeded in here."
+    )
+
+
+def test_every_reason_against_a_time_constant_has_a_remedy() -> None:
+    codes = re.findall(r"^\| `(\w+)` \| (?:caution|reject)", document("verdict.md").read_text(), re.M)
+    assert sorted(REMEDIES) == sorted(codes) and set(REMEDIES.values()) == set(ORDER)
+
+
+# --- the sheet -------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.text(st.sampled_from("iWm .-ü"), max_size=120), st.floats(0.5, 6.0), st.floats(5.0, 20.0))
+def test_lines_keep_every_letter_and_fit(text: str, width_in: float, size: float) -> None:
+    lines = lines_of(text, width_in, size)
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
+    wide = sheet._width_of(size, False)
+    assert all(wide(line) <= width_in or len(line) == 1 for line in lines)
+
+
+@every
+def test_all_texts_stand_on_the_sheet_one_below_the_other(make) -> None:
+    with sheet._lettered():
+        figure: Figure = summary_sheet(make())
+        figure.draw_without_rendering()
+    dots = figure.dpi
+    texts = [one for one in figure.get_children() if isinstance(one, Text) and one.get_text()]
+    boxes = [one.get_window_extent() for one in texts]
+    assert all(box.x0 >= LEFT * dots - 2 and box.x1 <= (WIDTH - LEFT) * dots + 3 for box in boxes)
+    assert all(0.3 * dots < box.y0 and box.y1 < (HEIGHT - 0.3) * dots for box in boxes)
+    pictures = [one.get_tightbbox() for one in figure.get_axes()]
+    assert all(box is not None and box.height > 20 and box.x0 > 0.7 * LEFT * dots for box in pictures)
+    for one, other in (*itertools.combinations(boxes, 2), *itertools.product(boxes, pictures)):
+        assert not _overlap(one, other), (one, other)
+
+
+def _overlap(one: Bbox, other: Bbox) -> bool:
+    """Whether two boxes have more in common than the rounding of their letters."""
+    common = Bbox.intersection(one, other)
+    return common is not None and common.width > 3.0 and common.height > 4.5
+
+
+def test_the_files_are_one_page_of_a4_and_the_same_every_time() -> None:
+    pdf, png = summary_bytes(caused())
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1 and pdf == summary_bytes(caused())[0]
+    (box,) = re.findall(rb"/MediaBox \[ ?([\d. ]+)\]", pdf)
+    assert [float(one) for one in box.split()] == pytest.approx([0, 0, 595.4, 841.7], abs=0.5)
+    assert struct.unpack(">II", png[16:24]) == (1240, 1753)
+
+
+def test_a_name_in_other_letters_or_signs_is_drawn_as_it_is() -> None:
+    pdf, png = summary_bytes(replace(caused(), name="风电场 <b> $x_1$ {0} \\alpha"))
+    assert pdf.startswith(b"%PDF") and png.startswith(b"\x89PNG")
+
+
+# --- the page --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=180_000
+        )
+        yield started
+        started.close()
+
+
+@every
+def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_path) -> None:
+    file = tmp_path / "summary.html"
+    file.write_text(summary_html(make()), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.goto(file.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert len(re.findall(rb"/Type /Page\b", page.pdf(prefer_css_page_size=True))) == 1
+    page.close()
+
+
+# --- on disk ---------------------------------------------------------------------------------
+
+
+def test_a_summary_stands_beside_its_result(tmp_path) -> None:
+    folder = write_case(tmp_path / "made", *report_case())
+    files = write_summary(folder)
+    assert [file.name for file in files] == ["summary.html", "summary.pdf", "summary.png"]
+    assert {file.parent for file in files} == {folder}
+
+
+def test_the_kind_is_told_from_the_file_and_each_result_has_its_place(tmp_path) -> None:
+    made = {"one": ["fit.json"], "two": ["fit.json", "discovery.json"], "three": ["climate.json"]}
+    for place, names in made.items():
+        (tmp_path / place).mkdir()
+        for name in names:
+            (tmp_path / place / name).touch()
+    one, two, three = (tmp_path / place for place in ("one", "two", "three"))
+
+    def places(*results: Path, out: Path | None = None) -> list[tuple[Path, str]]:
+        return [(folder, stem) for _, folder, stem in planned(results, out)]
+
+    assert places(one / "fit.json", two, three) == [(one, "summary"), (two, "summary"), (three, "summary")]
+    assert places(two / "fit.json") == [(two, "fit_summary")]
+    assert places(one, out=tmp_path / "out") == [(tmp_path / "out", "summary")]
+    assert places(one, three, out=tmp_path / "out") == [
+        (tmp_path / "out" / place, "summary") for place in ("one", "three")
+    ]
+    with pytest.raises(SummaryFault, match="found one twice"):
+        planned([one, one / "fit.json"], tmp_path / "out")
+
+
+def test_nothing_is_written_where_a_drawing_fails(tmp_path, monkeypatch) -> None:
+    folder = write_case(tmp_path / "made", *report_case())
+    before = sorted(folder.iterdir())
+
+    def failing(_: Summary) -> str:
+        raise MemoryError
+
+    monkeypatch.setattr("hygrokf.report.summary.writing.summary_html", failing)
+    with pytest.raises(MemoryError):
+        write_summary(folder)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_results_of_other_kinds_are_refused_together(tmp_path) -> None:
+    (tmp_path / "compare.json").write_text("{}")
+    with pytest.raises(SummaryFault) as told:
+        planned([tmp_path, tmp_path / "absent"], None)
+    first, second = str(told.value).splitlines()
+    assert "compare.json" in first and "no such file" in second
+
+
+def test_new_results_remove_the_summary_of_the_old_ones(tmp_path) -> None:
+    for name in SUMMARIES:
+        (tmp_path / name).write_text("old")
+    write_climate(study(), tmp_path)
+    assert not any((tmp_path / name).exists() for name in SUMMARIES)
