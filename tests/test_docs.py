@@ -42,6 +42,10 @@ def broken_links(page: Path, text: str) -> list[str]:
     return broken
 
 
+def test_the_pages_can_be_read() -> None:
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in DOCS.rglob("*.md")) <= 30_000
+
+
 @pytest.mark.parametrize(
     ("page", "languages", "made"),
     [
