@@ -12,6 +12,39 @@ from builders.documents import DOCS, ROOT, document, run_page
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 
 
+RUN = [
+    (ROOT / "README.md", "python", ["turbine/case.toml"]),
+    (document("tutorial.md"), "python,bash", ["result/report.html", "simulated.csv"]),
+    pytest.param(
+        document("fleet.md"),
+        "python,bash",
+        ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
+        marks=pytest.mark.slow,
+    ),
+    (document("add_a_mechanism.md"), "python,bash", ["turbine/case.toml"]),
+    (document("own_model.md"), "python", []),
+    (document("reference.md"), "python", ["result/report.html", "fleet/report.html"]),
+    pytest.param(
+        document("climate.md"),
+        "python,bash",
+        ["climate/report.html", "checked/climate.csv", "regions/report.html"],
+        marks=pytest.mark.slow,
+    ),
+    (document("compare.md"), "python,bash", ["compared/report.html", "compared/compare.csv"]),
+    pytest.param(
+        document("transfer.md"),
+        "python,bash",
+        ["moved/report.html", "moved/synthetic-turbine-42/fit.json"],
+        marks=pytest.mark.slow,
+    ),
+    (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
+    (document("live_notify.md"), "bash", ["hook.secret"]),
+    (document("live_opcua.md"), "bash", ["pki/tracker.key", "pki/tracker.pem"]),
+    (document("live_page.md"), "bash", ["page.token"]),
+]
+"""(page, languages of its blocks that are run, files that they must leave)."""
+
+
 def prose(text: str) -> str:
     """A page without its code blocks and inline code."""
     return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
@@ -48,39 +81,29 @@ def test_the_pages_can_be_read() -> None:
 
 @pytest.mark.parametrize(
     ("page", "languages", "made"),
-    [
-        (ROOT / "README.md", "python", ["turbine/case.toml"]),
-        (document("tutorial.md"), "python,bash", ["result/report.html", "simulated.csv"]),
-        pytest.param(
-            document("fleet.md"),
-            "python,bash",
-            ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
-            marks=pytest.mark.slow,
-        ),
-        (document("add_a_mechanism.md"), "python,bash", ["turbine/case.toml"]),
-        (document("own_model.md"), "python", []),
-        (document("reference.md"), "python", ["result/report.html", "fleet/report.html"]),
-        pytest.param(
-            document("climate.md"),
-            "python,bash",
-            ["climate/report.html", "checked/climate.csv", "regions/report.html"],
-            marks=pytest.mark.slow,
-        ),
-        (document("compare.md"), "python,bash", ["compared/report.html", "compared/compare.csv"]),
-        pytest.param(
-            document("transfer.md"),
-            "python,bash",
-            ["moved/report.html", "moved/synthetic-turbine-42/fit.json"],
-            marks=pytest.mark.slow,
-        ),
-        (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
-    ],
+    RUN,
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )
 def test_the_code_of_a_page_runs(page: Path, languages: str, made: list[str], tmp_path: Path) -> None:
     done = run_page(page, tmp_path, languages)
     assert done.returncode == 0, f"{page.name}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
     assert [name for name in made if not (tmp_path / name).is_file()] == []
+
+
+def test_every_block_of_code_is_run() -> None:
+    """The tracker's tutorial has tests of its own; what installs the package cannot be run by it."""
+    run = {page: languages for page, languages, _ in (getattr(one, "values", one) for one in RUN)}
+    run |= {document("live_tutorial.md"): "python,bash"}
+    installs = {ROOT / "README.md", document("index.md")}
+    left = []
+    for page in PAGES:
+        found = set(re.findall(r"^```(python|bash)$", page.read_text(encoding="utf-8"), re.MULTILINE))
+        left += [
+            (page.name, one)
+            for one in found - ({"bash"} if page in installs else set())
+            if one not in run.get(page, "")
+        ]
+    assert left == []
 
 
 def test_a_failing_block_fails_and_names_its_line(tmp_path: Path) -> None:

@@ -26,7 +26,8 @@ from pathlib import Path
 page, languages = Path(sys.argv[1]), sys.argv[2].split(",")
 
 def bash(text):
-    command = f'hygrokf() {{ "{sys.executable}" -m hygrokf.commands.main "$@"; }}\\n' + text
+    command = f'python() {{ "{sys.executable}" "$@"; }}\\n'
+    command += 'hygrokf() { python -m hygrokf.commands.main "$@"; }\\n' + text
     subprocess.run(["bash", "-euo", "pipefail", "-c", command], check=True)
 
 lines, block, language = [], [], None
