@@ -128,12 +128,10 @@ def test_what_simulates_worse_in_any_part_is_no_cause() -> None:
     assert "worse" in verdict(both)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "form", "strength", "seed", "submodel"),
-    [
-        pytest.param("unlogged_heater", 0, 0.5, 9521, THERMAL, marks=pytest.mark.slow),
-        ("cooling_switching", 1, 1.0, 9026, THERMAL),
-    ],
+    [("unlogged_heater", 0, 0.5, 9521, THERMAL), ("cooling_switching", 1, 1.0, 9026, THERMAL)],
 )
 def test_a_switch_that_drives_itself_simulates_better(
     cause: str, form: int, strength: float, seed: int, submodel: str
