@@ -421,7 +421,10 @@ def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: 
 
 @pytest.mark.parametrize(
     ("task", "options"),
-    [pytest.param("transfer", "", marks=pytest.mark.slow), ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n')],
+    [
+        pytest.param("transfer", "", marks=pytest.mark.slow),
+        ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n'),
+    ],
 )
 def test_models_go_elsewhere_on_a_cluster_as_here(
     task: str, options: str, park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
