@@ -144,7 +144,9 @@ class _Weather:
 
 def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
     """x[0] = start, x[n + 1] = gain x[n] + drive[n]; one entry more than `drive`."""
-    return np.array(list(accumulate(drive.tolist(), lambda state, push: gain * state + push, initial=start)))
+    from scipy.signal import lfilter  # takes longer to load than most commands need
+
+    return lfilter([1.0], [1.0, -gain], np.append(start, drive))
 
 
 def _ornstein_uhlenbeck(random: np.random.Generator, steps: int, correlation_h: float) -> np.ndarray:
