@@ -14,7 +14,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
-from hygrokf.drafting.case_text import Contents, Weather, case_text
+from hygrokf.drafting.case_text import Contents, Weather, case_text, lacking
 from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
@@ -58,6 +58,7 @@ class Draft:
     """A drafted case.
 
     case: path of the case file. copies: tables written beside it. doubts: of the clocks and of the selection.
+    lacks: signals that a fit needs or would miss and that no export holds, in words.
     """
 
     case: str
@@ -65,6 +66,7 @@ class Draft:
     signals: tuple[DraftedSignal, ...]
     left: tuple[LeftColumn, ...]
     doubts: tuple[str, ...]
+    lacks: tuple[str, ...]
 
 
 def draft_case(
@@ -128,11 +130,12 @@ def _written(
     out: Path,
     site: tuple[float, float] | None,
 ) -> Draft:
-    files, copies = [], []
+    files: list[str] = []
+    copies: list[Path] = []
     for source in sources:
         path = source.export.file
         if source.export.changes:
-            path = out.parent / f"{out.stem}_{path.name.split('.')[0]}.csv"
+            path = _copy_name(source.export.file, out, copies)
             copies.append(path)
         files.append(_relative(path, out))
     clocks = [(*doubts, *_offset_doubt(source)) for source, doubts in zip(sources, said, strict=True)]
@@ -177,7 +180,15 @@ def _written(
             for file, source, doubts in zip(files, sources, clocks, strict=True)
             for doubt in (*source.clock.doubts, *doubts)
         ),
+        lacking(contents),
     )
+
+
+def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
+    """Where the copy of an export goes; exports of one name in two folders get two copies."""
+    stem = f"{out.stem}_{file.name.split('.')[0]}"
+    names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
+    return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
 def _with_copy_marks(source: Source) -> Source:
