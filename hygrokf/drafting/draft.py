@@ -95,7 +95,7 @@ def draft_case(
             else:
                 tables.append(read_export(file))
         except TableFault as broken:
-            faults += [f"{file}: {fault}" for fault in broken.faults]
+            faults += [fault if str(file) in fault else f"{file}: {fault}" for fault in broken.faults]
     together = joined(tables)
     faults += same_layout(together)
     sources: list[Source] = []
