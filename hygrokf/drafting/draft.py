@@ -84,7 +84,7 @@ def draft_case(
 
     Raises DraftFault with the faults of all exports.
     """
-    faults: list[str] = []
+    faults = _copies_among(exports, out)
     tables: list[Export] = []
     weather: list[Weather] = []
     for file in exports:
@@ -120,6 +120,17 @@ def draft_case(
     return _written(sources, said, chosen, found, left, weather, out, site)
 
 
+def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
+    """Faults of exports that the copies of this draft would replace: they are those of an earlier draft."""
+    return [
+        f"{one}: expected an export, found the name of the copy of {other.name} for {out.name}; "
+        "leave it out, or remove it"
+        for one in exports
+        for other in exports
+        if one.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
+    ]
+
+
 def _written(
     sources: list[Source],
     said: list[tuple[str, ...]],
@@ -138,7 +149,10 @@ def _written(
             path = _copy_name(source.export.file, out, copies)
             copies.append(path)
         files.append(_relative(path, out))
-    clocks = [(*doubts, *_offset_doubt(source)) for source, doubts in zip(sources, said, strict=True)]
+    clocks = [
+        (*doubts, *_offset_doubt(source), *_zone_doubt(source, sources))
+        for source, doubts in zip(sources, said, strict=True)
+    ]
     rated, largest = _power(sources, found)
     name = next((one for one in chosen if one), None) or _name(sources, out)
     contents = Contents(
@@ -205,6 +219,19 @@ def _offset_doubt(source: Source) -> tuple[str, ...]:
         return ()
     time = source.clock.time
     return summer_time_holes(np.sort(time[np.isfinite(time)]))
+
+
+def _zone_doubt(source: Source, sources: list[Source]) -> tuple[str, ...]:
+    """A doubt of an assumed zone where other exports state theirs."""
+    stated = {
+        one.clock.timezone: one.export.file.name
+        for one in sources
+        if one.clock.timezone not in (None, source.clock.timezone) and not one.clock.zone_assumed
+    }
+    if not source.clock.zone_assumed or not stated:
+        return ()
+    others = ", ".join(f'{file} is at "{zone}"' for zone, file in stated.items())
+    return (f"{others}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
 
 
 def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, float | None]:

@@ -47,7 +47,8 @@ class Clock:
 
     column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
     file, read as UTC where the stamps have no offset.
-    timezone: of the stamps, None where they carry offsets. stamp: their meaning. step_s: most frequent step.
+    timezone: of the stamps, None where they carry offsets; zone_assumed: whether nothing tells it.
+    stamp: their meaning. step_s: most frequent step.
     doubts: choices to confirm. remarks: what was seen and rests on evidence.
     """
 
@@ -59,6 +60,7 @@ class Clock:
     step_s: float
     doubts: tuple[str, ...]
     remarks: tuple[str, ...]
+    zone_assumed: bool = False
 
 
 def time_columns(export: Export) -> tuple[str, str | None]:
@@ -134,10 +136,12 @@ def clock_of(export: Export, column: str, means: bool) -> Clock:
     aware = form is None and bool(read_stamps(text.iloc[:50]).naive.sum() < 25)
     zone: str | None = None
     holes = _holes(time, step)
+    said = len(doubts)
     if not aware:
         zone = _zone(column, export, time, holes, doubts, remarks)
+    assumed = len(doubts) > said
     stamp = _position(column, time, step, holes, means, doubts, remarks)
-    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks))
+    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks), assumed)
 
 
 def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:

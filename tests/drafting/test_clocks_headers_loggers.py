@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from builders.command_line import run
-from builders.vendor_exports import ROWS, TIMES, TRUTH
+from builders.vendor_exports import ROWS, TIMES, TRUTH, rotronic
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.drafting.draft import DraftFault, draft_case
@@ -138,3 +140,24 @@ def test_the_folder_tells_two_turbines_of_one_file_name_apart(tmp_path):
     with pytest.raises(DraftFault, match="T08") as raised:
         draft_case(exports, tmp_path / "case.toml")
     assert str(tmp_path / "T07" / "s.csv") in str(raised.value)
+
+
+def test_an_assumed_zone_is_doubted_beside_a_stated_one(tmp_path):
+    cabinet = written(tmp_path / "cabinet.csv", "Date Time GMT+01:00,Temp (°C)", ["cabinet_temperature"])
+    columns = ["active_power", "ambient_temperature"]
+    scada = written(tmp_path / "scada.csv", "time,Power (kW),Outside (°C)", columns)
+    alone, _ = drafted(tmp_path, scada)
+    beside, _ = drafted(tmp_path, scada, cabinet)
+    assert not any("+01:00" in doubt for doubt in alone.doubts)
+    assert len([doubt for doubt in beside.doubts if "cabinet.csv" in doubt and "+01:00" in doubt]) == 1
+
+
+def test_the_copy_of_an_earlier_draft_is_no_export(tmp_path):
+    (path,) = rotronic().write(tmp_path)
+    draft = draft_case([path], tmp_path / "case.toml")
+    (copy,) = draft.copies
+    (tmp_path / "case.toml").unlink()
+    before = Path(copy).read_bytes()
+    with pytest.raises(DraftFault, match="leave it out"):
+        draft_case([path, Path(copy)], tmp_path / "case.toml")
+    assert Path(copy).read_bytes() == before
