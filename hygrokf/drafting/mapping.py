@@ -288,6 +288,13 @@ def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candida
     return checked
 
 
+def _runner_up(candidate: Candidate, best: Candidate, sources: list[Source]) -> str:
+    """A next best column, with its file where that is another one."""
+    file = sources[candidate.source].export.file
+    where = "" if candidate.source == best.source else f" of {file.parent.name}/{file.name}"
+    return f'"{candidate.column}"{where} ({candidate.score:.2f})'
+
+
 def _settled(
     sources: list[Source], candidates: list[Candidate]
 ) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
@@ -304,7 +311,7 @@ def _settled(
         if one.score < SURE:
             doubts.insert(0, f"{one.why}, score {one.score:.2f}")
         if near:
-            doubts.append("next: " + ", ".join(f'"{c.column}" ({c.score:.2f})' for c in near[:4]))
+            doubts.append("next: " + ", ".join(_runner_up(c, one, sources) for c in near[:4]))
         if one.signal == "cabinet_temperature" and outside is not None:
             air = sources[outside.source].hourly(outside.column)
             share = warmer_share(sources[one.source].hourly(one.column), air)

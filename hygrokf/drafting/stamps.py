@@ -139,7 +139,7 @@ def clock_of(export: Export, column: str, means: bool) -> Clock:
     said = len(doubts)
     if not aware:
         zone = _zone(column, export, time, holes, doubts, remarks)
-    assumed = len(doubts) > said
+    assumed = len(doubts) > said and zone == "UTC"
     stamp = _position(column, time, step, holes, means, doubts, remarks)
     return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks), assumed)
 

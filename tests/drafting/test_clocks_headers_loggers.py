@@ -152,6 +152,26 @@ def test_an_assumed_zone_is_doubted_beside_a_stated_one(tmp_path):
     assert len([doubt for doubt in beside.doubts if "cabinet.csv" in doubt and "+01:00" in doubt]) == 1
 
 
+def test_a_zone_named_in_central_europe_is_a_stated_one(tmp_path):
+    short, columns = STAMPS[:500], ["active_power", "ambient_temperature"]
+    scada = written(tmp_path / "scada.csv", "time,Power (kW),Outside (°C)", columns)
+    cabinet = tmp_path / "cabinet.csv"
+    written(cabinet, "Zeit (MEZ),Temperatur (°C)", ["cabinet_temperature"], stamps=short)
+    draft, _ = drafted(tmp_path, scada, cabinet)
+    assert len([doubt for doubt in draft.doubts if doubt.startswith("scada.csv: cabinet.csv")]) == 1
+    assert any("summer time" in doubt for doubt in draft.doubts if doubt.startswith("cabinet.csv"))
+
+
+def test_two_loggers_without_a_place_name_each_other(tmp_path):
+    columns = ["ambient_temperature", "ambient_relative_humidity"]
+    exports = [
+        written(tmp_path / name / "log.csv", "time (UTC),Temp (°C),Hum (%rF)", columns)
+        for name in ("left", "right")
+    ]
+    draft, _ = drafted(tmp_path, *exports)
+    assert any("right/log.csv" in doubt for one in draft.signals for doubt in one.doubts)
+
+
 def test_the_copy_of_an_earlier_draft_is_no_export(tmp_path):
     (path,) = rotronic().write(tmp_path)
     draft = draft_case([path], tmp_path / "case.toml")
