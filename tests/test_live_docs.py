@@ -108,6 +108,11 @@ def test_the_tutorial_from_a_fit_to_a_live_page(tmp_path: Path) -> None:
     ).read_text()
     (folder / "track.toml").write_text(blocks(TUTORIAL, "toml")[0])
     assert list(read_config(folder / "track.toml").turbines) == ["T07"]
+    doctor = subprocess.run(
+        [sys.executable, "-m", "hygrokf", "doctor", "track.toml", "--no-page", "--wait", "1s"],
+        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "does not exist yet" in doctor.stdout  # T07 gets all lines of live.csv
 
 
 def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def _weathers(
 def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
     """Text and content of the case file."""
     try:
-        return read_toml(file, CaseFault, "no such case file")
+        return read_toml(file, CaseFault, "no such case file; check the path")
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None

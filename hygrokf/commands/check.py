@@ -20,7 +20,10 @@ def _run(options: Namespace) -> int:
     from hygrokf.report.record_text import describe_text
 
     found = describe(read_case(options.case, cabinet=False))
-    show(found, describe_text(found), options.json)
+    text = describe_text(found)
+    if any(one.signal.startswith("cabinet_") for one in found.signals):
+        text += f"\n\nnext: hygrokf fit {options.case} --out result"
+    show(found, text, options.json)
     return 0
 
 

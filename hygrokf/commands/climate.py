@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.activity import activity
-from hygrokf.commands.console import Progress, UserFault, expect_own_directory, faults_of, show_reported
+from hygrokf.commands.console import (
+    Progress,
+    UserFault,
+    collected,
+    expect_own_directory,
+    faults_of,
+    show_reported,
+)
 from hygrokf.commands.inputs import stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
+    from hygrokf.climate.chamber import ProfilePlan
+    from hygrokf.climate.limits import Limit
     from hygrokf.climate.power import PowerCurve
+    from hygrokf.climate.region import Region
     from hygrokf.data.record import Record
+    from hygrokf.identification.fit import Fit
     from hygrokf.physics.cold_surface import Surface
 
 
@@ -79,40 +91,69 @@ def _surface(text: str) -> Surface:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from hygrokf.climate.chamber import read_test_plan
-    from hygrokf.climate.classes import limits_of
-    from hygrokf.climate.power import read_power_curve
     from hygrokf.climate.procedure import climate_profile
-    from hygrokf.climate.region import read_power, read_region
     from hygrokf.data.structured import plain
     from hygrokf.report.climate_page import climate_text, write_climate_report
 
     expect_own_directory(options.out, CLIMATE)
-    groups = _regions(options)
-    fit = stored_fit(options.fit, options.library)
-    stated = options.power or options.power_curve or options.standstill
-    if not stated and fit.design.power_scale_W is not None:
-        raise UserFault(
-            "expected --power, --power-curve or --standstill, as the model reads a power; found none"
-        )
-    power: Record | PowerCurve | None = read_power(options.power) if options.power else None
-    if options.power_curve:
-        power = read_power_curve(options.power_curve)
-    limits = limits_of(options.limits) if options.limits else ()
-    plan = read_test_plan(options.test) if options.test else None
-    regions = [read_region(name, files, power) for name, files in groups]
-    for region in regions:
+    read = _inputs(options)
+    for region in read.regions:
         for warning in region.weather.warnings:
             activity().note(f"warning: {region.name}: {warning}")
-    with Progress(4 * len(regions) + 1) as progress:
+    with Progress(4 * len(read.regions) + 1) as progress:
         with faults_of(options.fit):
             study = climate_profile(
-                fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
-                surface=options.surface, progress=progress,
+                read.fit, read.regions, read.power, limits=read.limits, plan=read.plan,
+                members=options.members, seed=options.seed, surface=options.surface, progress=progress,
             )  # fmt: skip
         progress("draw the report")
         page = write_climate_report(study, options.out)
     return show_reported(page, plain(study), climate_text(study), options.json)
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What the files of a command line hold."""
+
+    fit: Fit
+    power: Record | PowerCurve | None
+    limits: tuple[Limit, ...]
+    plan: ProfilePlan | None
+    regions: list[Region]
+
+
+def _inputs(options: argparse.Namespace) -> _Inputs:
+    """What the files hold.  Raises UserFault with the faults of all of them."""
+    from hygrokf.climate.chamber import read_test_plan
+    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.power import read_power_curve
+    from hygrokf.climate.region import read_power, read_region
+
+    groups = _regions(options)
+    faults: list[str] = []
+    with collected(faults):
+        fit = stored_fit(options.fit, options.library)
+        stated = options.power or options.power_curve or options.standstill
+        if not stated and fit.design.power_scale_W is not None:
+            faults.append(
+                "expected --power, --power-curve or --standstill, as the model reads a power; found none"
+            )
+    power: Record | PowerCurve | None = None
+    with collected(faults):
+        power = read_power(options.power) if options.power else None
+        if options.power_curve:
+            power = read_power_curve(options.power_curve)
+    with collected(faults):
+        limits = limits_of(options.limits) if options.limits else ()
+    with collected(faults):
+        plan = read_test_plan(options.test) if options.test else None
+    regions: list[Region] = []
+    for name, files in groups:
+        with collected(faults):
+            regions.append(read_region(name, files, power))
+    if faults:
+        raise UserFault("\n".join(faults))
+    return _Inputs(fit, power, limits, plan, regions)
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:

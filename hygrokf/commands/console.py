@@ -67,6 +67,15 @@ def faults_of(file: Path) -> Iterator[None]:
         raise UserFault(f"{file}: {fault}") from fault
 
 
+@contextmanager
+def collected(faults: list[str]) -> Iterator[None]:
+    """Add an input error raised inside to `faults`, so that the next input is read, too."""
+    try:
+        yield
+    except HygrokfError as fault:
+        faults.append(str(fault))
+
+
 def show(found: object, text: str, as_json: bool) -> None:
     """Print a result as JSON or as text."""
     from hygrokf.data.result_file import result_text

@@ -200,8 +200,10 @@ def read_toml(
     except FileNotFoundError:
         near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
         raise fault_class(file, [missing + suggestion(file.name, near)]) from None
+    except IsADirectoryError as fault:
+        raise fault_class(file, [f"cannot be read: {fault.strerror}; name a file in it"]) from None
     except OSError as fault:
-        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}"]) from None
+        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}; check its rights"]) from None
     except UnicodeDecodeError:
         raise fault_class(file, ["expected TOML text in UTF-8, found other bytes"]) from None
     try:

@@ -54,6 +54,22 @@ def case_text(case: Contents) -> str:
     return "\n".join(_lines(case)) + "\n"
 
 
+def lacking(case: Contents) -> tuple[str, ...]:
+    """What a fit needs or would miss, and no active signal of the draft holds."""
+    signals = {one.best.signal for one in case.found if one.active and not one.compare}
+    lacks = []
+    if not case.weather and "ambient_temperature" not in signals:
+        lacks.append("no ambient temperature was found, and every model needs it: add its export")
+    if not any(one.startswith("cabinet_") for one in signals):
+        lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
+    if "active_power" not in signals:
+        lacks.append(
+            "no active power was found: the whole record would count as standstill; add its export, "
+            "or name its column"
+        )
+    return tuple(lacks)
+
+
 def _lines(case: Contents) -> Iterator[str]:
     yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
     yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
@@ -72,14 +88,8 @@ def _lines(case: Contents) -> Iterator[str]:
         yield "[site]"
         yield f"latitude_deg = {case.site[0]:g}"
         yield f"longitude_deg = {case.site[1]:g}"
-    signals = {one.best.signal for one in case.found if one.active and not one.compare}
-    if not case.weather and "ambient_temperature" not in signals:
-        yield from ("", *_doubt("no ambient temperature was found, and every model needs it: add its export"))
-    if not any(one.startswith("cabinet_") for one in signals):
-        yield from (
-            "",
-            *_doubt("no reading of the cabinet was found; `hygrokf fit` needs one: add its export"),
-        )
+    for lack in lacking(case):
+        yield from ("", *_doubt(lack))
     for number in range(len(case.sources)):
         for compare in (False, True):
             lines = [one for one in case.found if one.best.source == number and one.compare is compare]

@@ -14,7 +14,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
-from hygrokf.drafting.case_text import Contents, Weather, case_text
+from hygrokf.drafting.case_text import Contents, Weather, case_text, lacking
 from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
@@ -58,6 +58,7 @@ class Draft:
     """A drafted case.
 
     case: path of the case file. copies: tables written beside it. doubts: of the clocks and of the selection.
+    lacks: signals that a fit needs or would miss and that no export holds, in words.
     """
 
     case: str
@@ -65,6 +66,7 @@ class Draft:
     signals: tuple[DraftedSignal, ...]
     left: tuple[LeftColumn, ...]
     doubts: tuple[str, ...]
+    lacks: tuple[str, ...]
 
 
 def draft_case(
@@ -82,7 +84,7 @@ def draft_case(
 
     Raises DraftFault with the faults of all exports.
     """
-    faults: list[str] = []
+    faults = _copies_among(exports, out)
     tables: list[Export] = []
     weather: list[Weather] = []
     for file in exports:
@@ -93,7 +95,7 @@ def draft_case(
             else:
                 tables.append(read_export(file))
         except TableFault as broken:
-            faults += [f"{file}: {fault}" for fault in broken.faults]
+            faults += [fault if str(file) in fault else f"{file}: {fault}" for fault in broken.faults]
     together = joined(tables)
     faults += same_layout(together)
     sources: list[Source] = []
@@ -118,6 +120,17 @@ def draft_case(
     return _written(sources, said, chosen, found, left, weather, out, site)
 
 
+def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
+    """Faults of exports that the copies of this draft would replace: they are those of an earlier draft."""
+    return [
+        f"{one}: expected an export, found the name of the copy of {other.name} for {out.name}; "
+        "leave it out, or remove it"
+        for one in exports
+        for other in exports
+        if one.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
+    ]
+
+
 def _written(
     sources: list[Source],
     said: list[tuple[str, ...]],
@@ -128,14 +141,18 @@ def _written(
     out: Path,
     site: tuple[float, float] | None,
 ) -> Draft:
-    files, copies = [], []
+    files: list[str] = []
+    copies: list[Path] = []
     for source in sources:
         path = source.export.file
         if source.export.changes:
-            path = out.parent / f"{out.stem}_{path.name.split('.')[0]}.csv"
+            path = _copy_name(source.export.file, out, copies)
             copies.append(path)
         files.append(_relative(path, out))
-    clocks = [(*doubts, *_offset_doubt(source)) for source, doubts in zip(sources, said, strict=True)]
+    clocks = [
+        (*doubts, *_offset_doubt(source), *_zone_doubt(source, sources))
+        for source, doubts in zip(sources, said, strict=True)
+    ]
     rated, largest = _power(sources, found)
     name = next((one for one in chosen if one), None) or _name(sources, out)
     contents = Contents(
@@ -177,7 +194,15 @@ def _written(
             for file, source, doubts in zip(files, sources, clocks, strict=True)
             for doubt in (*source.clock.doubts, *doubts)
         ),
+        lacking(contents),
     )
+
+
+def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
+    """Where the copy of an export goes; exports of one name in two folders get two copies."""
+    stem = f"{out.stem}_{file.name.split('.')[0]}"
+    names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
+    return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
 def _with_copy_marks(source: Source) -> Source:
@@ -194,6 +219,19 @@ def _offset_doubt(source: Source) -> tuple[str, ...]:
         return ()
     time = source.clock.time
     return summer_time_holes(np.sort(time[np.isfinite(time)]))
+
+
+def _zone_doubt(source: Source, sources: list[Source]) -> tuple[str, ...]:
+    """A doubt of an assumed zone where other exports state theirs."""
+    stated = {
+        one.clock.timezone: one.export.file.name
+        for one in sources
+        if one.clock.timezone not in (None, source.clock.timezone) and not one.clock.zone_assumed
+    }
+    if not source.clock.zone_assumed or not stated:
+        return ()
+    others = ", ".join(f'{file} is at "{zone}"' for zone, file in stated.items())
+    return (f"{others}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
 
 
 def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, float | None]:

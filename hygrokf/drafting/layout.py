@@ -197,6 +197,8 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     above = above[::-1]
     while len(above) > 1 and all(map(_unit_like, above[0])):
         above = above[1:]
+    while len(above) > 1 and _is_title(above[0], above[1]):
+        above = above[1:]
     if not above or all(map(is_number, filter(None, above[0]))):
         above, changes = [[f"column {n + 1}" for n in range(width)]], (*changes, "no header")
     names = [above[0][0].removeprefix("#").strip() or above[0][0], *above[0][1:]]
@@ -216,6 +218,14 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     words = {cell for row in above[1:] for cell in row if cell and cell not in MISSING}
     export = _framed(file, frame, changes, tuple(names), tuple(units), separator, comment, words)
     return replace(export, preamble="\n".join(" ".join(row) for row in rows[: first - len(above)]))
+
+
+def _is_title(row: list[str], below: list[str]) -> bool:
+    """Whether a row is a title above the header: it fills far fewer cells than the row below, which
+    is no row of units."""
+    units = sum(map(_unit_like, filter(None, below)))
+    filled = sum(map(bool, below))
+    return sum(map(bool, row)) < 0.7 * filled and units <= 0.6 * filled
 
 
 def _framed(

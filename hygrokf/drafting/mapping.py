@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ NEEDED = 0.3
 """Score from which a signal that a model needs is read, with its doubts."""
 USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
+_FILLERS = (-99.0, -99.9, -999.0, -999.9, -9999.0, -99999.0, 9999.0, 99999.0)
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
 _QUANTITY_WORDS = re.compile(
     r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )"
@@ -111,11 +113,13 @@ def source_of(export: Export, column: str) -> Source:
         for name, header in zip(export.cells, export.names, strict=False)
         if export.names.count(header) > 1
     }
-    values = {name: one for name, one in values.items() if name not in several or export.changes}
+    filled = {name: one for name, one in values.items() if not _is_filler(one)}
+    empty = values.keys() - filled.keys()
+    values = {name: one for name, one in filled.items() if name not in several or export.changes}
     units = dict(zip(export.cells.columns, export.units, strict=True))
     named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
     left = {
-        name: "several columns have this name" if name in several else "text"
+        name: "several columns have this name" if name in several else _no_numbers(export, name, empty)
         for name in export.cells
         if name not in values and name != column
     }
@@ -124,6 +128,19 @@ def source_of(export: Export, column: str) -> Source:
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
     return Source(export, clock, values, named, left)
+
+
+def _is_filler(values: np.ndarray) -> bool:
+    """Whether a column holds nothing but one number that stands for no reading."""
+    known = values[np.isfinite(values)]
+    return bool(len(known)) and known[0] in _FILLERS and bool(np.all(known == known[0]))
+
+
+def _no_numbers(export: Export, name: str, empty: Set[str]) -> str:
+    """Why a column without numbers holds no signal."""
+    if name in empty or export.cells[name].isna().all():
+        return "no readings"
+    return "text"
 
 
 def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
@@ -192,8 +209,12 @@ def _unplaced(sources: list[Source], quantity: str) -> list[tuple[int, str]]:
 def _by_file(sources: list[Source], columns: list[tuple[int, str]]) -> list[Candidate]:
     """Columns of loggers, whose place the name of the file tells."""
     found = []
+    folders = {source.export.file.parent for source in sources}
     for number, column in columns:
-        place, score = place_of(words_of(sources[number].export.file.name.split(".")[0]))
+        file = sources[number].export.file
+        place, score = place_of(words_of(file.name.split(".")[0]))
+        if not place and len(folders) > 1:
+            place, score = place_of(words_of(file.parent.name))
         if place in ("cabinet", "ambient", "nacelle", "tower") and sum(n == number for n, _ in columns) == 1:
             quantity = sources[number].named[column].quantity
             trusted = min(score, SURE)
@@ -267,6 +288,13 @@ def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candida
     return checked
 
 
+def _runner_up(candidate: Candidate, best: Candidate, sources: list[Source]) -> str:
+    """A next best column, with its file where that is another one."""
+    file = sources[candidate.source].export.file
+    where = "" if candidate.source == best.source else f" of {file.parent.name}/{file.name}"
+    return f'"{candidate.column}"{where} ({candidate.score:.2f})'
+
+
 def _settled(
     sources: list[Source], candidates: list[Candidate]
 ) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
@@ -283,7 +311,7 @@ def _settled(
         if one.score < SURE:
             doubts.insert(0, f"{one.why}, score {one.score:.2f}")
         if near:
-            doubts.append("next: " + ", ".join(f'"{c.column}" ({c.score:.2f})' for c in near[:4]))
+            doubts.append("next: " + ", ".join(_runner_up(c, one, sources) for c in near[:4]))
         if one.signal == "cabinet_temperature" and outside is not None:
             air = sources[outside.source].hourly(outside.column)
             share = warmer_share(sources[one.source].hourly(one.column), air)

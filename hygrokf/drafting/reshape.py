@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hygrokf.data.columns import TableFault
 from hygrokf.drafting.layout import Export, is_number
 from hygrokf.drafting.stamps import as_text, time_columns
-from hygrokf.drafting.vocabulary import words_of
+from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ _TAG = re.compile(
 )
 _VALUE = re.compile(r"value|wert|reading|messwert")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
+_LOGGER_QUANTITIES = 3
 _LABEL = re.compile(
     r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE
 )
@@ -74,16 +75,26 @@ def joined(exports: list[Export]) -> list[Export]:
 
 
 def same_layout(exports: list[Export]) -> list[str]:
-    """Faults of exports that have the columns and the stamps of another one: they are of another turbine."""
+    """Faults of exports that have the columns and the stamps of another one: they are of another turbine.
+
+    Two loggers of one make have them too: they read little else than temperature and humidity.
+    """
     faults = []
     for number, export in enumerate(exports):
         for before in exports[:number]:
-            if before.names == export.names and len(export.names) > 4:
+            if before.names == export.names and not _of_a_logger(export):
                 faults.append(
                     f"{export.file}: expected one turbine, found the columns and stamps of "
-                    f"{before.file.name} again; draft one case for each turbine"
+                    f"{before.file} again; draft one case for each turbine"
                 )
     return faults
+
+
+def _of_a_logger(export: Export) -> bool:
+    """Whether an export reads no more quantities than a logger: temperature, humidity and dew point."""
+    said = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
+    readings = [one for one in said if one.quantity or one.signal]
+    return len(readings) <= _LOGGER_QUANTITIES and not any("power" in one.signal for one in readings)
 
 
 def _continues(before: Export, export: Export) -> bool:

@@ -31,9 +31,14 @@ FORMATS = (
 """strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
 _STATED_ZONE = re.compile(
-    r"(?:time ?zone|zeitzone)\W{0,3}([A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})", re.IGNORECASE
+    r"(?:time ?zone|zeitzone)\W{0,3}"
+    r"((?:utc|gmt)\s?[+-]\d{1,2}(?::?\d{2})?|[A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})",
+    re.IGNORECASE,
 )
 _NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", re.IGNORECASE)
+_CENTRAL_EUROPE = re.compile(r"(?<![a-z])(mez|cet)(?![a-z])", re.IGNORECASE)
+_CLOCKS_OF_MAKES = {"MESS_DATUM": ("UTC", "the files of DWD are in UTC")}
+"""Column of stamps, its zone, and why: of services whose files never name their zone."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,8 @@ class Clock:
 
     column: its name. time_format: strptime format, None for ISO 8601. time: [s] (N,) by the clock of the
     file, read as UTC where the stamps have no offset.
-    timezone: of the stamps, None where they carry offsets. stamp: their meaning. step_s: most frequent step.
+    timezone: of the stamps, None where they carry offsets; zone_assumed: whether nothing tells it.
+    stamp: their meaning. step_s: most frequent step.
     doubts: choices to confirm. remarks: what was seen and rests on evidence.
     """
 
@@ -54,6 +60,7 @@ class Clock:
     step_s: float
     doubts: tuple[str, ...]
     remarks: tuple[str, ...]
+    zone_assumed: bool = False
 
 
 def time_columns(export: Export) -> tuple[str, str | None]:
@@ -129,10 +136,12 @@ def clock_of(export: Export, column: str, means: bool) -> Clock:
     aware = form is None and bool(read_stamps(text.iloc[:50]).naive.sum() < 25)
     zone: str | None = None
     holes = _holes(time, step)
+    said = len(doubts)
     if not aware:
         zone = _zone(column, export, time, holes, doubts, remarks)
+    assumed = len(doubts) > said and zone == "UTC"
     stamp = _position(column, time, step, holes, means, doubts, remarks)
-    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks))
+    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks), assumed)
 
 
 def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
@@ -205,19 +214,28 @@ def _zone(
     """The zone of stamps without an offset, with what speaks for it."""
     named = _NAMED_ZONE.search(" ".join((column.replace("_", " "), *export.units[:1])))
     if named is not None:
-        offset = named[1]
         remarks.append(f'the zone is named in the header "{column}"')
-        if not offset:
-            return "UTC"
-        hours, minutes = re.fullmatch(r"([+-]\d{1,2}):?(\d{2})?", offset).groups()  # type: ignore[union-attr]
-        return "UTC" if int(hours) == 0 else f"{int(hours):+03d}:{minutes or '00'}"
+        return _offset_text(named[1])
     stated = _STATED_ZONE.search(export.preamble)
     if stated is not None:
+        offset = _NAMED_ZONE.fullmatch(stated[1])
         with suppress(ValueError):
-            zone_named(stated[1])
+            zone = stated[1] if offset is None else _offset_text(offset[1])
+            zone_named(zone)
             remarks.append("the zone is stated above the header")
-            return stated[1]
+            return zone
+    if column in _CLOCKS_OF_MAKES:
+        zone, why = _CLOCKS_OF_MAKES[column]
+        remarks.append(why)
+        return zone
     found, whole = holes
+    if _CENTRAL_EUROPE.search(column.replace("_", " ")) and not found:
+        if not whole:
+            doubts.append(
+                f'the header "{column}" names Central European Time: +01:00 is assumed; '
+                'state "Europe/Berlin" if the clock follows summer time'
+            )
+        return "+01:00"
     if found and not whole:
         zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
         where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
@@ -236,6 +254,16 @@ def _zone(
     else:
         doubts.append("the file does not state the zone of its stamps; UTC is assumed")
     return "UTC"
+
+
+def _offset_text(offset: str | None) -> str:
+    """The zone of a case file for an offset from UTC such as "+1", "+0530" or None."""
+    if not offset:
+        return "UTC"
+    hours, minutes = re.fullmatch(r"([+-]\d{1,2}):?(\d{2})?", offset).groups()  # type: ignore[union-attr]
+    if int(hours) == 0 and not int(minutes or 0):
+        return "UTC"
+    return f"{hours[0]}{int(hours[1:]):02d}:{minutes or '00'}"
 
 
 def _position(

@@ -57,6 +57,14 @@ OWN_NAMES: tuple[tuple[str, str, str], ...] = (
     ("wmet hor wd dir", "wind_direction", "IEC 61400-25, OpenOA"),
     ("wtow intl tmp", "tower_temperature", "IEC 61400-25"),
     ("wtow intl hum", "tower_relative_humidity", "IEC 61400-25"),
+    ("tt 10", "ambient_temperature", "DWD"),
+    ("rf 10", "ambient_relative_humidity", "DWD"),
+    ("td 10", "ambient_dew_point_temperature", "DWD"),
+    ("pp 10", "ambient_pressure", "DWD"),
+    ("ff 10", "wind_speed", "DWD"),
+    ("dd 10", "wind_direction", "DWD"),
+    ("tt tu", "ambient_temperature", "DWD"),
+    ("rf tu", "ambient_relative_humidity", "DWD"),
     ("t 2 m", "ambient_temperature", "ERA5"),
     ("td 2 m", "ambient_dew_point_temperature", "ERA5"),
     ("d 2 m", "ambient_dew_point_temperature", "ERA5"),
@@ -95,7 +103,8 @@ QUANTITIES: tuple[tuple[str, str], ...] = (
 PLACES: tuple[tuple[str, str, float], ...] = (
     (
         "cabinet",
-        r"cabinet|schrank| cab |ctl pnl|control panel|enclosure|cubicle|controller|控制柜|变流器柜|柜",
+        r"cabinet|schrank| cab | top ?box | cont top |ctl pnl|control panel|enclosure|cubicle|controller"
+        r"|控制柜|变流器柜|柜",
         0.95,
     ),
     (
@@ -130,6 +139,8 @@ _MEAN = r" (avg|ave|mean|average|mittel|mittelwert|mw|smp) "
 _SUFFIX = re.compile(
     r"[ _](deg[ _]?[CF]|pct|percent|kW|MW|W|Pa|hPa|kPa|rpm|m[ _]s|mps|W[ _]?m2|K|C|F|mm|deg)$"
 )
+_LOGICAL_NODE = re.compile(r"^(?:.*[./$])?(W[A-Z]{3})\d*(?:[./$](?:MX|ST))?(?=[./$])")
+_DATA_ATTRIBUTE = re.compile(r"[./$](?:(?:inst)?mag|cval|instcval)(?:[./$][fi])?(?![A-Za-z])", re.IGNORECASE)
 _BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 
 
@@ -158,6 +169,9 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
 
     name: of the column. unit: from a row of units, or "".
     """
+    if _LOGICAL_NODE.search(name):
+        # IEC 61400-25: "WTG07/WTUR1.W.mag.f" is WTUR.W
+        name = _DATA_ATTRIBUTE.sub("", _LOGICAL_NODE.sub(r"\1", name))
     plain, stated, known = _unit_apart(name, unit)
     words = words_of(plain)
     if re.search(_STATISTIC, words):
@@ -231,6 +245,8 @@ def _cabinet_score(words: str) -> float:
     """How far a cabinet is that of the converter."""
     if re.search(r"converter|inverter|umrichter|wechselrichter|变流", words):
         return 0.97
+    if re.search(r" top ?box | cont top ", words):
+        return 0.75  # the controller's, at the top of the tower: to confirm
     if re.search(PLACES[4][1] + "| wnac ", words):
         return 0.8
     return 0.9 if re.search(r"control|ctl", words) else 0.94

@@ -24,6 +24,9 @@ def draft_blocks(found: Draft) -> Iterator[Block]:
             for one in found.signals
         )
         yield Table("signals", head, rows, left=(0, 1, 2, 3, 5))
+    if found.lacks:
+        yield Heading(f"not found: {len(found.lacks)}", 3)
+        yield Items(found.lacks)
     doubts = (*found.doubts, *(f"{one.signal}: {doubt}" for one in found.signals for doubt in one.doubts))
     yield Heading(f"doubts: {len(doubts) or 'none'}", 3)
     if doubts:

@@ -87,6 +87,7 @@ def test_check_says_what_was_read(folder):
     assert said.out.startswith("synthetic-turbine-3: 2020-07-15T00:00Z to 2020-08-04T00:00Z, 20.0 d")
     for words in ("cabinet_relative_humidity", 'scada.csv, column "P_kW"', "warnings: none", "doubts: 1"):
         assert words in said.out
+    assert said.out.rstrip().endswith("next: hygrokf fit case.toml --out result")
     found = json.loads(run("check case.toml --json").out)
     assert found["rated_power_kW"] == 2050.0
     assert found["validation"]["days"] == 3.0

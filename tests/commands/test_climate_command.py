@@ -167,6 +167,17 @@ def test_mistakes_are_told_and_nothing_is_written(folder: Path, more: str, told:
     assert not (folder / "refused").exists()
 
 
+def test_the_faults_of_all_inputs_are_told_at_once(folder: Path) -> None:
+    said = run(
+        f"climate {folder}/no-fit --weather {folder}/none.csv {folder}/none.epw "
+        f"--limits {folder}/no-limits.toml --power-curve {folder}/no-curve.toml --out {folder}/refused"
+    )
+    assert said.status == 2 and "Traceback" not in said.err
+    for name in ("no-fit", "none.csv", "none.epw", "no-limits.toml", "no-curve.toml"):
+        assert name in said.err
+    assert not (folder / "refused").exists()
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -432,9 +432,17 @@ def test_turbines_of_the_store_and_of_the_file(folder: Path) -> None:
     changed(folder, (text, text.replace('name = "T07"', 'name = "T08"')))
     found = looked(folder)
     said(found, "doubt", "no process tracks T07", "add a [[turbine]]")
-    said(found, "ok", "it does not contain T08 yet")
+    said(found, "doubt", "it does not contain T08 yet", "name a new store")
     said(found, "doubt", "it has no estimate yet", "start the tracker")
     said(found, "doubt", "no reading of T08", "known_as")
+
+
+def test_a_store_of_sources_not_read_yet_takes_any_turbine(folder: Path) -> None:
+    with closing(sqlite3.connect(folder / "live.db")) as store:
+        store.execute("DELETE FROM source")
+        store.execute("DELETE FROM turbine")
+        store.commit()
+    said(looked(folder), "ok", "it does not contain T07 yet")
 
 
 def test_another_form_of_readings_is_another_model(folder: Path) -> None:

@@ -252,7 +252,20 @@ def test_what_is_no_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
         assert word in refused(f"sqlite:{path}")
         assert path.read_bytes() == before
     assert "does not exist" in refused(f"sqlite:{tmp_path / 'none' / 'live.db'}")
+    assert "found a directory" in refused(f"sqlite:{tmp_path}")
     assert "expected a store as" in refused("mysql://here/live")
+
+
+def test_a_folder_without_rights_is_no_damaged_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refusing(path: Path, mode: str) -> None:
+        raise sqlite3.OperationalError("unable to open database file")
+
+    monkeypatch.setattr("hygrokf.live.storage.sqlite.connect", refusing)
+    monkeypatch.setattr("hygrokf.live.storage.sqlite.os.access", lambda path, mode: False)
+    said = refused(f"sqlite:{tmp_path / 'live.db'}")
+    assert "write-protected" in said and "restore" not in said
 
 
 def test_a_damaged_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:

@@ -169,7 +169,14 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
             "add a [[turbine]], or delete their rows by hand",
         )
     new = [name for name in turbines if name not in known]
-    if new:
+    if new and store.rows("SELECT url FROM source"):
+        yield doubt(
+            "store",
+            f"it does not contain {several(new)} yet, but its sources were read for others: only what "
+            "comes after that is read for these",
+            "nothing if this is intended; name a new store to read a file from its start",
+        )
+    elif new:
         yield ok("store", f"it does not contain {several(new)} yet: their first readings add them")
     changed = [
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)

@@ -177,10 +177,21 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
             database.close()
         if isinstance(fault, StoreFault):
             raise
-        raise StoreFault(
-            f"{path}: it cannot be read as a store ({fault}); nothing was written to it. "
-            "Move it away and restore a copy, or name a new file"
-        ) from fault
+        raise StoreFault(_refusal(path, fault)) from fault
+
+
+def _refusal(path: Path, fault: sqlite3.Error) -> str:
+    """Why a file cannot be opened as a store, and what to do."""
+    if path.is_dir():
+        return f"{path}: expected the file of a store, found a directory; name a file in it"
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        return f"{path}: the folder {path.parent} is write-protected; change its rights or name another"
+    if path.exists() and not os.access(path, os.R_OK | os.W_OK):
+        return f"{path}: no right to read and write it; change its rights, or name a new file"
+    return (
+        f"{path}: it cannot be read as a store ({fault}); nothing was written to it. "
+        "Move it away and restore a copy, or name a new file"
+    )
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
