@@ -16,6 +16,7 @@ from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
+from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.masks import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
@@ -39,7 +40,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     cabinet: whether a cabinet signal to identify is required; False for drivers alone.
     ambient: whether an ambient temperature is required; False for a power alone.
 
-    Returns the record; its `warnings` list what was masked or repaired.
+    Returns the record; its `warnings` list what was masked or repaired, and doubts of a draft that are open.
     Raises CaseFault with all faults of the case file and of every source.
     """
     file = Path(path)
@@ -53,7 +54,25 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)
 
-    return record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+    record = record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+    return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
+
+
+def _open_doubts(name: str, text: str) -> tuple[str, ...]:
+    """A warning about the doubts of a draft that stand above lines in force, with their line numbers."""
+    lines = [one.strip() for one in text.splitlines()]
+    passed = (DRAFT_DOUBT, "#   ")  # a doubt may go on in further lines
+    found = []
+    for number, line in enumerate(lines, 1):
+        below = next((one for one in lines[number:] if one and not one.startswith(passed)), "#")
+        if line.startswith(DRAFT_DOUBT) and not below.startswith("#"):
+            found.append(str(number))
+    if not found:
+        return ()
+    one_or_more = f"a doubt of its draft is open, line {found[0]}"
+    if len(found) > 1:
+        one_or_more = f"{len(found)} doubts of its draft are open, lines {', '.join(found)}"
+    return (f'{name}: {one_or_more}: settle what is doubted, then delete the comment "{DRAFT_DOUBT}…"',)
 
 
 def record_of(

@@ -31,6 +31,9 @@ TYPE = "type.json"
 RESULTS = (FIT, DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
 """Result files that exclude each other in a directory, since its report.html is made from one of them."""
 
+DRAFT_DOUBT = "# doubt: "
+"""How a drafted case file begins a comment about what is doubted in the line below it."""
+
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write a file atomically: a reader sees either the old or the new content.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.masks import detect_resolution
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.drafting.layout import texts_in
@@ -189,7 +190,7 @@ def _text(text: str) -> str:
 
 
 def _doubt(text: str) -> Iterator[str]:
-    yield from _comment(f"# doubt: {text}")
+    yield from _comment(f"{DRAFT_DOUBT}{text}")
 
 
 def _comment(text: str) -> Iterator[str]:

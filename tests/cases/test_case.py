@@ -434,3 +434,22 @@ signals.ambient_temperature = {{ column = "Ot_avg", unit = "degC" }}
     assert "2014-03-30, 2015-03-29" in holes[0]
     assert record["active_power"].interval_s == 600.0
     assert not any("frozen" in one for one in record.warnings)
+
+
+# -- a draft -------------------------------------------------------------------------------------------------
+def test_open_doubts_of_a_draft_are_told(folder: Path) -> None:
+    """A doubt stands above its line; one above a line that is commented out changes nothing."""
+    file = folder / "case.toml"
+    doubted = CASE.replace(
+        'stamp = "start"\n',
+        "# doubt: the header does not say which end of the\n#   interval the stamp is\n"
+        'stamp = "start"\n# doubt: reactive power?\n# signals.reserve = { column = "Q", unit = "kW" }\n',
+    )
+    file.write_text(doubted)
+    line = doubted.splitlines().index("# doubt: the header does not say which end of the") + 1
+    warning = read_case(file).warnings[0]
+    assert f"case.toml: a doubt of its draft is open, line {line}: " in warning
+    file.write_text(doubted.replace("[[source]]\n", "# doubt: two loggers?\n[[source]]\n", 1))
+    assert f"2 doubts of its draft are open, lines 3, {line + 1}: " in read_case(file).warnings[0]
+    file.write_text(CASE)
+    assert not any("draft" in one for one in read_case(file).warnings)
