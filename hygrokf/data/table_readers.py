@@ -24,7 +24,7 @@ from hygrokf.errors import suggestion
 if TYPE_CHECKING:
     import pandas
 
-SUFFIXES = (".csv", ".csv.gz", ".parquet")
+SUFFIXES = (".csv", ".csv.gz", ".txt", ".tsv", ".parquet")
 _HEADER_WITHIN = 200
 
 
@@ -51,7 +51,7 @@ def read_table(
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
-    path: .csv, .csv.gz or .parquet (extra `parquet`).
+    path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
     columns: names of the columns of numbers.
     time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
         above the one that holds this name are skipped.

@@ -246,7 +246,7 @@ def test_rows_without_stamp_are_left_out_and_said(write):
         (b"not gzip", "a.csv.gz", "decompressed"),
         (GOOD.replace("20.5", '"20.5').encode(), "a.csv", "line 2: a quotation mark"),
         (b"PAR1 no", "a.parquet", "Parquet"),
-        (GOOD.encode(), "a.txt", "expected a file of the kind"),
+        (GOOD.encode(), "a.dat", "expected a file of the kind"),
     ],
 )
 def test_files_that_are_none(write, content, name, word):
@@ -335,3 +335,11 @@ def test_a_damaged_file_is_read_or_refused_but_never_breaks(write, data):
     else:
         assert np.isfinite(read.time).all()
         assert all(len(array) == len(read.time) for array in read.values.values())
+
+
+@pytest.mark.parametrize(("name", "separator"), [("a.txt", ","), ("a.tsv", "\t")])
+def test_text_tables_have_other_endings_too(write, name: str, separator: str) -> None:
+    path = write(GOOD.replace(",", separator).encode(), name)
+    found = read_table(path, ["T"], "time", separator=separator, timezone="UTC")
+    usual = read_table(write(GOOD.encode(), "b.csv"), ["T"], "time", timezone="UTC")
+    assert np.array_equal(found.values["T"], usual.values["T"]) and len(usual.time) > 2
