@@ -291,9 +291,8 @@ class PayloadMapping:
         if time is None:
             raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
         if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
-            raise Refused(
-                "impossible time", f"time {quoted(stamp)} is before 1990 or ahead of this machine's clock"
-            )
+            late = "more than 20 days ahead of this machine's clock" if self.weather else "after 2100"
+            raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
         return time
 
     def _own_time(self, record: Record, name: str, time: float, rejections: list[Rejection]) -> float | None:
