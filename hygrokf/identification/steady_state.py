@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -96,6 +96,12 @@ class StationaryPoints:
     episode: np.ndarray = field(default_factory=lambda: np.empty(0))
     settled_K: np.ndarray = field(default_factory=lambda: np.empty(0))
     fitted_K: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        found = {one.name: len(getattr(self, one.name)) for one in fields(self)}
+        needed = {found[name] for name in ("power", "difference_K", "ambient_K")}
+        if len(needed) > 1 or set(found.values()) - {0, len(self)}:
+            raise ValueError(f"expected one number for each of {len(self)} periods, found {found}")
 
     def __len__(self) -> int:
         return len(self.power)

@@ -118,6 +118,9 @@ class Design:
     def from_json(cls, data: Mapping[str, Any]) -> Design:
         """A design from the data of `to_json`; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
+        wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
+        if wrong:
+            raise ValueError(f"expected names of mechanisms, found {wrong}")
         mechanisms = tuple((name, dict(settings)) for name, settings in known.pop("mechanisms", ()))
         for name in ("power_mean", "statements"):
             known[name] = tuple(known.get(name, ()))
