@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,13 +59,16 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
 
 
+_REMARK = re.compile(r"#(?!\s?(\[|[\w.\"'-]+\s*=))")
+"""A comment that is no table or key of TOML taken out of force."""
+
+
 def _open_doubts(name: str, text: str) -> tuple[str, ...]:
     """A warning about the doubts of a draft that stand above lines in force, with their line numbers."""
     lines = [one.strip() for one in text.splitlines()]
-    passed = (DRAFT_DOUBT, "#   ")  # a doubt may go on in further lines
     found = []
     for number, line in enumerate(lines, 1):
-        below = next((one for one in lines[number:] if one and not one.startswith(passed)), "#")
+        below = next((one for one in lines[number:] if one and not _REMARK.match(one)), "#")
         if line.startswith(DRAFT_DOUBT) and not below.startswith("#"):
             found.append(str(number))
     if not found:

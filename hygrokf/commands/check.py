@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def _run(options: Namespace) -> int:
     found = describe(read_case(options.case, cabinet=False))
     text = describe_text(found)
     if any(one.signal.startswith("cabinet_") for one in found.signals):
-        text += f"\n\nnext: hygrokf fit {options.case} --out result"
+        text += f"\n\nnext: hygrokf fit {shlex.quote(str(options.case))} --out result"
     show(found, text, options.json)
     return 0
 

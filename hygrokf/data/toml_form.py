@@ -202,8 +202,10 @@ def read_toml(
         raise fault_class(file, [missing + suggestion(file.name, near)]) from None
     except IsADirectoryError as fault:
         raise fault_class(file, [f"cannot be read: {fault.strerror}; name a file in it"]) from None
+    except PermissionError as fault:
+        raise fault_class(file, [f"cannot be read: {fault.strerror}; check its rights"]) from None
     except OSError as fault:
-        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}; check its rights"]) from None
+        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}; check path and disk"]) from None
     except UnicodeDecodeError:
         raise fault_class(file, ["expected TOML text in UTF-8, found other bytes"]) from None
     try:

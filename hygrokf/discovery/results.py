@@ -39,14 +39,7 @@ class Discovered:
     after: Residuals | None = None
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-        """Readings, base and extended model where the error is largest; else errors over the drivers.
-
-        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
-            None: a new figure of pyplot, in the style of the reports.
-
-        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
-        data or matplotlib are missing, ValueError for more axes than panels.
-        """
+        """The picture of the page on matplotlib's axes, as `Discovery.plot` draws it."""
         return drawn("plot_discovery", self, axes)
 
 

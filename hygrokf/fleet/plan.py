@@ -97,11 +97,12 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     place = replace(top, name="[options]", of=f" for {form.task}")
     options = asdict(read_form(task.options, form.options, place))
     for name in task.files:
-        stated = {one: (file.parent / one).absolute() for one in options[name]}
-        known = [one for one, full in stated.items() if name in task.named and full.suffix != ".toml"]
-        options[name] = [one if one in known else str(full) for one, full in stated.items()]
-        for one, full in stated.items():
-            if one not in known and not full.is_file():
+        stated, options[name] = options[name], []
+        for one in stated:
+            full = (file.parent / one).absolute()
+            is_name = name in task.named and full.suffix != ".toml" and not full.is_file()
+            options[name].append(one if is_name else str(full))
+            if not is_name and not full.is_file():
                 place.fault(f"{name}: no such file {full}")
     turbines = _turbines(form, task, file.parent, top.faults)
     if top.faults:

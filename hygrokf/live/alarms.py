@@ -15,6 +15,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
+from hygrokf.identification.wording import signed
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
@@ -221,11 +222,6 @@ class Estimated:
     finding: Finding | None = None
 
 
-def signed(value: float, decimals: int = 0) -> str:
-    """A number with its sign, the minus as in print."""
-    return f"{value:+.{decimals}f}".replace("-", "−")
-
-
 def condensation_levels(now: Estimated) -> list[Level]:
     """The probability of condensation: that the coldest surface is below the dew point."""
     chances, margin = now.condition.condensation, now.condition.margin_K
@@ -269,9 +265,9 @@ def _shift_level(name: str, change: float, finding: Finding) -> Level:
     if name == "heat_release_change":
         size = f"{signed(change, 1)} K"
     elif name == "humidity_offset":
-        size = f"{signed(100.0 * change)} % relative humidity"
+        size = f"{signed(100.0 * change, 0)} % relative humidity"
     else:
-        size = f"{signed(100.0 * np.expm1(change))} %"
+        size = f"{signed(100.0 * np.expm1(change), 0)} %"
     words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
     return Level(CHANGED.kind, 1.0, words, remedy, name)
 

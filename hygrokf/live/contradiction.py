@@ -14,6 +14,7 @@ import numpy as np
 
 from hygrokf.data.masks import SATURATED
 from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.identification.wording import fixed
 from hygrokf.live.alarms import CONTRADICTS, Level
 from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.tracker import SAME_S, Course
@@ -88,6 +89,8 @@ def contradiction_level(one: Innovation) -> Level:
         for value in (one.reading, one.expected, one.expected - 2.0 * one.sd, one.expected + 2.0 * one.sd)
     )
     unit = {"degC": "°C"}.get(row.display, row.display)
-    numbers = f"{reading:.1f} {unit}, where the estimate expects {expected:.1f} ({lower:.1f} … {upper:.1f})"
-    statement = f"{one.signal.replace('_', ' ')} reads {numbers.replace('-', '−')}"
+    statement = (
+        f"{one.signal.replace('_', ' ')} reads {fixed(reading, 1)} {unit}, where the estimate expects "
+        f"{fixed(expected, 1)} ({fixed(lower, 1)} … {fixed(upper, 1)})"
+    )
     return Level(CONTRADICTS.kind, level, statement, subject=one.signal)

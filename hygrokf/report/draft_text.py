@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 
 from hygrokf.drafting.draft import Draft, DraftedSignal
@@ -34,7 +35,7 @@ def draft_blocks(found: Draft) -> Iterator[Block]:
     for copy in found.copies:
         yield Prose(f"copy of a table, in a form that a case can name: {copy}")
     yield Prose(f"case file: {found.case}, {len(found.left)} columns not used")
-    yield Prose(f"next: hygrokf check {found.case}")
+    yield Prose(f"next: hygrokf check {shlex.quote(found.case)}")
 
 
 def _state(one: DraftedSignal) -> str:

@@ -451,5 +451,7 @@ def test_open_doubts_of_a_draft_are_told(folder: Path) -> None:
     assert f"case.toml: a doubt of its draft is open, line {line}: " in warning
     file.write_text(doubted.replace("[[source]]\n", "# doubt: two loggers?\n[[source]]\n", 1))
     assert f"2 doubts of its draft are open, lines 3, {line + 1}: " in read_case(file).warnings[0]
+    file.write_text(doubted.replace('stamp = "start"\n', '# as in May\nstamp = "start"\n'))
+    assert f"a doubt of its draft is open, line {line}: " in read_case(file).warnings[0]
     file.write_text(CASE)
     assert not any("draft" in one for one in read_case(file).warnings)

@@ -569,6 +569,9 @@ def test_limits_may_be_a_class(park: Path, serial: tuple[Path, str], tmp_path: P
     assert found.status == "done", found.row["reason"]
     data = json.loads((tmp_path / "turbines" / "T2" / "climate.json").read_text(encoding="utf-8"))
     assert [one["level"] for one in data["regions"][0]["limits"]] == [40.0, 5.0, 85.0, 5.0]
+    (park / "limits.txt").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
+    file.write_text(text + '["limits.txt"]\n')
+    assert read_plan(file).options["limits"] == [str((park / "limits.txt").absolute())]
     file.write_text(text + '["3K22", "gone.toml"]\n')
     with pytest.raises(FleetFault, match=r"no such file .*gone\.toml"):
         read_plan(file)

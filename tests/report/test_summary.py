@@ -169,7 +169,8 @@ def test_limits_are_kept_exceeded_or_undecided() -> None:
         return made.answer, made.tone
 
     assert answer("pass") == ("The limit is kept.", "plain")
-    assert answer("pass", "pass") == ("All 2 limits are kept.", "plain")
+    assert answer("pass", "pass") == ("Both limits are kept.", "plain")
+    assert answer("fail", "fail", "fail")[0] == "All 3 limits are exceeded."
     assert answer("pass", "fail", "fail") == ("Of 3 limits 1 is kept and 2 are exceeded.", "reject")
     assert answer("undecided", "pass") == ("Of 2 limits 1 is kept and 1 is undecided.", "open")
     assert answer("undecided", "undecided")[1] == "open"

@@ -107,7 +107,8 @@ def _limits_text(limits: tuple[Exceedance, ...]) -> str:
     if set(found) == {"undecided"}:
         return "Undecided: this climate does not show whether the limits are kept."
     if len(set(found)) == 1 and len(found) > 1:
-        return f"All {len(found)} limits are {'kept' if found[0] == 'pass' else 'exceeded'}."
+        all_of_them = "Both limits" if len(found) == 2 else f"All {len(found)} limits"
+        return f"{all_of_them} are {VERDICTS_IN_WORDS[found[0]]}."
     parts = []
     for kind, words in VERDICTS_IN_WORDS.items():
         if count := found.count(kind):
