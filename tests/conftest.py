@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +54,17 @@ VALUES = {
 }
 GAP_COVARIANCE = ((0.2, 0.05, 0.04), (0.05, 0.08, 0.07), (0.04, 0.07, 0.08))
 SUBSTEPS = 30
+
+
+@pytest.fixture(autouse=True)
+def no_thread_goes_on() -> Iterator[None]:
+    """No thread of the package outlives its test: it would disturb the tests after it."""
+    before = set(threading.enumerate())
+    yield
+    for thread in set(threading.enumerate()) - before:
+        if getattr(getattr(thread, "_target", None), "__module__", "").startswith("hygrokf."):
+            thread.join(timeout=10.0)
+            assert not thread.is_alive(), f"thread {thread.name} goes on after its test"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import queue
+import random
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -100,6 +102,31 @@ def test_random_bytes_never_end_a_file(grown) -> None:
         count += 1
     eventually(lambda: sum(isinstance(one.content, dict) for one in got.found) >= count)
     assert stream.state.word == "connected"
+
+
+def test_pauses_double_until_a_source_has_held_and_leave_the_global_generator_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waits: list[float] = []
+    now = [1_000.0]
+    monkeypatch.setattr(streams, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    class Ended(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            waits.append(timeout or 0.0)
+            return False
+
+    before, back_off = random.getstate(), streams.BackOff()
+    for _ in range(8):
+        back_off.wait(Ended())
+    assert not back_off.has_held
+    now[0] += 61.0  # the attempt outlasts the longest pause
+    assert back_off.has_held
+    back_off.wait(Ended())
+    assert not back_off.has_held
+    bounds = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 1.0]
+    assert all(0.5 * bound <= wait <= bound for bound, wait in zip(bounds, waits, strict=True))
+    assert len(set(waits)) == len(waits) and random.getstate() == before
 
 
 def test_whatever_is_raised_in_a_source_is_told_and_it_goes_on(
@@ -208,6 +235,7 @@ def test_a_file_that_is_read_once_ends(tmp_path: Path) -> None:
     none = TailedFile(tmp_path / "none.csv", MAPPING, follow=False)
     none.start(None, got)
     eventually(lambda: none.state == ("lost", f"{tmp_path / 'none.csv'}: no such file"))
+    none.stop()
 
 
 def test_lines() -> None:

@@ -40,6 +40,7 @@ from hygrokf.data.record import Record
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.sources import mqtt, mqtt_link
+from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
@@ -62,7 +63,7 @@ ALARM = Alarm(
 
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.2))
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.live.service import Service
-from hygrokf.live.sources import mqtt, sparkplug, sparkplug_node
+from hygrokf.live.sources import sparkplug, sparkplug_node
+from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.sparkplug import Sparkplug
@@ -31,7 +32,7 @@ SIGNAL = "cabinet_temperature"
 
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "BACK_OFF_S", (0.05, 0.2))
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.05, 0.2))
     monkeypatch.setattr(sparkplug, "LOOK_S", 0.05)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import logging
 import queue
-import random
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,7 +22,7 @@ from hygrokf.live.sources.broker import Broker, alarm_topic, unreachable
 from hygrokf.live.sources.mqtt_link import Arrival, Link, is_confirmed
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST, Content
-from hygrokf.live.sources.stream import BACK_OFF_S, Delivery, SourceFault, SourceState, Threaded
+from hygrokf.live.sources.stream import BackOff, Delivery, SourceFault, SourceState, Threaded
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
@@ -120,9 +119,8 @@ class Mqtt(Threaded):
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        pause, longest = BACK_OFF_S
+        back_off = BackOff()
         while not self._ended.is_set():
-            began = time.monotonic()
             link = self._link = Link(self.broker, former, self._ready, self.largest)
             try:
                 link.open()
@@ -134,14 +132,12 @@ class Mqtt(Threaded):
             link.close()
             if self._ended.is_set():
                 break
-            if time.monotonic() - began > longest:
-                pause, self._reason = BACK_OFF_S[0], ""
+            if back_off.has_held:
+                self._reason = ""
             if link.reason != self._reason:  # log once, not at every attempt
                 self._reason = link.reason
                 LOG.warning("source lost", extra={"source": self.url, "reason": self._reason})
-            # a random pause, so that trackers of one broker do not all reconnect at once
-            self._ended.wait(pause * random.uniform(0.5, 1.0))
-            pause = min(2.0 * pause, longest)
+            back_off.wait(self._ended)
 
     def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.

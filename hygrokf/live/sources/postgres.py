@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import math
-import random
 import re
 import time
 from collections.abc import Callable, Generator
@@ -25,7 +24,15 @@ from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.sources.endpoint import password_of
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Payload
-from hygrokf.live.sources.stream import WEATHER_HELP, Delivery, SourceFault, SourceState, Stream, Threaded
+from hygrokf.live.sources.stream import (
+    WEATHER_HELP,
+    BackOff,
+    Delivery,
+    SourceFault,
+    SourceState,
+    Stream,
+    Threaded,
+)
 from hygrokf.live.storage.database import Row, StoreFault, one_line
 from hygrokf.live.storage.postgres import connected, import_psycopg, url_fault
 
@@ -33,8 +40,6 @@ if TYPE_CHECKING:
     import psycopg
 
 LOG = logging.getLogger("hygrokf.track")
-BACK_OFF_S = (1.0, 60.0)
-"""Shortest and longest pause [s] between attempts to connect; each pause is twice the one before."""
 FETCHED = 1_000
 """Rows fetched from the server at once."""
 MOST = 20_000
@@ -191,10 +196,9 @@ class PostgresQuery(Threaded):
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        pause, longest = BACK_OFF_S
+        back_off = BackOff()
         self._state, reason = SourceState("waiting", "connecting"), ""
         while not self._ended.is_set():
-            began = time.monotonic()
             try:
                 self._follow_query(place, put)
                 return
@@ -208,10 +212,7 @@ class PostgresQuery(Threaded):
             if reason_now != reason:  # log once, not at every attempt
                 reason = reason_now
                 LOG.warning("source lost", extra={"source": self.url, "reason": reason})
-            if time.monotonic() - began > longest:
-                pause = BACK_OFF_S[0]
-            self._ended.wait(pause * random.uniform(0.5, 1.0))
-            pause = min(2.0 * pause, longest)
+            back_off.wait(self._ended)
 
     def _follow_query(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         """Poll until the source is stopped or, where it does not follow, until every present row is read."""

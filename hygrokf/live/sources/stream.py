@@ -55,6 +55,38 @@ class Delivery:
     token: Receipt | None = field(default=None, compare=False)
 
 
+class BackOff:
+    """Pauses between attempts to reach a source.
+
+    Each is up to twice as long as the one before, from the shortest again after an attempt that held for
+    longer than the longest.  Their length is random, so that trackers of one broker do not return together.
+    """
+
+    # its own generator: the global one belongs to the program that runs the tracker
+    _random = random.Random()
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._pause_s = BACK_OFF_S[0]
+
+    @property
+    def has_held(self) -> bool:
+        """Whether the present attempt has held for longer than the longest pause."""
+        return time.monotonic() - self._began > BACK_OFF_S[1]
+
+    def reset(self) -> None:
+        """Begin again with the shortest pause."""
+        self._pause_s = BACK_OFF_S[0]
+
+    def wait(self, ended: threading.Event) -> None:
+        """End the present attempt; wait for the pause, or until `ended` is set; the next attempt begins."""
+        if self.has_held:
+            self.reset()
+        ended.wait(self._pause_s * self._random.uniform(0.5, 1.0))
+        self._pause_s = min(2.0 * self._pause_s, BACK_OFF_S[1])
+        self._began = time.monotonic()
+
+
 class SourceFault(HygrokfError):
     """A source cannot be read; the message tells the operator why."""
 
@@ -132,13 +164,14 @@ class Threaded:
         self._thread.start()
 
     def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        pause, longest = BACK_OFF_S
+        back_off = BackOff()
         reached, reason = place, ""
 
         def reach(one: Delivery) -> None:
-            nonlocal reached, pause
+            nonlocal reached
             put(one)
-            reached, pause = one.place or reached, BACK_OFF_S[0]
+            reached = one.place or reached
+            back_off.reset()
             if self._state.word == "lost":
                 self._state = SourceState("connected", self.url)
 
@@ -157,9 +190,7 @@ class Threaded:
                     said = {"source": self.url, "reason": words}
                     LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
                 reason = words
-            # a random pause, so that several sources do not come back all at once
-            self._ended.wait(pause * random.uniform(0.5, 1.0))
-            pause = min(2.0 * pause, longest)
+            back_off.wait(self._ended)
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError
