@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from builders.databases import postgresql, store_url  # noqa: F401  (fixtures)
 from builders.known_values import RELEASE
+from hypothesis import settings
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
@@ -23,6 +24,12 @@ from hygrokf.physics.mechanisms.thermal import (
     thermal_network,
 )
 from hygrokf.physics.model import Model, compose
+
+# The same examples at every run, so that a failure comes from the change that was tried.  New examples:
+# `scripts/test -m hypothesis --hypothesis-profile random`.  No deadline: machines are shared.
+settings.register_profile("random", deadline=None)
+settings.register_profile("repeated", deadline=None, derandomize=True)
+settings.load_profile("repeated")
 
 HOLDS = {
     "ambient_temperature": "linear",

@@ -68,7 +68,7 @@ def test_warming_by_the_law_keeps_every_condition_s_share_of_the_ageing() -> Non
     assert np.array_equal(damp, percent)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     shift=st.floats(-1e-4, 1.2e-3), ramp=st.floats(0.5, 50.0), humid=st.floats(1.0, 50.0),
     top=st.floats(40.0, 120.0)

@@ -245,7 +245,7 @@ def by_definition(series: Series, when: float, bridge: float) -> float:
     return np.nan if hole > bridge * 3600.0 else before[-1][1]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 10_000),
     st.sampled_from(["linear", "zero-order"]),

@@ -341,7 +341,7 @@ def test_a_minute_logger_gives_short_lists_that_keep_the_extremes() -> None:
     assert list(crossed.lag_h) == sorted(crossed.lag_h)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(scale=st.floats(1e-3, 1e3), shift=st.floats(-1e3, 1e3), seed=st.integers(0, 1000))
 def test_an_inputs_unit_does_not_matter(scale: float, shift: float, seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -104,7 +104,7 @@ def dense(series: Series, time: np.ndarray) -> np.ndarray:
 # --- runs -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.integers(0, 10_000), st.integers(1, 70))
 def test_runs_are_those_of_brute_force(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)

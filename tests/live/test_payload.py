@@ -138,7 +138,7 @@ json_values = st.recursive(
 keys = st.sampled_from(["turbine", "time", "Tcab", "RHcab", "P", "env", "env.T", "quality", "T", "x"])
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=600)
 @given(
     st.dictionaries(keys, json_values | st.sampled_from(["T07", STAMP, NOW, 31.2]), max_size=7)
     | st.binary(max_size=200)

@@ -543,7 +543,7 @@ def clocks(draw):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(clocks())
 def test_every_reading_appears_once_at_its_own_time(clock):
     step, offset, seed, jitter, missing, interval, ambient_offset, power_offset = clock

@@ -141,7 +141,7 @@ def _branches(inner: st.SearchStrategy) -> st.SearchStrategy:
 
 TREES = st.recursive(LEAVES, _branches, max_leaves=25)
 POINTS = st.tuples(*[st.floats(-2.0, 2.0, allow_subnormal=False).map(lambda v: round(v, 6)) for _ in SYMBOLS])
-formulas = settings(max_examples=150, deadline=None, derandomize=True)
+formulas = settings(max_examples=150)
 
 
 def along(tree: tuple, point: tuple, direction: tuple) -> Number:

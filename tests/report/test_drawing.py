@@ -24,7 +24,7 @@ from hygrokf.report.figures.drawing import (
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(1, 4000),
     st.integers(2, 200),
@@ -83,7 +83,7 @@ def test_stretches_of_a_flag() -> None:
     assert stretches(time, np.zeros(10)) == []
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.floats(0.0, 4.0e9), st.floats(60.0, 9.0e8), st.integers(3, 14))
 def test_calendar_ticks_are_round_and_inside(low: float, length: float, ticks: int) -> None:
     high = low + length

@@ -207,7 +207,7 @@ def test_every_reason_against_a_time_constant_has_a_remedy() -> None:
 # --- the sheet -------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.text(st.sampled_from("iWm .-ü"), max_size=120), st.floats(0.5, 6.0), st.floats(5.0, 20.0))
 def test_lines_keep_every_letter_and_fit(text: str, width_in: float, size: float) -> None:
     lines = lines_of(text, width_in, size)
