@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -126,6 +127,10 @@ class Likelihood:
             raise ValueError(f"diffuse_states: unknown {unknown}; the model has {list(self.model.states)}")
         if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
             raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: the loops are compiled again where the likelihood is unpickled."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def _diffuse(self) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -133,13 +133,18 @@ class Model:
     averaged: outputs that are read as interval means → the interval [h].
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
-    gives rates [unit/h] and expected readings at one point.
+    gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
+    outside the library must then be those of a module.
     Raises ValueError at first use where mechanisms do not fit together.
     """
 
     mechanisms: tuple[Mechanism, ...]
     holds: Mapping[str, str] = field(default_factory=dict)
     averaged: Mapping[str, float] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: what is derived from them is traced again where the model is unpickled."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -7,6 +7,7 @@ import importlib
 import inspect
 import json
 import math
+import pickle
 import pkgutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -124,6 +125,54 @@ def test_settings_make_the_mechanism_again(name: str, settings: dict) -> None:
     run = some_run(first)
     assert Likelihood(second, run).value(values) == Likelihood(first, run).value(values)
     assert math.isfinite(Likelihood(first, run).value(values))
+
+
+@every
+def test_a_mechanism_can_be_pickled_within_a_likelihood(name: str, settings: dict) -> None:
+    made = LIBRARY[name](**settings)
+    told = tuple(replace(one, meaning=f"{one.meaning}, as told") for one in made.parameters)
+    model = host(replace(made, parameters=told))
+    likelihood = Likelihood(model, some_run(model))
+    value = likelihood.value(some_values(model))  # traced and compiled: what cannot be pickled is there
+    again = pickle.loads(pickle.dumps(likelihood))
+    assert again.model.parameters == model.parameters
+    assert again.value(some_values(model)) == value
+
+
+def _cooling(p, x, u):
+    return {"warmth": (u.ambient_temperature - x.warmth) / p.lag}
+
+
+def _warmth(p, x, u):
+    return x.warmth, 0.01
+
+
+def _still(p):
+    return {"warmth": 0.01}
+
+
+def _begin(p, u):
+    return {"warmth": (u.ambient_temperature, 1.0)}
+
+
+def test_a_network_of_functions_of_a_module_can_be_pickled() -> None:
+    lag = Parameter("lag", "h", 2.0, 0.1, 50.0, positive=True, meaning="time constant")
+    made = linear_network(
+        "lagging", [lag], ["warmth"], ["ambient_temperature"], _cooling, {"reading": _warmth}, _still, _begin
+    )
+    model = compose([made], {"ambient_temperature": LINEAR})
+    run = timeline(
+        model, TIME, {"ambient_temperature": 280.0 + np.sin(TIME)}, {"reading": 280.0 + 0.5 * np.sin(TIME)}
+    )
+    likelihood = Likelihood(model, run)
+    again = pickle.loads(pickle.dumps(likelihood))
+    assert again.value({"lag": 3.0}) == likelihood.value({"lag": 3.0}) != likelihood.value({"lag": 1.0})
+
+
+def test_a_mechanism_whose_function_was_replaced_is_not_made_again_by_its_factory() -> None:
+    made = LIBRARY["hygric_exchange"]()
+    with pytest.raises((pickle.PicklingError, AttributeError), match="local object"):
+        pickle.dumps(replace(made, drift=lambda p, x, u, q, s: {"vapour": 0.0}))
 
 
 @every

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copyreg
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 from hygrokf.physics.mechanisms import heat, hygric, moisture, sensors, thermal, wandering
 from hygrokf.physics.mechanisms.network import linear_network as linear_network
 from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
 
 Factory = Callable[..., Mechanism]
 """A function (**settings) -> mechanism."""
@@ -24,3 +28,28 @@ LIBRARY: dict[str, Factory] = {
     factory.__name__: factory for factory in (*BASE, *LOGGED, *FURTHER, *WANDERING)
 }
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` creates the mechanism m again."""
+
+
+def _reduced(mechanism: Mechanism) -> str | tuple[Any, ...]:
+    """How to pickle a mechanism: one of the library by its factory, because the functions within a factory
+    cannot be pickled; any other by its fields."""
+    factory = LIBRARY.get(mechanism.name)
+    if factory is None or _code(factory(**mechanism.settings)) != _code(mechanism):
+        return object.__reduce_ex__(mechanism, 4)
+    return _made_again, (factory, dict(mechanism.settings), mechanism.parameters)
+
+
+def _code(mechanism: Mechanism) -> list[object]:
+    """The code of its functions, which tells whether somebody has replaced one."""
+    found = [getattr(mechanism, one.name) for one in fields(mechanism)]
+    functions = [*found, *mechanism.outputs.values()]
+    return [getattr(one, "__code__", None) for one in functions]
+
+
+def _made_again(
+    factory: Factory, settings: Mapping[str, Any], parameters: Sequence[Parameter]
+) -> Mechanism:
+    return replace(factory(**settings), parameters=tuple(parameters))
+
+
+copyreg.pickle(Mechanism, _reduced)

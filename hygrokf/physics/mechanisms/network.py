@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TypeVar
 
-from hygrokf.physics.model import Initial, Mechanism, Output, Pair, Space, Values
+from hygrokf.physics.model import Initial, Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
+
+Result = TypeVar("Result")
 
 
 def linear_network(
@@ -31,17 +35,20 @@ def linear_network(
     Raises ValueError at first use of the model where a function names an unknown state.
     """
 
-    def output(function: Callable[[Space, Space, Space], Pair]) -> Output:
-        return lambda p, x, u, q, s: function(p, x, u)
-
     return Mechanism(
         name=name,
         parameters=tuple(parameters),
         states=tuple(states),
         inputs=tuple(inputs),
-        drift=lambda p, x, u, q, s: rates(p, x, u),
+        drift=partial(_of_states_and_inputs, rates),
         diffusion=intensities,
         initial=initial,
-        outputs={key: output(function) for key, function in outputs.items()},
+        outputs={key: partial(_of_states_and_inputs, function) for key, function in outputs.items()},
         meaning="a linear network given by the user",
     )
+
+
+def _of_states_and_inputs(
+    function: Callable[[Space, Space, Space], Result], p: Space, x: Space, u: Space, q: Space, s: Space
+) -> Result:
+    return function(p, x, u)
