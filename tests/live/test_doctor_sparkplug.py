@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import tomllib
 from collections.abc import Callable, Iterator
@@ -13,6 +14,7 @@ import pytest
 from builders.brokers import Mosquitto, mosquitto, needs_mosquitto
 from builders.sparkplug_peer import FLOAT, EdgeNode
 from builders.track_case import write_model
+from builders.waiting import eventually
 
 from hygrokf.data.toml_form import Place
 from hygrokf.live.config import read_config
@@ -119,7 +121,7 @@ def broker(tmp_path: Path) -> Iterator[Mosquitto]:
 @pytest.fixture
 def look(
     tmp_path: Path, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
-) -> Callable[[], dict[str, Check]]:
+) -> Callable[[str], dict[str, Check]]:
     monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
     write_model(tmp_path / "W01")
@@ -128,9 +130,15 @@ def look(
         f'{TRACK}[[source]]\nurl = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]\n'
     )
 
-    def looked() -> dict[str, Check]:
-        found = examine(read_config(file), file, 1.0, False)
-        return {one.found: one for one in found if broker.url in one.about}
+    def looked(words: str) -> dict[str, Check]:
+        """What the doctor finds once that is among it: a busy machine may deliver nothing within a second."""
+
+        def examined() -> dict[str, Check] | None:
+            found = examine(read_config(file), file, 1.0, False)
+            checks = {one.found: one for one in found if broker.url in one.about}
+            return checks if any(re.search(words, text) for text in checks) else None
+
+        return eventually(examined)
 
     return looked
 
@@ -163,7 +171,7 @@ def found(checks: dict[str, Check], words: str) -> Check:
 
 
 @needs_mosquitto
-def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[], dict[str, Check]]) -> None:
+def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[str], dict[str, Check]]) -> None:
     node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
 
     def by_name(number: int) -> None:
@@ -182,19 +190,18 @@ def test_the_doctor_examines_edge_nodes(broker: Mosquitto, look: Callable[[], di
         by_name(number)
 
     with publishing(node, by_name):
-        checks = look()
+        checks = look("payloads gave readings")
     assert found(checks, "every message is explained").level == "ok"
     assert found(checks, "payloads gave readings").level == "ok"
     assert "queue_qos0_messages" in found(checks, "published at QoS 0").remedy
     with publishing(node, by_alias):
-        checks = look()
+        checks = look("no birth certificate")
     assert "Node Control/Rebirth" in found(checks, "no birth certificate").remedy
     assert not any("gave readings" in text for text in checks)
     with publishing(node, with_births):
-        checks = look()
-    assert found(checks, "payloads gave readings").found.split()[0] != "0"
+        look(r"^[1-9]\d* of .* payloads gave readings")
     with publishing(node, with_gaps):
-        checks = look()
+        checks = look("missing in the sequence")
     assert found(checks, "messages are missing in the sequence").level == "doubt"
     assert not node.rebirths
 

@@ -145,6 +145,33 @@ def test_the_oldest_connection_gives_way() -> None:
     asyncio.run(run())
 
 
+def test_the_only_connection_is_closed_after_a_slow_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    import asyncio
+
+    monkeypatch.setattr(connections, "IDLE_S", 0.05)
+    monkeypatch.setattr(connections, "SWEEP_S", 0.02)
+
+    async def run() -> None:
+        held = Connections()
+        inside, outside = socket.socketpair()
+
+        async def app(*_: object) -> None:
+            while held._sweeping:  # as long as it takes until nothing waits and nobody sweeps
+                await asyncio.sleep(0.01)
+
+        async def unused(*_: object) -> None: ...
+
+        with inside, outside:
+            held.enter(inside, ("a", 1))
+            await held.limited(app)({"client": ("a", 1), "path": "/"}, unused, unused)
+            assert not is_closed(outside)
+            async with asyncio.timeout(30.0):
+                while not is_closed(outside):
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(run())
+
+
 def test_a_body_that_does_not_come_is_given_up(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "BODY_S", 0.2)
     with served(service) as (_, server), ExitStack() as stack:

@@ -80,21 +80,24 @@ class Connections:
             self._waiting.pop(key).close()
         for key in list(self._waiting)[: max(len(self._waiting) - WAITING, 0)]:
             self._waiting.pop(key).close()
-        if not self._sweeping:
-            self._sweeping = True
-            asyncio.get_running_loop().call_later(SWEEP_S, self._sweep)
 
     def _wait(self, connection: socket.socket, peer: Peer, seconds: float) -> None:
         self._waiting[peer] = Waiting(connection, self._clock() + seconds)
+        self._sweep_later()
+
+    def _sweep_later(self) -> None:
+        """Look for connections that have waited too long, as long as any are waiting."""
+        if self._waiting and not self._sweeping:
+            self._sweeping = True
+            asyncio.get_running_loop().call_later(SWEEP_S, self._sweep)
 
     def _sweep(self) -> None:
-        """Close connections that have waited too long, and look again later as long as there are any."""
+        """Close connections that have waited too long."""
         now = self._clock()
         for key in [key for key, one in self._waiting.items() if one.until < now]:
             self._waiting.pop(key).close()
-        self._sweeping = bool(self._waiting)
-        if self._sweeping:
-            asyncio.get_running_loop().call_later(SWEEP_S, self._sweep)
+        self._sweeping = False
+        self._sweep_later()
 
     def limited(self, app: ASGIApp) -> ASGIApp:
         """Wrap the outermost ASGI application, which sees the connections' own addresses."""

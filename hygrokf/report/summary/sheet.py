@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, WORDS
 from hygrokf.report.blocks import Table
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, expect_matplotlib, styled
@@ -18,6 +20,7 @@ from hygrokf.report.page import prose
 from hygrokf.report.summary.content import TODO, Summary
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WIDTH, HEIGHT = 8.27, 11.69
@@ -64,12 +67,22 @@ def summary_sheet(summary: Summary) -> Figure:
         picture = layout.picture_in
         if summary.picture is not None and picture > 0.3:
             within = (LEFT / WIDTH, (end - picture) / HEIGHT, TEXT / WIDTH, picture / HEIGHT)
-            summary.picture.panels.on_figure(figure, within)
+            axes = summary.picture.panels.on_figure(figure, within)
+            _keep_places(figure, axes)
         _put(figure, layout.below, end - picture)
         end = TOP + sum(one.height for one in layout.foot)
         _box(figure, LEFT, end - 0.06, TEXT, 0.006, RULE)
         _put(figure, layout.foot, end)
     return figure
+
+
+def _keep_places(figure: Figure, axes: Sequence[Axes]) -> None:
+    """Keep the places of a layout, rounded: its solver's last digits differ from one time to the next."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for one in axes:
+        left, bottom, width, height = np.round(one.get_position().bounds, 6).tolist()
+        one.set_position((left, bottom, width, height))
 
 
 def fitting_scale(summary: Summary) -> float:
