@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.physics.expression import is_zero
-from hygrokf.physics.model import Model
+from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
 
 CHUNK = 4096
@@ -128,9 +127,7 @@ class Likelihood:
         if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
             raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
 
-    def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: the loops are compiled again where the likelihood is unpickled."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+    __getstate__ = fields_alone
 
     @property
     def _diffuse(self) -> bool:
@@ -203,7 +200,7 @@ class Likelihood:
         rate = self.rate(values)
         if not math.isfinite(rate):
             raise RatesFault(self._not_finite(values))
-        if self._longest * rate <= limit:
+        if steps[:, 0].max() * rate <= limit:
             return _Steps(steps, self._single)
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
@@ -249,10 +246,6 @@ class Likelihood:
             f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a "
             "model; narrow the bounds of its parameters, or leave out the part that is so fast"
         )
-
-    @cached_property
-    def _longest(self) -> float:
-        return float(self.timeline.steps[:, 0].max())
 
     @cached_property
     def _single(self) -> np.ndarray:

@@ -25,7 +25,7 @@ from hygrokf.modelling.registry import origins
 from hygrokf.physics.holds import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
-from hygrokf.physics.model import Mechanism, Model, compose
+from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
 from hygrokf.physics.parameters import Prior
 
 HOLDS = {
@@ -102,9 +102,7 @@ class Design:
             found = _models[key] = compose(mechanisms, holds, self.averaged)
         return found
 
-    def __getstate__(self) -> dict[str, Any]:
-        """The design without its model, whose functions cannot be pickled; a copy makes it again."""
-        return {name: value for name, value in vars(self).items() if name != "model"}
+    __getstate__ = fields_alone
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""

@@ -55,6 +55,11 @@ SUMS = {
 """Sums that mechanisms may contribute to; a mechanism with a network of its own may read further sums."""
 
 
+def fields_alone(instance: Any) -> dict[str, Any]:
+    """What a pickle keeps of a dataclass: its fields. A copy derives again what is cached."""
+    return {one.name: getattr(instance, one.name) for one in fields(instance)}
+
+
 @dataclass(frozen=True)
 class Mechanism:
     """One piece of physics: parameters, states and inputs, and functions of them.
@@ -142,9 +147,7 @@ class Model:
     holds: Mapping[str, str] = field(default_factory=dict)
     averaged: Mapping[str, float] = field(default_factory=dict)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: what is derived from them is traced again where the model is unpickled."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+    __getstate__ = fields_alone
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
