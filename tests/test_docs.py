@@ -23,14 +23,24 @@ RUN = [
     ),
     (document("add_a_mechanism.md"), "python,bash", ["turbine/case.toml"]),
     (document("own_model.md"), "python", []),
-    (document("reference.md"), "python", ["result/report.html", "fleet/report.html"]),
+    pytest.param(
+        document("reference.md"),
+        "python",
+        ["result/report.html", "fleet/report.html"],
+        marks=pytest.mark.slow,
+    ),
     pytest.param(
         document("climate.md"),
         "python,bash",
         ["climate/report.html", "checked/climate.csv", "regions/report.html"],
         marks=pytest.mark.slow,
     ),
-    (document("compare.md"), "python,bash", ["compared/report.html", "compared/compare.csv"]),
+    pytest.param(
+        document("compare.md"),
+        "python,bash",
+        ["compared/report.html", "compared/compare.csv"],
+        marks=pytest.mark.slow,
+    ),
     pytest.param(
         document("transfer.md"),
         "python,bash",
