@@ -14,7 +14,12 @@ PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
 
 RUN = [
     (ROOT / "README.md", "python", ["turbine/case.toml"]),
-    (document("tutorial.md"), "python,bash", ["result/report.html", "simulated.csv"]),
+    pytest.param(
+        document("tutorial.md"),
+        "python,bash",
+        ["result/report.html", "simulated.csv"],
+        marks=pytest.mark.slow,
+    ),
     pytest.param(
         document("fleet.md"),
         "python,bash",

@@ -196,7 +196,7 @@ def test_track_and_export(plant: Plant, told: Callable, shape: str, own: bool, t
 
 
 # -- what takes longer ---------------------------------------------------------------------------------------
-QUICK = ("eight_readings", "no_power", "no_humidity", "a_year_s_gap")
+QUICK = ("eight_readings", "no_power", "no_humidity")
 """Shapes that the longer commands are run on by default, each of which leads another way; the others are
 slow."""
 

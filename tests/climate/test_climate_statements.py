@@ -32,6 +32,7 @@ def after(first: Record, second: Record) -> Record:
     )
 
 
+@pytest.mark.slow
 def test_a_typical_year_is_repeated_for_each_year_of_power(tmp_path: Path) -> None:
     """Two years of power, the first at standstill: each is a year of the climate."""
     file = tmp_path / "repeated.epw"

@@ -48,6 +48,7 @@ def test_version_and_no_command_at_all():
     assert len(re.findall(r"^  \w", said.out, re.MULTILINE)) == 5
 
 
+@pytest.mark.slow
 def test_demo_makes_fits_and_reports(tmp_path):
     """The whole demo, as in the README; its truth is a time constant of 1.5 h and one of 0.30 h."""
     said = run(f"demo --out {tmp_path}/demo --json")

@@ -408,6 +408,7 @@ def test_a_clock_is_told_with_its_error(seconds: float, settings: dict, said: st
     )
 
 
+@pytest.mark.slow
 def test_finer_forms_are_tried_in_the_end() -> None:
     """A slab of material behind thin material's estimate; thin material itself does not become a slab."""
     made = baseline(to_record(hidden_plant(813, "moisture_sorption", form=1, days=50.0)), starts=1)

@@ -539,6 +539,7 @@ def warmed_case(directory: Path, auxiliary: bool = True) -> Path:
     return case
 
 
+@pytest.mark.slow
 def test_the_whole_way_from_a_case_to_a_simulation(
     tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
