@@ -32,18 +32,19 @@ LIBRARY: dict[str, Factory] = {
 
 def _reduced(mechanism: Mechanism) -> str | tuple[Any, ...]:
     """How to pickle a mechanism: one of the library by its factory, because the functions within a factory
-    cannot be pickled; any other by its fields."""
+    cannot be pickled; any other by its fields, also where somebody has replaced one of them."""
     factory = LIBRARY.get(mechanism.name)
-    if factory is None or _code(factory(**mechanism.settings)) != _code(mechanism):
+    if factory is None or _compared(factory(**mechanism.settings)) != _compared(mechanism):
         return object.__reduce_ex__(mechanism, 4)
     return _made_again, (factory, dict(mechanism.settings), mechanism.parameters)
 
 
-def _code(mechanism: Mechanism) -> list[object]:
-    """The code of its functions, which tells whether somebody has replaced one."""
-    found = [getattr(mechanism, one.name) for one in fields(mechanism)]
-    functions = [*found, *mechanism.outputs.values()]
-    return [getattr(one, "__code__", None) for one in functions]
+def _compared(mechanism: Mechanism) -> dict[str, object]:
+    """Its fields except the parameters, each function by its code."""
+    found = {one.name: getattr(mechanism, one.name) for one in fields(mechanism)}
+    del found["parameters"]
+    found |= found.pop("outputs")
+    return {name: getattr(value, "__code__", value) for name, value in found.items()}
 
 
 def _made_again(
