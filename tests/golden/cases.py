@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
@@ -46,6 +46,8 @@ PLANTS = (
     ("wind_driven_exchange", 0),
 )
 PLANT_SEED, PLANT_DAYS = 70400, 90.0
+ROUND = 400
+"""Messages that a played-back turbine's tracker takes at once."""
 
 
 Step = tuple[str, ...] | Callable[[Path], str]
@@ -230,24 +232,42 @@ def fleet(folder: Path) -> None:
 
 
 def playback(folder: Path) -> str:
-    """Ten days of a turbine played back into a store, as quickly as the tracker takes them."""
+    """Ten days of a turbine played back into a store, in rounds that do not depend on the machine's speed:
+    when alarms begin and from which state the last forecast is made depend on the rounds."""
     from builders.live_case import live_record, live_turbine
 
-    from hygrokf.live.service import Service
-    from hygrokf.live.sources.local import Playback, record_mapping, record_messages
+    from hygrokf.live.forecast_job import forecast_batch, isolation_steps, make_forecast
+    from hygrokf.live.sources.local import record_mapping, record_messages
+    from hygrokf.live.sources.stream import Delivery
     from hygrokf.live.storage.store import open_store
+    from hygrokf.live.turbines import Fleet
     from hygrokf.live.web.views import turbine_view
 
     record = live_record(folder / "T1", seed=61, days=10.0)
-    stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), 0.0)
-    url = f"sqlite:{folder / 'store.db'}"
-    Service({"T1": live_turbine(record)}, [stream], url).run(until_ended=True)
-    store = open_store(url)
+    turbine, mapping = live_turbine(record), record_mapping(record, "T1")
+    store = open_store(f"sqlite:{folder / 'store.db'}")
+    fleet = Fleet.from_store({"T1": turbine}, store)
+    deliveries = [
+        Delivery(content, at, place=str(number))
+        for number, (at, content) in enumerate(record_messages(record, "T1"), start=1)
+    ]
+    for first in range(0, len(deliveries), ROUND):
+        part = deliveries[first : first + ROUND]
+        store.commit(fleet.round(part, mapping, "replay:"))
+        store.commit(fleet.tick(part[-1].received, {}))
+        while fleet.isolation_due() is not None:
+            lasting = [one for one in fleet.shifts["T1"].values() if one.lasting]
+            finding = next(filter(None, isolation_steps("T1", turbine, lasting, store)))
+            store.commit(fleet.keep_finding("T1", finding))
+        made = make_forecast("T1", turbine, fleet.trackers["T1"], store)
+        if made is not None:
+            batch = forecast_batch("T1", made, turbine.limit)
+            fleet.keep_forecast("T1", made.time_s, made.forecast, batch)
+            store.commit(batch)
     last = float(store.rows("SELECT MAX(time) FROM observation")[0][0])
     view = turbine_view(store, "T1", last - 86400.0, last)
-    view["alarms"] = [one.kind for one in view["alarms"]]  # when one began depends on the rounds of messages
     store.close()
-    return json.dumps(view, indent=1, sort_keys=True)
+    return json.dumps({**view, "alarms": [asdict(one) for one in view["alarms"]]}, indent=1, sort_keys=True)
 
 
 def found(cause: str, form: int) -> Callable[[Path], str]:

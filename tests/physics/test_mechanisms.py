@@ -176,7 +176,7 @@ def test_a_mechanism_that_was_changed_is_not_made_again_by_its_factory(replaced:
     """Its functions are those within the factory still, which pickle refuses."""
     made = LIBRARY["hygric_exchange"]()
     assert pickle.loads(pickle.dumps(made)).inputs == made.inputs
-    with pytest.raises((pickle.PicklingError, AttributeError), match="Can.t pickle"):
+    with pytest.raises((pickle.PicklingError, AttributeError), match=r"Can.t pickle"):
         pickle.dumps(replace(made, **replaced))
 
 
