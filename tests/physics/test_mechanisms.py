@@ -173,7 +173,7 @@ def test_a_network_of_functions_of_a_module_can_be_pickled() -> None:
     "replaced", [{"drift": lambda p, x, u, q, s: {"vapour": 0.0}}, {"inputs": ("exchange_factor",)}]
 )
 def test_a_mechanism_that_was_changed_is_not_made_again_by_its_factory(replaced: dict) -> None:
-    """Its functions are those within the factory still, which pickle refuses."""
+    """It still holds functions that are defined inside the factory, which pickle refuses."""
     made = LIBRARY["hygric_exchange"]()
     assert pickle.loads(pickle.dumps(made)).inputs == made.inputs
     with pytest.raises((pickle.PicklingError, AttributeError), match=r"Can.t pickle"):
