@@ -134,7 +134,7 @@ class StatedSource:
     missing: tuple[str, ...] = setting(
         (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
     )
-    time_format: str | None = setting(None, "strptime format of stamps that are not ISO 8601")
+    time_format: str | None = setting(None, 'strptime format of stamps that are not ISO 8601, or "excel"')
     ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")

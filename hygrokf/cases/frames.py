@@ -13,6 +13,7 @@ from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_
 from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.timestamps import EXCEL
 from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
@@ -257,7 +258,7 @@ def _prepare(
     """
     time = None if stated.get("time") is None else str(stated["time"])
     labels = [str(label) for label in frame.columns]
-    stamps, stamps_named, length, wrong = _stamps(frame, labels, time)
+    stamps, stamps_named, length, wrong = _stamps(frame, labels, time, stated.get("time_format") == EXCEL)
     if length is not None:
         twice = [key for key in ("stamp", "interval") if stated.get(key) is not None]
         wrong += [f"{stamps_named} holds periods, which already give the averaging intervals: remove {key}"
@@ -318,9 +319,12 @@ def _prepare(
 
 
 def _stamps(
-    frame: pandas.DataFrame, labels: Sequence[str], time: str | None
+    frame: pandas.DataFrame, labels: Sequence[str], time: str | None, serial: bool
 ) -> tuple[pandas.Series | None, str, float | None, list[str]]:
-    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults."""
+    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults.
+
+    serial: whether numbers are Excel's days.
+    """
     import pandas as pd
 
     if time is None:
@@ -345,7 +349,7 @@ def _stamps(
         if len(lengths) <= 1:  # empty where no row has a stamp
             return starts, named, float(lengths[0]) if len(lengths) else None, []
         return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
-    if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
+    if (pd.api.types.is_numeric_dtype(kind) and not serial) or pd.api.types.is_timedelta64_dtype(kind):
         what = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"
         shown = ", ".join(str(one) for one in stamps.iloc[:3])
         where = ', or name the column of the times: time="…"' if time is None else ""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.record import EARLIEST_S, LATEST_S
-from hygrokf.data.timestamps import read_stamps, zone_named
+from hygrokf.data.timestamps import EXCEL, Stamps, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -114,8 +114,9 @@ def table_of(
     warnings: list[str] = []
     time = np.full(len(frame), np.nan)
     if stamps is not None:
+        repeated = _repeated(list(values.values()), len(frame))
         time, said, wrong = _stamps_read(
-            stamps, stamps_named, places, zone, timezone, time_format, ignore_offset
+            stamps, stamps_named, places, zone, timezone, time_format, ignore_offset, repeated
         )
         warnings += said
         faults += wrong
@@ -134,6 +135,15 @@ def table_of(
     return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
 
 
+def _repeated(columns: Sequence[np.ndarray], count: int) -> np.ndarray:
+    """True (N,) for a row with the readings of the row before."""
+    same = np.full(count, bool(columns))
+    same[:1] = False
+    for one in columns:
+        same[1:] &= (one[1:] == one[:-1]) | (np.isnan(one[1:]) & np.isnan(one[:-1]))
+    return same
+
+
 def _stamps_read(
     stamps: pandas.Series,
     stamps_named: str,
@@ -142,30 +152,44 @@ def _stamps_read(
     timezone: str | None,
     time_format: str | None,
     ignore_offset: bool,
+    repeated: np.ndarray,
 ) -> tuple[np.ndarray, list[str], list[str]]:
     """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`."""
     warnings: list[str] = []
+    fault = time_format_fault(time_format or "")
+    if fault is not None:
+        return np.full(len(stamps), np.nan), warnings, [f"{stamps_named}: {fault}"]
     faults: list[str] = []
-    read = read_stamps(stamps, zone, time_format=time_format, ignore_offset=ignore_offset)
-    time = read.time
-    if read.unreadable.any():
-        where = _where(np.flatnonzero(read.unreadable), stamps, places)
+
+    def read(zone: tzinfo | None) -> Stamps:
+        return read_stamps(
+            stamps, zone, time_format=time_format, ignore_offset=ignore_offset, repeated=repeated
+        )
+
+    found = read(zone)
+    header = zone_in_header(str(stamps.name or ""))
+    if found.naive.any() and zone is None and header is not None:
+        warnings.append(f'{stamps_named}: stamps without an offset are read at "{header}", which it names')
+        found = read(zone_named(header))
+    time = found.time
+    if found.unreadable.any():
+        where = _where(np.flatnonzero(found.unreadable), stamps, places)
         faults.append(
             f"{stamps_named}: expected ISO 8601 stamps"
             + (f' or "{time_format}"' if time_format else "")
-            + f", found {int(read.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
-            + _stamp_remedy(stamps, read.unreadable, places.here)
+            + f", found {int(found.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
+            + _stamp_remedy(stamps, found.unreadable, places.here, time_format)
         )
-    if read.naive.any():
-        rows = np.flatnonzero(read.naive)
+    if found.naive.any():
+        rows = np.flatnonzero(found.naive)
         faults.append(
             f"{stamps_named}: {len(rows)} of {len(stamps)} stamps have no offset "
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not ignore_offset and _all_aware(stamps):
+    elif zone is not None and not ignore_offset and found.aware:
         warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
-    warnings += read.warnings
+    warnings += found.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if beyond.any():
         where = _where(np.flatnonzero(beyond), stamps, places)
@@ -262,36 +286,25 @@ def numbered(label: str, numbers: Sequence[int], total: int) -> str:
     )
 
 
-def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> str:
+def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stated: str | None) -> str:
     words = [str(one).strip() for one in column[unreadable].iloc[:200]]
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
-    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
-        return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     for pattern, form in (
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
         (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
         (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
+        (r"(19|20)\d{8}", "%Y%m%d%H"),
+        (r"[34]\d{4}([.,]\d+)?", EXCEL),
     ):
-        if all(re.fullmatch(pattern, word) for word in words):
+        if form != stated and all(re.fullmatch(pattern, word) for word in words):
             ask = " (or month first: %m/%d)" if "/" in form else ""
             return f'; state time_format = "{form}"{ask}{here}'
+    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
+        return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     if all(word.startswith("#") for word in words):
         return '; if these are comments, state comment = "#"' + here
     if unreadable.sum() < len(column) / 2:
         return "; correct or remove these lines"
     return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M"' + (here and f",{here}")
-
-
-def _all_aware(column: pandas.Series) -> bool:
-    """Whether the stamps carry offsets; called only after read_stamps found none without."""
-    import pandas as pd
-
-    if pd.api.types.is_datetime64_any_dtype(column.dtype):
-        return column.dt.tz is not None
-    first = column.dropna()
-    return (
-        len(first) > 0
-        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0])) is not None
-    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
 from hygrokf.data.signals import Signal
-from hygrokf.data.timestamps import duration, zone_named
+from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
 from hygrokf.live.sources.payload import GOOD, PayloadMapping
@@ -36,9 +36,11 @@ def _zone(value: object) -> datetime.tzinfo:
 
 def _time_form(value: object) -> str:
     """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
-    if value == "":
-        return ""
+    if value in ("", EXCEL):
+        return str(value)
     if isinstance(value, str):
+        if fault := time_format_fault(value):
+            raise ValueError(fault)
         try:
             found = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)
             if found.replace(tzinfo=None) == SAMPLE:
@@ -135,6 +137,7 @@ class MappingForm:
     def to_mapping(self) -> PayloadMapping:
         """The mapping, without rows that cannot be used and without turbines yet."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
+        zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
             {name: one.to_field() for name, one in valid.items()},
             turbine=self.turbine,
@@ -146,7 +149,7 @@ class MappingForm:
             form=self.format,
             records=self.records,
             tag_pattern="" if pattern_fault(self.tag_pattern) else self.tag_pattern,
-            clock=Clock(self.timezone, self.time_format),
+            clock=Clock(self.timezone if zone is None else zone_named(zone), self.time_format),
             comma=self.decimal == ",",
         )
 

@@ -12,8 +12,10 @@ import time
 import timeit
 from collections import Counter
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from builders.documents import document
 from builders.track_case import write_model
@@ -21,6 +23,7 @@ from builders.track_case import write_model
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
+from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
@@ -174,6 +177,10 @@ def test_unix_times_of_every_precision(factor: float) -> None:
         ("01.03.2026 13:10", Clock(BERLIN, "%d.%m.%Y %H:%M"), NOW),
         ("1.3.2026 12:10:00 +0000", Clock(BERLIN, "%d.%m.%Y %H:%M:%S %z"), NOW),
         (20260301131000, Clock(BERLIN, "%Y%m%d%H%M%S"), NOW),
+        (46082.548611111, Clock(BERLIN, "excel"), NOW), ("46082.548611111", Clock(BERLIN, "excel"), NOW),
+        (1e300, Clock(BERLIN, "excel"), None), ("2026-03-01T13:10:00", Clock(BERLIN, "excel"), None),
+        ("2026-02-28 24:00", Clock(UTC), NOW - 43_800.0), ("28.02.2026 24:00", Clock(UTC, "%d.%m.%Y %H:%M"), NOW - 43_800.0),
+        ("2026022824", Clock(UTC, "%Y%m%d%H"), NOW - 43_800.0), ("28.02.2026 24:10", Clock(UTC, "%d.%m.%Y %H:%M"), None),
         ("2026-03-01T13:10:00", Clock(), None),
         ("2026-03-01T12:10:00Z", Clock(BERLIN, "%d.%m.%Y %H:%M"), None),
         (NOW, Clock(BERLIN, "%d.%m.%Y %H:%M"), None), (None, Clock(BERLIN), None),
@@ -189,16 +196,47 @@ def test_hours_that_summer_time_skips_or_repeats() -> None:
         seconds("2026-03-29T02:30:00", clock)
     assert refusal.value.kind == "no time"
     first = 1_792_888_200.0  # 2026-10-25T00:30Z, 02:30 in summer time, an hour before 02:30 in winter time
-    for lag_s in (-600.0, 0.0, 300.0, 2_400.0):
+    for lag_s in (-600.0, 0.0, 300.0, 2_400.0):  # the second pass is still to come
         assert seconds("2026-10-25T02:30:00", clock, first + lag_s) == first
-        assert seconds("2026-10-25T02:30:00", clock, first + 3600.0 + lag_s) == first + 3600.0
-    with pytest.raises(Refused) as refusal:
-        seconds("2026-10-25T02:30:00", clock, first + 86400.0)
-    assert refusal.value.kind == "ambiguous time"
+    for lag_s in (3_000.0, 3_600.0, 6_000.0, 86_400.0):  # the time of arrival alone never decides
+        with pytest.raises(Refused) as refusal:
+            seconds("2026-10-25T02:30:00", clock, first + lag_s, LocalOrder())
+        assert refusal.value.kind == "ambiguous time"
     mapping = fields(clock=clock)
     assert kind(mapping, {"turbine": "W01", "time": "2026-10-25T02:30:00", "Tcab": 31.2}, "", 1.8e9) == (
         "ambiguous time"
     )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 600.0, 3_000.0, 86_400.0])
+@pytest.mark.parametrize("step_s", [60.0, 600.0, 1_800.0])
+def test_the_order_of_its_source_places_a_stamp_of_the_repeated_hour(delay_s: float, step_s: float) -> None:
+    """Whatever the delay: the second pass begins where the stamps of a turbine step back."""
+    mapping, order = fields(clock=Clock(BERLIN)), LocalOrder()
+    begin = 1_792_886_400.0 - 7_200.0  # 2026-10-24T22:00Z
+    for at in np.arange(begin, begin + 5 * 3_600.0, step_s):
+        local = datetime.fromtimestamp(at, BERLIN).replace(tzinfo=None).isoformat()
+        for turbine, lag_s in (("W01", 0.0), ("W02", 5.0)):
+            payload = json.dumps({"turbine": turbine, "time": local, "Tcab": 31.2})
+            for _ in range(2):  # a redelivery is a repetition
+                (found,) = mapping.read(payload, at + lag_s + delay_s, "", order)
+                assert [one.time for one in found.readings] == [at]
+
+
+def test_an_order_with_a_gap_or_of_hours_does_not_place_a_stamp() -> None:
+    clock, order = Clock(BERLIN), LocalOrder()
+    first = 1_792_888_200.0
+    for at in (first - 3_600.0, first - 3_000.0):
+        assert seconds(datetime.fromtimestamp(at, BERLIN).isoformat()[:19], clock, math.inf, order, "W01") == at
+    for later in (3_000.0, 7_200.0):  # silent since 01:40: either pass
+        with pytest.raises(Refused):
+            seconds("2026-10-25T02:30:00", clock, first + later, order, "W01")
+    hours = LocalOrder()
+    for at in (first - 5_400.0, first - 1_800.0):
+        local = datetime.fromtimestamp(at, BERLIN).isoformat()[:19]
+        assert seconds(local, clock, at, hours, "W01") == at
+    with pytest.raises(Refused):  # 02:00 again: the same hour, or the next
+        seconds("2026-10-25T02:00:00", clock, first + 1_800.0, hours, "W01")
 
 
 # -- records -------------------------------------------------------------------------------------------------
@@ -354,6 +392,7 @@ FAULTS = [
     ("[mapping]\ntimezone = 'Europe/Berlyn'", "Europe/Berlin"),
     ("[mapping]\ntime_format = '%H:%M'", "time_format: expected a strptime form"),
     ("[mapping]\ntime_format = 'DD.MM.YYYY'", "time_format: expected a strptime form"),
+    ("[mapping]\ntime_format = '%m/%d/%Y %H:%M %p'", "write %I for %H"),
     ("[mapping]\ndecimal = ';'", "decimal must be one of"),
     ("[mapping]\nrecord = 'values'", 'unknown key "record"'),
     ("[mapping.signals]\nT = { signal = 'cabinet_temperature', unit = 'degC', scale = 0 }", "scale must be"),

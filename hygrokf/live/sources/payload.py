@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload_fields import Conversion, Field
 from hygrokf.live.sources.payload_formats import JSON, Content, Record, Refused, Scopes, records
 from hygrokf.live.sources.payload_paths import (
@@ -133,8 +134,12 @@ class PayloadMapping:
             one.startswith("{") and one not in (NAME, RECEIVED) for one in alternatives(self.time)
         )
 
-    def read(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
+    def read(
+        self, content: Content, received: float, topic: str = "", order: LocalOrder | None = None
+    ) -> Sequence[TurbineReadings]:
         """The readings of a payload received at a time [s], by turbine.
+
+        order: of the source's local stamps, which is carried on; None: nothing is known of it.
 
         Raises Refused if the payload cannot be read, or if it has one record and none of that can be used.
         Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
@@ -143,7 +148,7 @@ class PayloadMapping:
         found, fault = Found(), None
         for record in records(content, self.form, self.layout.steps, topic, received):
             try:
-                self._read_record(record, found)
+                self._read_record(record if order is None else record._replace(order=order), found)
             except Refused as refusal:
                 fault = refusal
                 found[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
@@ -180,7 +185,7 @@ class PayloadMapping:
         """Read every field that a record of one turbine has."""
         layout = self.layout
         turbine = self._turbine(layout.turbine(record))
-        time, own = 0.0 if layout.own_time else self._time(record), layout.own
+        time, own = 0.0 if layout.own_time else self._time(record, turbine), layout.own
         of = found[turbine]
         _, readings, rejections = of
         if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
@@ -192,7 +197,7 @@ class PayloadMapping:
             raw = at(scopes, name)
             if raw is None or raw == "":
                 continue
-            of_value = self._own_time(record, name, time, rejections) if own else time
+            of_value = self._own_time(record, turbine, name, time, rejections) if own else time
             if of_value is not None:
                 self._convert(name, raw, conversion, of_value, of)
         if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
@@ -202,7 +207,7 @@ class PayloadMapping:
         """Read every value of a record whose names say field and perhaps turbine."""
         layout = self.layout
         spoken, own = layout.turbine(record), layout.own
-        time = 0.0 if layout.own_time else self._time(record)
+        time = 0.0 if layout.own_time else self._time(record, str(spoken))
         if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
             raise Refused("bad quality", f"quality {quoted(mark)}")
         seen = False
@@ -218,7 +223,7 @@ class PayloadMapping:
             if raw is None or raw == "":
                 continue
             of = found[turbine]
-            of_value = self._own_time(record, name, time, of.rejections) if own else time
+            of_value = self._own_time(record, turbine, name, time, of.rejections) if own else time
             if of_value is not None:
                 self._convert(name, raw, conversion, of_value, of)
         if not seen:
@@ -238,7 +243,7 @@ class PayloadMapping:
                 raise Refused("unknown tag", f"tag {quoted(stated)} is not like {self.tag_pattern}")
             name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
         turbine = self._turbine(spoken)
-        time, of = self._time(record), found[turbine]
+        time, of = self._time(record, turbine, name), found[turbine]
         if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
             of.rejections.append(Rejection("bad quality", f"{quoted(stated)}: quality {quoted(mark)}"))
             return
@@ -283,11 +288,11 @@ class PayloadMapping:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
-    def _time(self, record: Record) -> float:
+    def _time(self, record: Record, *series: str) -> float:
         stamp = self.layout.time(record)
         if stamp is None and self.layout.on_receipt:
             return record.received
-        time = seconds(stamp, self.clock, record.received)
+        time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
             raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
         if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
@@ -295,11 +300,13 @@ class PayloadMapping:
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
         return time
 
-    def _own_time(self, record: Record, name: str, time: float, rejections: list[Rejection]) -> float | None:
+    def _own_time(
+        self, record: Record, turbine: str, name: str, time: float, rejections: list[Rejection]
+    ) -> float | None:
         """The time of one value, the common one or its own; None if its own time or quality is refused."""
         own = record._replace(name=name)
         try:
-            time = self._time(own) if self.layout.own_time else time
+            time = self._time(own, turbine, name) if self.layout.own_time else time
         except Refused as refusal:
             rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return None

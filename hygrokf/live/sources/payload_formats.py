@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hygrokf.data.structured import Json, JsonObject
+from hygrokf.live.sources.local_order import LocalOrder
 
 Payload = Mapping[str, Json]
 """A parsed object: names with plain values."""
@@ -59,13 +60,15 @@ Content = bytes | str | Payload | Unreadable
 class Record(NamedTuple):
     """A record of a payload, without `scopes` if it is no object.
 
-    `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s].
+    `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s];
+    `order`: of its source's local stamps.
     """
 
     scopes: Scopes
     name: str = ""
     topic: str = ""
     received: float = math.inf
+    order: LocalOrder | None = None
 
 
 def records(

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload import NOBODY, PayloadMapping, Rejection, TurbineReadings
 from hygrokf.live.sources.payload_formats import Content, Refused
 
@@ -25,12 +26,13 @@ class PayloadStatistics:
         self.counts: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
         self.lag_s = math.nan
+        self._order = LocalOrder()
 
     def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
         """Count a payload received at a time [s], and return what it gave."""
         self.payloads += 1
         try:
-            found = self.mapping.read(content, received, topic)
+            found = self.mapping.read(content, received, topic, self._order)
         except Refused as fault:
             found = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
             if fault.kind == "impossible time":

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Hashable
 from dataclasses import dataclass
-from datetime import UTC, datetime, tzinfo
+from datetime import UTC, datetime, timedelta, tzinfo
 
 from hygrokf.data.signals import unit_named
 from hygrokf.data.structured import Json
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import DAY_S, EXCEL, midnight_of
+from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_paths import LONGEST
 
@@ -96,12 +98,18 @@ STATED_OFFSETS = Clock()
 """ISO 8601 with an offset, or Unix times."""
 
 
-def seconds(stamp: Json, clock: Clock = STATED_OFFSETS, received: float = math.inf) -> float | None:
+def seconds(
+    stamp: Json,
+    clock: Clock = STATED_OFFSETS,
+    received: float = math.inf,
+    order: LocalOrder | None = None,
+    series: Hashable = None,
+) -> float | None:
     """Seconds since 1970 of a stamp; None if it is none.
 
-    ISO 8601, the clock's own form, or a Unix time in s, ms, µs or ns.  `received` [s] tells the two passes of
-    the hour apart that comes twice at the end of summer time.  Raises Refused for a local time that does not
-    exist, or that `received` does not tell apart.
+    ISO 8601, the clock's own form, or a Unix time in s, ms, µs or ns.  In the hour that comes twice at the end
+    of summer time a stamp is placed by the `order` of its `series`; what lies ahead of `received` [s] is
+    impossible.  Raises Refused for a local time that does not exist, or that these do not tell apart.
     """
     if not clock.form and not (isinstance(stamp, str) and ":" in stamp):
         unix = number(stamp)
@@ -109,14 +117,20 @@ def seconds(stamp: Json, clock: Clock = STATED_OFFSETS, received: float = math.i
             return unix if unix < 1e11 else _of_unix(unix)
     elif clock.form and isinstance(stamp, int) and not isinstance(stamp, bool):
         stamp = str(stamp)  # such as 20260301121000
-    if not isinstance(stamp, str) or len(stamp) > LONGEST:
+    days = number(stamp) if clock.form == EXCEL else None
+    if days is not None and 0.0 < days < 1e5:
+        at = datetime(1899, 12, 30) + timedelta(seconds=round(days * DAY_S))
+        return None if clock.zone is None else _of_local(at, clock.zone, received, order, series)
+    if clock.form == EXCEL or not isinstance(stamp, str) or len(stamp) > LONGEST:
         return None
-    text = stamp.strip()
+    midnight = midnight_of(stamp, clock.form) if "24" in stamp else None
+    text = stamp.strip() if midnight is None else midnight
     try:
         at = datetime.strptime(text, clock.form) if clock.form else datetime.fromisoformat(text)
+        at += timedelta(days=midnight is not None)
         if at.tzinfo is not None:
             return at.astimezone(UTC).timestamp()
-        return None if clock.zone is None else _of_local(at, clock.zone, received)
+        return None if clock.zone is None else _of_local(at, clock.zone, received, order, series)
     except (ValueError, OverflowError):
         return None
 
@@ -125,26 +139,29 @@ def _of_unix(stamp: float) -> float:
     return stamp / next(units for most, units in UNIX_UNITS if stamp < most)
 
 
-def _of_local(local: datetime, zone: tzinfo, received: float) -> float:
+def _of_local(
+    local: datetime, zone: tzinfo, received: float, order: LocalOrder | None, series: Hashable
+) -> float:
     """Seconds since 1970 of a local time in a zone.  Raises Refused."""
     first, second = (local.replace(tzinfo=zone, fold=fold).timestamp() for fold in (0, 1))
-    if first == second:
-        return first
     if first > second:
         raise Refused(
             "no time",
             f"{local} does not exist in {zone}: summer time begins; if the clock does not follow it, "
             'state its fixed offset, such as timezone = "+01:00"',
         )
-    if second > received + AHEAD_S:
-        return first
-    if received - second >= HOUR_S - AHEAD_S:
-        raise Refused(
-            "ambiguous time",
-            f"{local} comes twice in {zone}, and the payload is too old to tell which: stamps with an offset "
-            "would",
-        )
-    return second
+    if first < second <= received + AHEAD_S:  # else the second is still to come
+        next_ones = [one for one in (first, second) if order is not None and order.continues(series, one)]
+        if len(next_ones) != 1:
+            raise Refused(
+                "ambiguous time",
+                f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps with "
+                "an offset would",
+            )
+        first = next_ones[0]
+    if order is not None:
+        order.note(series, first)
+    return first
 
 
 def quoted(value: Json) -> str:
