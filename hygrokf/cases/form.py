@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
+from hygrokf.data.numbers import POLES, Meaning, stated_marks
 from hygrokf.data.record import HOLDS, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
@@ -49,9 +50,16 @@ class StatedSensor:
         None, "time in which the sensor covers 63 % of a step", read=duration
     )
 
+    one: str | None = setting(None, "the text of a flag that is 1", choices=POLES)
+
     @across("unit", "signal")
     def unit_of_signal(self) -> str | None:
         return unit_fault(self.unit, self.signal.name)
+
+    @property
+    def meaning(self) -> Meaning:
+        """What texts of this signal stand for."""
+        return Meaning(self.signal.name, self.unit, self.unit == "1", self.one or "")
 
     @property
     def settings(self) -> dict[str, float]:
@@ -129,7 +137,8 @@ class StatedSource:
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
-    decimal: str = setting(".", "mark of numbers", **_CHARACTER)
+    decimal: str | None = setting(None, 'mark of numbers; by default "."', **_CHARACTER)
+    thousands: str | None = setting(None, "mark between groups of three digits", **_CHARACTER)
     comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
     missing: tuple[str, ...] = setting(
         (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
@@ -144,6 +153,13 @@ class StatedSource:
         if self.separator != self.decimal:
             return None
         return f'separator and decimal are both "{self.decimal}"; change one of the two'
+
+    @across("decimal", "thousands")
+    def groups(self) -> str | None:
+        marks = stated_marks(self.decimal, self.thousands)
+        if marks is None or marks.decimal != marks.thousands:
+            return None
+        return f'decimal and thousands are both "{marks.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
@@ -174,8 +190,12 @@ class StatedSource:
     @property
     def reading(self) -> dict[str, Any]:
         """Further arguments of `hygrokf.data.table_readers.read_table`."""
-        names = ("timezone", "separator", "decimal", "comment", "missing", "time_format", "ignore_offset")
-        return {name: getattr(self, name) for name in names}
+        names = (
+            "timezone", "separator", "decimal", "thousands", "comment", "missing", "time_format",
+            "ignore_offset",
+        )  # fmt: skip
+        meanings = {one.column: one.meaning for one in self.columns}
+        return {"meanings": meanings} | {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)

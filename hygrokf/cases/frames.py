@@ -34,7 +34,7 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
+_READING = ("timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset")
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -63,10 +63,10 @@ def read_frames(
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-        resolution, response_time. Those of a source are one value for all frames or a mapping from their
-        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
-        time_format, ignore_offset, compare, and time, the column that holds the times where the index does
-        not.
+        resolution, response_time, one. Those of a source are one value for all frames or a mapping from their
+        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, thousands,
+        missing, time_format, ignore_offset, compare, and time, the column that holds the times where the
+        index does not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
     frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.

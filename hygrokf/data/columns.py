@@ -4,7 +4,7 @@ place."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, tzinfo
 from decimal import Decimal
@@ -13,6 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.numbers import (
+    PARTED,
+    POINT,
+    Marks,
+    Meaning,
+    Unread,
+    evidence,
+    stated_marks,
+    values_in,
+)
 from hygrokf.data.record import EARLIEST_S, LATEST_S
 from hygrokf.data.timestamps import EXCEL, Stamps, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion
@@ -22,7 +32,7 @@ if TYPE_CHECKING:
 
 MISSING: tuple[str, ...] = (
     "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
-    "-", "--", "---",
+    "-", "--", "---", "unavailable", "unknown",
 )  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
@@ -75,7 +85,9 @@ def table_of(
     places: Places,
     *,
     timezone: str | None = None,
-    decimal: str = ".",
+    decimal: str | None = None,
+    thousands: str | None = None,
+    meanings: Mapping[str, Meaning] | None = None,
     missing: Sequence[str] = (),
     time_format: str | None = None,
     ignore_offset: bool = False,
@@ -104,14 +116,20 @@ def table_of(
             zone = UTC
     wanted = list(dict.fromkeys(columns))
     values = {}
+    warnings: list[str] = []
+    stated = stated_marks(decimal, thousands)
     for name in wanted:
         if name not in frame:
             continue
-        numbers, texts = _numbers(frame[name], decimal, tuple(missing))
+        meaning = (meanings or {}).get(name, Meaning())
+        numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
         values[name] = numbers
-        if texts.any():
-            faults.append(_text_fault(name, frame[name], texts, places, decimal))
-    warnings: list[str] = []
+        points = evidence(frame[name], ".") if stated is None and frame[name].dtype == object else "none"
+        if points in ("thousands", "either"):
+            doubt = _point_doubt(name, frame[name], places)
+            (faults if points == "thousands" else warnings).append(doubt)
+        if wrong.any():
+            faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
     if stamps is not None:
         repeated = _repeated(list(values.values()), len(frame))
@@ -207,27 +225,24 @@ def column_fault(name: str, found: Sequence[str], holder: str) -> str:
     return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
 
 
-def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of a column, and True where a cell holds text instead."""
+def _numbers(
+    column: pandas.Series, marks: Marks, missing: tuple[str, ...], meaning: Meaning
+) -> tuple[np.ndarray, np.ndarray, list[Unread]]:
+    """Numbers of a column, True where a cell holds text instead, and why that cannot be read."""
     import pandas as pd
 
     nothing = np.zeros(len(column), dtype=bool)
     if pd.api.types.is_numeric_dtype(column.dtype) and not pd.api.types.is_complex_dtype(column.dtype):
         numbers = column.to_numpy(dtype=float, na_value=np.nan)
         # an infinite reading counts as missing
-        return np.where(np.isinf(numbers), np.nan, numbers), nothing
+        return np.where(np.isinf(numbers), np.nan, numbers), nothing, []
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
-        return np.full(len(column), np.nan), column.notna().to_numpy()
+        return np.full(len(column), np.nan), column.notna().to_numpy(), []
     plain = column.astype(object).map(_cell)
-    flags = plain.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
-    if decimal != ".":
-        plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
     absent = plain.isna() | plain.isin([*MISSING, *missing])
-    numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
-    numbers = numbers.where(numbers.notna(), flags.astype(float))
-    wrong = numbers.isna() & ~absent
-    values = numbers.to_numpy()
-    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy()
+    values, refused = values_in(plain.where(~absent, None), marks, meaning)
+    wrong = plain.isin(list(refused)) & ~absent
+    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy(), list(refused.values())
 
 
 def _cell(one: object) -> object:
@@ -241,15 +256,37 @@ def _cell(one: object) -> object:
     return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
 
 
-def _text_fault(name: str, column: pandas.Series, texts: np.ndarray, places: Places, decimal: str) -> str:
+def _point_doubt(name: str, column: pandas.Series, places: Places) -> str:
+    """What is said of points that divide thousands, or may, with both readings."""
+    example = column.dropna().astype(str).str.extract(f"^{PARTED.pattern}")[0].dropna().iloc[0]
+    return (
+        f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
+        f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
+    )
+
+
+def _text_fault(
+    name: str,
+    column: pandas.Series,
+    texts: np.ndarray,
+    places: Places,
+    reasons: Sequence[Unread],
+    stated: Marks | None,
+) -> str:
     """Text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
     found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
     words = [str(one).strip() for one in column[texts].iloc[:1000]]
-    if any(re.fullmatch(r"-?\d+,\d+", word) for word in words) and decimal == ".":
-        remedy = f'state decimal = ","{places.here}'
-    elif any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", word) for word in words):
-        remedy = "export without thousands separators"
+    told = next((one for one in reasons if one.kind != "no number"), None)
+    commas = evidence(column, ",") if found == "text" and stated is None else "none"
+    mark = "." if stated is not None and stated.decimal != "." else ","
+    if told is not None:
+        remedy = str(told)
+    elif commas != "none":
+        remedies = {"decimal": 'decimal = ","', "thousands": 'thousands = ","'}
+        remedy = f"state {remedies.get(commas, ' or '.join(remedies.values()))}{places.here}"
+    elif stated is not None and any(re.fullmatch(rf"[+-]?\d*[{mark}]\d*", word) for word in words):
+        remedy = f'"{mark}" cannot divide thousands here: state decimal = "{mark}"{places.here}'
     elif found != "text":
         remedy = "name another column"
     elif name in words:

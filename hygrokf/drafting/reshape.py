@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import TableFault
 from hygrokf.drafting.layout import Export, is_number
-from hygrokf.drafting.stamps import as_text, time_columns
+from hygrokf.drafting.stamps import as_text, time_columns, time_of_day
 from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import suggestion
 
@@ -39,10 +39,12 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
     column, hours = time_columns(export)
     export, chosen = _one_turbine(export, column, hours, turbine, doubts)
     if hours is not None:
-        joined = export.cells[column].str.cat(export.cells[hours], sep=" ")
+        of_day, ends = time_of_day(export.cells[hours])
+        joined = export.cells[column].str.cat(of_day, sep=" ")
         cells = export.cells.drop(columns=[column, hours])
-        export = _with(export, cells.assign(time=joined)[["time", *cells]], "date and time in two columns")
-        column = "time"
+        column = "time_end" if ends else "time"
+        named = cells.assign(**{column: joined})[[column, *cells]]
+        export = _with(export, named, "date and time in two columns")
     export = _wide(export, column)
     text, was = as_text(export.cells[column])
     if was is not None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
+from hygrokf.data.numbers import stated_marks
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
@@ -74,7 +75,7 @@ class SignalForm(StatedSensor):
         """The field of a payload."""
         hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
         form = Form(hold, self.interval_s, **self.settings)
-        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset)
+        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class MappingForm:
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")
     tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str = setting(".", "mark of numbers in texts", choices=(".", ","))
+    decimal: str | None = setting(None, "mark of numbers in texts; the other one divides thousands", choices=(".", ","))
     signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
 
     @across("tag", "value")
@@ -150,7 +151,7 @@ class MappingForm:
             records=self.records,
             tag_pattern="" if pattern_fault(self.tag_pattern) else self.tag_pattern,
             clock=Clock(self.timezone if zone is None else zone_named(zone), self.time_format),
-            comma=self.decimal == ",",
+            marks=stated_marks(self.decimal, None),
         )
 
 

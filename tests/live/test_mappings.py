@@ -20,6 +20,7 @@ import pytest
 from builders.documents import document
 from builders.track_case import write_model
 
+from hygrokf.data.numbers import Marks, Meaning, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
@@ -126,7 +127,9 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     [
         ("21.5", False, 21.5), (" -2.15e1 ", False, -21.5), ("+.5", False, 0.5), (7, False, 7.0),
         ("21,5", True, 21.5), ("-0,5", True, -0.5), (21.5, True, 21.5), ("21", True, 21.0),
-        ("21,5", False, None), ("21.5", True, None), ("1.021,5", True, None), ("1,021,5", True, None),
+        ("21,5", False, None), ("21.5", True, None), ("1.021,5", True, 1021.5), ("1,021,5", True, None),
+        ("1.003", True, 1003.0), ("0.998", True, None), ("1.003.25", True, None), ("1,003", False, 1003.0),
+        ("10,03", False, None), ("1,003.5", False, 1003.5),
         ("1_000", False, None), ("infinity", False, None), ("nan", False, None), ("0x1F", False, None),
         ("٣١", False, None), ("", False, None), ("9" * 300, False, None), (True, False, None),
         (10**400, False, None),
@@ -134,7 +137,9 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     ],
 )  # fmt: skip
 def test_numbers_are_read_strictly(text: object, comma: bool, value: float | None) -> None:
-    assert number(text, comma) == value
+    assert number(text, stated_marks("," if comma else ".", None)) == value
+    if value == 1003.0 and text == "1,003":
+        assert number(text) is None
 
 
 @pytest.mark.parametrize(
@@ -142,18 +147,48 @@ def test_numbers_are_read_strictly(text: object, comma: bool, value: float | Non
     [
         ("21.5 °C", "degC", 21.5), ("21.5degC", "degC", 21.5), ("-3 K", "K", -3.0), ("41 %", "%", 41.0),
         ("41 % RH", "%", 41.0), ("5 W/m²", "W/m2", 5.0), ("21.5 °F", "degC", "other unit"),
-        ("5 W", "kW", "other unit"), ("1_000", "degC", "no number"), ("0x1F", "degC", "no number"),
+        ("5 W", "kW", 0.005), ("1.25 MW", "kW", 1250.0), ("45%", "1", 0.45), ("5 hPa", "kW", "other unit"), ("1_000", "degC", "no number"), ("0x1F", "degC", "no number"),
         ("12e", "degC", "no number"), ("warm", "degC", "no number"), ("1.000.000 W", "W", "no number"),
         ("1e999 W", "W", "no number"), (True, "degC", "no number"), ({}, "degC", "no number"),
     ],
 )  # fmt: skip
 def test_a_unit_in_the_text_is_checked(raw: object, unit: str, value: float | str) -> None:
     if isinstance(value, float):
-        assert measured(raw, unit, False) == value
+        assert measured(raw, Meaning("", unit, False)) == pytest.approx(value, rel=1e-12)
         return
     with pytest.raises(Refused) as refusal:
-        measured(raw, unit, False)
+        measured(raw, Meaning("", unit, False))
     assert refusal.value.kind == value
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "decimal", "value"),
+    [
+        ("P", "1.003", None, "ambiguous number"), ("P", "1.003 kW", None, "ambiguous number"),
+        ("P", "1.003", ".", 1003.0), ("P", "1.003", ",", 1.003e6), ("P", "1,003", ",", 1003.0),
+        ("P", "1.0035", None, 1003.5), ("P", 1.003, None, 1003.0), ("P", "0.998", None, 998.0),
+        ("Tcab", "21.503", None, 294.653), ("Tcab", "21.503", ",", "impossible value"),
+    ],
+)  # fmt: skip
+def test_a_point_that_may_divide_thousands_is_read_as_stated_or_as_its_signal_allows(
+    name: str, text: object, decimal: str | None, value: float | str
+) -> None:
+    mapping = fields(marks=stated_marks(decimal, None))
+    found = read(mapping, {"turbine": "W01", "time": NOW, name: text})
+    signal = FIELDS[name].signal
+    assert found == ({value: 1} if isinstance(value, str) else {("W01", signal): value})
+
+
+def test_the_signal_or_the_mapping_says_which_pole_is_one() -> None:
+    def flags(one: str = "") -> dict:
+        row = {"Door": Field("door_open", "1"), "Fan": Field("fan_duty", "1", one=one), "RH": FIELDS["RHcab"]}
+        content = {"turbine": "W01", "time": NOW, "Door": "open", "Fan": "Closed", "RH": "on"}
+        return read(PayloadMapping(row, turbines={"W01": "W01"}), content)
+
+    door = {("W01", "door_open"): 1.0, "no number": 1}
+    assert flags() == {**door, "unknown polarity": 1}
+    assert flags("closed") == {**door, ("W01", "fan_duty"): 1.0}
+    assert flags("open") == {**door, ("W01", "fan_duty"): 0.0}
 
 
 def test_true_and_false_are_values_of_flags_only() -> None:
@@ -371,8 +406,8 @@ def test_a_source_has_a_mapping_of_its_own(folder: Path) -> None:
     arrays = '[mapping]\nrecords = "v"\ntag = "i"\nvalue = "v"\ntag_pattern = "*{field}"\nquality = "q"\n'
     flat = config(folder, arrays + 'time_format = "%d.%m.%Y %H:%M"', SOURCE + reset).streams[1].mapping
     assert flat == replace(table, quality="")
-    assert (common.time, common.comma, common.clock.zone) == ("t", False, None)
-    assert (table.time, table.comma, table.quality) == ("Zeit", True, "q")
+    assert (common.time, common.marks, common.clock.zone) == ("t", None, None)
+    assert (table.time, table.marks, table.quality) == ("Zeit", (",", "."), "q")
     assert table.fields == common.fields and table.turbines == common.turbines
     only = own + '[source.mapping.signals]\nT = { signal = "cabinet_temperature", unit = "K" }\n'
     (alone,) = config(folder, "", only).streams
@@ -482,7 +517,7 @@ def fuzz(folder: Path, seed: int, count: int) -> Counter[str]:
     """Counts of readings and rejections of so many payloads; every result is checked."""
     random_, counts = random.Random(seed), Counter[str]()
     rules = [config(folder, mapping).streams[0].mapping for _, _, mapping, _ in LAYOUTS]
-    rules.append(fields(clock=Clock(BERLIN), comma=True, records="*.*", quality="{name}.q | q"))
+    rules.append(fields(clock=Clock(BERLIN), marks=Marks(",", "."), records="*.*", quality="{name}.q | q"))
     samples = [captured(folder, one, rule) for one, rule in zip(LAYOUTS, rules[:-1], strict=True)]
     samples.append([payload for some in samples for payload in some])
     for number_ in range(count):

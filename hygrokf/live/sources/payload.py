@@ -18,6 +18,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from hygrokf.data.numbers import PARTED, POINT, Marks
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.sources.local_order import LocalOrder
@@ -96,7 +97,7 @@ class PayloadMapping:
     payloads belong to the only turbine.  With `weather` the payloads are weather forecasts, which apply to
     all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
     records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
-    `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields.
+    `marks`: of numbers in texts, None where they are not stated; `names`: turbine → its own names of fields.
     """
 
     fields: Mapping[str, Field]
@@ -112,7 +113,7 @@ class PayloadMapping:
     records: str = ""
     tag_pattern: str = ""
     clock: Clock = STATED_OFFSETS
-    comma: bool = False
+    marks: Marks | None = None
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     layout: Layout = field(init=False, repr=False, compare=False)
     """The same, prepared for reading."""
@@ -263,14 +264,21 @@ class PayloadMapping:
         self, name: str, raw: Json, conversion: Conversion, time: float, of: TurbineReadings
     ) -> None:
         """Add the reading of a value, or why it is none."""
-        found = number(raw, self.comma)
-        if found is None:
-            try:
-                found = measured(raw, conversion.unit, conversion.is_flag, self.comma)
-            except Refused as refusal:
-                of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
-                return
-        signal, factor, offset, shift_s, low, high, _, _ = conversion
+        signal, factor, offset, shift_s, low, high, meaning = conversion
+        found = number(raw, self.marks or POINT)
+        try:
+            if found is None:
+                found = measured(raw, meaning, self.marks or POINT)
+            if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
+                # the point may divide thousands: the signal's range tells, where it allows one of the two
+                either = [one for one in (found, 1e3 * found) if low <= factor * one + offset <= high]
+                if len(either) > 1:
+                    said = f'{quoted(raw)} may be {found:g} or {1e3 * found:g}: state decimal = "." or ","'
+                    raise Refused("ambiguous number", said)
+                found = either[0] if either else found
+        except Refused as refusal:
+            of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
+            return
         value = factor * found + offset
         if low <= value <= high:
             of.readings.append(Reading(signal, time + shift_s, value))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Hashable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
 
-from hygrokf.data.signals import unit_named
+from hygrokf.data.numbers import POINT, Marks, Meaning, Unread, number_in, value_in
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, EXCEL, midnight_of
 from hygrokf.live.sources.local_order import LocalOrder
@@ -17,63 +16,39 @@ from hygrokf.live.sources.payload_paths import LONGEST
 
 AHEAD_S = 900.0
 """[s] a stamp may be ahead of this machine's clock."""
-FLAGS = {"true": 1.0, "false": 0.0}
 UNIX_UNITS = ((1e11, 1.0), (1e14, 1e3), (1e17, 1e6), (math.inf, 1e9))
 """(below this number, units per second) of Unix times in s, ms, µs and ns.
 
 From 1990 to 5138 the sizes of the four do not overlap.
 """
-_MEASURE = re.compile(r"([+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(\D\S*(?:\s\S+)?)")
 
 
 # -- numbers -------------------------------------------------------------------------------------------------
-def number(raw: Json, comma: bool = False) -> float | None:
-    """A finite number, which may be written as text; None for anything else, including booleans.
-
-    comma: whether texts have a decimal comma (and then no point).
-    """
+def number(raw: Json, marks: Marks = POINT) -> float | None:
+    """A finite number, which may be written as text with these marks; None for anything else, including
+    booleans."""
     if isinstance(raw, float):
         return raw if math.isfinite(raw) else None
     if isinstance(raw, str):
-        # Python also reads 1_000, other scripts' digits, inf and nan
-        if len(raw) > LONGEST or "_" in raw or not raw.isascii():
-            return None
-        if comma:
-            raw = _with_point(raw)
-    elif isinstance(raw, bool) or not isinstance(raw, int):
+        return number_in(raw, marks) if len(raw) <= LONGEST else None
+    if isinstance(raw, bool) or not isinstance(raw, int):
         return None
     try:
-        found = float(raw)
-    except (ValueError, OverflowError):
+        return float(raw)
+    except OverflowError:
         return None
-    return found if math.isfinite(found) else None
 
 
-def measured(raw: Json, unit: str, is_flag: bool, comma: bool = False) -> float:
-    """A number that `number` does not read: one with its unit, or true or false of a flag.
-
-    Raises Refused.
-    """
-    if is_flag and isinstance(raw, bool | str):
-        flag = FLAGS.get(str(raw).strip().lower())
-        if flag is not None:
-            return flag
-    if isinstance(raw, str) and len(raw) <= LONGEST:
-        found = _MEASURE.fullmatch((_with_point(raw) if comma else raw).strip())
-        stated = unit_named(found[2]) if found is not None else None
-        if found is not None and stated is not None:
-            value = float(found[1])
-            if stated != unit:
-                raise Refused("other unit", f"{quoted(raw)} is in {stated}, the mapping says {unit}")
-            if math.isfinite(value):
-                return value
-    raise Refused("no number", f"{quoted(raw)} is no number")
-
-
-def _with_point(text: str) -> str:
-    """A text with decimal comma as one with a point; empty if it has a point already, which may divide
-    thousands."""
-    return "" if "." in text else text.replace(",", ".", 1)
+def measured(raw: Json, meaning: Meaning, marks: Marks = POINT) -> float:
+    """A number that `number` does not read: one with its unit, or a flag.  Raises Refused."""
+    if isinstance(raw, bool) and meaning.is_flag:
+        return float(raw)
+    if not isinstance(raw, str) or len(raw) > LONGEST:
+        raise Refused("no number", f"{quoted(raw)} is no number")
+    try:
+        return value_in(raw, marks, meaning)
+    except Unread as reason:
+        raise Refused(reason.kind, f"{quoted(raw)} {reason}") from None
 
 
 # -- times ---------------------------------------------------------------------------------------------------
