@@ -142,13 +142,16 @@ def evidence(texts: pandas.Series, mark: str) -> Evidence:
     import pandas as pd
 
     other, escaped = "," if mark == "." else ".", re.escape(mark)
-    bare = texts.dropna().astype(str).str.extract(_BARE)[0].dropna()
-    marked = bare.str.contains(mark, regex=False)
+    grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{escaped}\d{{3}})+(?:[{other}]\d*)?"
+    given = texts.dropna().astype(str)
+    given = given if given.str.contains(mark, regex=False).any() else given.iloc[:0]
+    for some in (given.iloc[:500], given):  # most columns tell at once
+        bare = some.str.extract(_BARE)[0].dropna()
+        marked = bare.str.contains(mark, regex=False)
+        if not bare[marked].str.fullmatch(grouped).all():
+            return "decimal"
     if not marked.any():
         return "none"
-    grouped = rf"[+-]?[1-9]\d{{0,2}}(?:{escaped}\d{{3}})+(?:[{other}]\d*)?"
-    if not bare[marked].str.fullmatch(grouped).all():
-        return "decimal"
     if bare.str.contains(other, regex=False).any() or (bare[marked].str.count(escaped) > 1).any():
         return "thousands"
     thousands = pd.to_numeric(bare.str.replace(mark, "")).abs().to_numpy(float)

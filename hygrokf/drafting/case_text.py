@@ -138,6 +138,8 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield f"separator = {_text(export.separator)}"
     if export.decimal != ".":
         yield f"decimal = {_text(export.decimal)}"
+    if export.thousands:
+        yield f"thousands = {_text(export.thousands)}"
     if export.comment is not None:
         yield f"comment = {_text(export.comment)}"
     texts = set().union(*(texts_in(export, one.best.column) for one in lines))

@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import MISSING, TableFault
+from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
 from hygrokf.data.signals import unit_named
 from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
 
 SEPARATORS = (";", "\t", ",", "|")
@@ -27,7 +29,6 @@ _DATE = re.compile(
     r"|(19|20)\d{6}([ T]?(\d\d|\d{4,6}))?$|1\d{9}(\.\d*)?$|1\d{12}$|[34]\d{4}[.,]\d+$"
 )
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$|[+-]?\d{1,3}(,\d{3})+\.\d+$")
 _OTHER_KINDS = (
     (
         b"\xd0\xcf\x11\xe0",
@@ -45,7 +46,7 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units
+    separator, decimal, thousands, comment: of a text file; doubts: of its marks. missing: texts that are no readings, the row of units
     included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
@@ -62,6 +63,14 @@ class Export:
     changes: tuple[str, ...] = ()
     label: str = ""
     preamble: str = ""
+    thousands: str = ""
+    doubts: tuple[str, ...] = ()
+
+    def read(self, column: str) -> tuple[np.ndarray, dict[str, Unread]]:
+        """Values (N,) of a column in the unit of its header, and the texts that are none, with the reason."""
+        unit = dict(zip(self.cells.columns, self.units, strict=False)).get(column, "")
+        meaning = Meaning("", unit_in_export(unit) or "", one=POLES[0])
+        return values_in(self.cells[column], Marks(self.decimal, self.thousands), meaning)
 
 
 def weather_format(file: Path) -> str | None:
@@ -127,6 +136,11 @@ def is_date(cell: str) -> bool:
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or comma."""
     return _NUMBER.match(cell.strip()) is not None
+
+
+def is_value(cell: str) -> bool:
+    """Whether a cell is a number or a flag."""
+    return is_number(cell) or cell.strip().lower() in (*FLAGS, *POLES)
 
 
 def unit_in_export(text: str) -> str | None:
@@ -246,45 +260,54 @@ def _framed(
         raise TableFault(f"expected readings, found {len(frame)} rows below the header")
     absent = {*MISSING, None}
     cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
-    decimal = _decimal(cells)
+    marks, doubts = _marks(cells)
+    given = units or ("",) * len(names)
+    units = tuple(
+        one if one.strip("[](){} -") else unit_among(cells.iloc[:, number])
+        for number, one in enumerate(given)
+    )
     missing = tuple(sorted(words))
     return Export(
-        file, cells, names, units or ("",) * len(names), separator, decimal, comment, missing, changes
-    )
+        file, cells, names, units, separator, marks.decimal, comment, missing, changes,
+        thousands=marks.thousands,
+        doubts=doubts,
+    )  # fmt: skip
 
 
 def texts_in(export: Export, column: str) -> set[str]:
     """Texts within a column of numbers, such as "Bad Input"."""
-    import pandas as pd
-
-    given = export.cells[column].dropna()
-    texts = given[pd.to_numeric(given, errors="coerce").isna()]
-    texts = texts[~texts.isin(["true", "false", "True", "False"])]
-    return set(texts[~texts.str.fullmatch(_NUMBER.pattern)].unique()) if len(texts) else set()
+    return set(export.read(column)[1])
 
 
-def _decimal(cells: pandas.DataFrame) -> str:
-    """The decimal mark.  Raises TableFault for thousands separators and where both marks occur."""
-    examples: dict[str, str] = {}
-    counts: Counter[str] = Counter()
+def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
+    """The marks of numbers by the evidence of all columns, and doubts where they allow two readings.
+
+    Raises TableFault where both marks are decimal.
+    """
+    found: dict[tuple[str, str], str] = {}
     for name in cells:
-        given = cells[name].dropna().iloc[:5000]
-        thousands = given[given.str.fullmatch(_THOUSANDS.pattern)]
-        if len(thousands):
-            raise TableFault(
-                f'column "{name}": found "{thousands.iloc[0]}": export without thousands separators'
-            )
+        given = cells[name].dropna()
         for mark in ",.":
-            found = given[given.str.fullmatch(rf"[+-]?\d*[{mark}]\d+([eE][+-]?\d+)?")]
-            counts[mark] += len(found)
-            if len(found):
-                examples.setdefault(mark, f'"{found.iloc[0]}" in column "{name}"')
-    if len(examples) == 2:
+            said = evidence(given, mark)
+            example = given[given.str.contains(mark, regex=False)].iloc[:1]
+            for text in example if said != "none" else ():
+                found.setdefault((mark, said), f'"{text}" in column "{name}"')
+    both = [found.get((mark, "decimal")) for mark in ",."]
+    if all(both):
         raise TableFault(
-            f"expected one decimal mark, found both: {examples[',']} and {examples['.']}; "
-            "export again with one of them"
+            f"expected one decimal mark, found both: {both[0]} and {both[1]}; export again with one of them"
         )
-    return "," if counts[","] else "."
+    for mark, other in ((",", "."), (".", ",")):
+        if (mark, "thousands") in found and (mark, "decimal") not in found:
+            return Marks(other, mark), ()
+    decimal = "," if (",", "decimal") in found or (",", "either") in found else "."
+    if (decimal, "either") in found and (decimal, "decimal") not in found:
+        text = found[decimal, "either"]
+        return Marks(decimal), (
+            f'{text} may be a number with three decimals or have a mark between thousands: the first is assumed; '
+            f'else state thousands = "{decimal}"',
+        )
+    return Marks(decimal), ()
 
 
 def _unique(names: list[str]) -> list[str]:
