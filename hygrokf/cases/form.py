@@ -59,7 +59,7 @@ class StatedSensor:
     @property
     def meaning(self) -> Meaning:
         """What texts of this signal stand for."""
-        return Meaning(self.signal.name, self.unit, self.unit == "1", self.one or "")
+        return Meaning(self.signal.name, self.unit, self.one or "")
 
     @property
     def settings(self) -> dict[str, float]:
@@ -148,18 +148,11 @@ class StatedSource:
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
-    @across("decimal", "separator")
+    @across("decimal", "separator", "thousands")
     def marks(self) -> str | None:
-        if self.separator != self.decimal:
-            return None
-        return f'separator and decimal are both "{self.decimal}"; change one of the two'
-
-    @across("decimal", "thousands")
-    def groups(self) -> str | None:
-        marks = stated_marks(self.decimal, self.thousands)
-        if marks is None or marks.decimal != marks.thousands:
-            return None
-        return f'decimal and thousands are both "{marks.decimal}"; change one of the two'
+        others = {"separator": self.separator, "thousands": self.thousands}
+        same = next((name for name, one in others.items() if one is not None and one == self.decimal), None)
+        return same and f'{same} and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:

@@ -55,9 +55,8 @@ from hygrokf.live.properties import (
     properties,
     states_of,
 )
-from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, SourceState
 from hygrokf.live.states import States
@@ -110,7 +109,7 @@ class Fleet:
         self._warned: dict[str, float] = {}
         self._judged: dict[str, dict[str, float]] = defaultdict(dict)
         self._contradictions: dict[str, dict[str, Level]] = defaultdict(dict)
-        self._orders: dict[str, LocalOrder] = defaultdict(LocalOrder)
+        self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)

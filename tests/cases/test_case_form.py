@@ -69,7 +69,7 @@ def test_the_form_is_read():
         "separator": ";",
         "decimal": ",",
         "thousands": None,
-        "meanings": {"P": Meaning("active_power", "kW", is_flag=False)},
+        "meanings": {"P": Meaning("active_power", "kW")},
         "comment": None,
         "missing": ("bad",),
         "time_format": None,

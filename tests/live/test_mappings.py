@@ -20,11 +20,10 @@ import pytest
 from builders.documents import document
 from builders.track_case import write_model
 
-from hygrokf.data.numbers import Marks, Meaning, stated_marks
+from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
-from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
@@ -153,10 +152,10 @@ def test_numbers_are_read_strictly(text: object, comma: bool, value: float | Non
 )  # fmt: skip
 def test_a_unit_in_the_text_is_checked(raw: object, unit: str, value: float | str) -> None:
     if isinstance(value, float):
-        assert measured(raw, Meaning("", unit, False)) == pytest.approx(value, rel=1e-12)
+        assert measured(raw, Meaning("", unit)) == pytest.approx(value, rel=1e-12)
         return
-    with pytest.raises(Refused) as refusal:
-        measured(raw, Meaning("", unit, False))
+    with pytest.raises(Unread) as refusal:
+        measured(raw, Meaning("", unit))
     assert refusal.value.kind == value
 
 
@@ -234,7 +233,7 @@ def test_hours_that_summer_time_skips_or_repeats() -> None:
         assert seconds("2026-10-25T02:30:00", clock, first + lag_s) == first
     for lag_s in (3_000.0, 3_600.0, 6_000.0, 86_400.0):  # the time of arrival alone never decides
         with pytest.raises(Refused) as refusal:
-            seconds("2026-10-25T02:30:00", clock, first + lag_s, LocalOrder())
+            seconds("2026-10-25T02:30:00", clock, first + lag_s, {})
         assert refusal.value.kind == "ambiguous time"
     mapping = fields(clock=clock)
     assert kind(mapping, {"turbine": "W01", "time": "2026-10-25T02:30:00", "Tcab": 31.2}, "", 1.8e9) == (
@@ -246,7 +245,7 @@ def test_hours_that_summer_time_skips_or_repeats() -> None:
 @pytest.mark.parametrize("step_s", [60.0, 600.0, 1_800.0])
 def test_the_order_of_its_source_places_a_stamp_of_the_repeated_hour(delay_s: float, step_s: float) -> None:
     """Whatever the delay: the second pass begins where the stamps of a turbine step back."""
-    mapping, order = fields(clock=Clock(BERLIN)), LocalOrder()
+    mapping, order = fields(clock=Clock(BERLIN)), {}
     begin = 1_792_886_400.0 - 7_200.0  # 2026-10-24T22:00Z
     for at in np.arange(begin, begin + 5 * 3_600.0, step_s):
         local = datetime.fromtimestamp(at, BERLIN).replace(tzinfo=None).isoformat()
@@ -258,19 +257,19 @@ def test_the_order_of_its_source_places_a_stamp_of_the_repeated_hour(delay_s: fl
 
 
 def test_an_order_with_a_gap_or_of_hours_does_not_place_a_stamp() -> None:
-    clock, order = Clock(BERLIN), LocalOrder()
+    clock, order = Clock(BERLIN), {}
     first = 1_792_888_200.0
     for at in (first - 3_600.0, first - 3_000.0):
-        assert seconds(datetime.fromtimestamp(at, BERLIN).isoformat()[:19], clock, math.inf, order, "W01") == at
+        assert seconds(datetime.fromtimestamp(at, BERLIN).isoformat()[:19], clock, math.inf, order, ("W01",)) == at
     for later in (3_000.0, 7_200.0):  # silent since 01:40: either pass
         with pytest.raises(Refused):
-            seconds("2026-10-25T02:30:00", clock, first + later, order, "W01")
-    hours = LocalOrder()
+            seconds("2026-10-25T02:30:00", clock, first + later, order, ("W01",))
+    hours = {}
     for at in (first - 5_400.0, first - 1_800.0):
         local = datetime.fromtimestamp(at, BERLIN).isoformat()[:19]
-        assert seconds(local, clock, at, hours, "W01") == at
+        assert seconds(local, clock, at, hours, ("W01",)) == at
     with pytest.raises(Refused):  # 02:00 again: the same hour, or the next
-        seconds("2026-10-25T02:00:00", clock, first + 1_800.0, hours, "W01")
+        seconds("2026-10-25T02:00:00", clock, first + 1_800.0, hours, ("W01",))
 
 
 # -- records -------------------------------------------------------------------------------------------------

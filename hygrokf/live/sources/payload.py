@@ -18,12 +18,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hygrokf.data.numbers import PARTED, POINT, Marks
+from hygrokf.data.numbers import PARTED, POINT, Marks, Unread
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload_fields import Conversion, Field
-from hygrokf.live.sources.payload_formats import JSON, Content, Record, Refused, Scopes, records
+from hygrokf.live.sources.payload_formats import JSON, Content, Order, Record, Refused, Scopes, records
 from hygrokf.live.sources.payload_paths import (
     LONGEST,
     NAME,
@@ -136,7 +135,7 @@ class PayloadMapping:
         )
 
     def read(
-        self, content: Content, received: float, topic: str = "", order: LocalOrder | None = None
+        self, content: Content, received: float, topic: str = "", order: Order | None = None
     ) -> Sequence[TurbineReadings]:
         """The readings of a payload received at a time [s], by turbine.
 
@@ -276,7 +275,7 @@ class PayloadMapping:
                     said = f'{quoted(raw)} may be {found:g} or {1e3 * found:g}: state decimal = "." or ","'
                     raise Refused("ambiguous number", said)
                 found = either[0] if either else found
-        except Refused as refusal:
+        except Unread as refusal:
             of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return
         value = factor * found + offset

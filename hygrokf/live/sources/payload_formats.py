@@ -14,8 +14,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from hygrokf.data.numbers import Unread
 from hygrokf.data.structured import Json, JsonObject
-from hygrokf.live.sources.local_order import LocalOrder
 
 Payload = Mapping[str, Json]
 """A parsed object: names with plain values."""
@@ -37,12 +37,13 @@ _GZIP = b"\x1f\x8b"
 _NO_BRACKETS = bytes(set(range(256)) - set(b"{}[]"))
 
 
-class Refused(Exception):
-    """A payload or record that is not used; `kind` is the name under which it is counted."""
+class Refused(Unread):
+    """A payload or record that is not used."""
 
-    def __init__(self, kind: str, words: str) -> None:
-        super().__init__(words)
-        self.kind = kind
+
+Order = dict[tuple[str, ...], tuple[float, float]]
+"""The order in which a source brings its local stamps: series (a turbine, or one tag of it) -> its newest
+stamp, and the step to it [s].  Nothing is known after a restart until stamps are unambiguous again."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Record(NamedTuple):
     name: str = ""
     topic: str = ""
     received: float = math.inf
-    order: LocalOrder | None = None
+    order: Order | None = None
 
 
 def records(

@@ -6,9 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from hygrokf.live.sources.local_order import LocalOrder
 from hygrokf.live.sources.payload import NOBODY, PayloadMapping, Rejection, TurbineReadings
-from hygrokf.live.sources.payload_formats import Content, Refused
+from hygrokf.live.sources.payload_formats import Content, Order, Refused
 
 
 class PayloadStatistics:
@@ -26,7 +25,7 @@ class PayloadStatistics:
         self.counts: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
         self.lag_s = math.nan
-        self._order = LocalOrder()
+        self._order: Order = {}
 
     def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
         """Count a payload received at a time [s], and return what it gave."""

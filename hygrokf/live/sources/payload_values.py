@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
 
 from hygrokf.data.numbers import POINT, Marks, Meaning, Unread, number_in, value_in
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, EXCEL, midnight_of
-from hygrokf.live.sources.local_order import LocalOrder
-from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_paths import LONGEST
 
 AHEAD_S = 900.0
 """[s] a stamp may be ahead of this machine's clock."""
+NEXT = 1.5
+"""Steps of a series within which a stamp is its next one."""
 UNIX_UNITS = ((1e11, 1.0), (1e14, 1e3), (1e17, 1e6), (math.inf, 1e9))
 """(below this number, units per second) of Unix times in s, ms, µs and ns.
 
@@ -40,15 +40,11 @@ def number(raw: Json, marks: Marks = POINT) -> float | None:
 
 
 def measured(raw: Json, meaning: Meaning, marks: Marks = POINT) -> float:
-    """A number that `number` does not read: one with its unit, or a flag.  Raises Refused."""
-    if isinstance(raw, bool) and meaning.is_flag:
-        return float(raw)
-    if not isinstance(raw, str) or len(raw) > LONGEST:
-        raise Refused("no number", f"{quoted(raw)} is no number")
-    try:
-        return value_in(raw, marks, meaning)
-    except Unread as reason:
-        raise Refused(reason.kind, f"{quoted(raw)} {reason}") from None
+    """A number that `number` does not read: one with its unit, or a flag.  Raises Unread."""
+    word = raw if isinstance(raw, str) else str(raw) if isinstance(raw, bool) else ""
+    if not word or len(word) > LONGEST:
+        raise Unread("no number", f"{quoted(raw)} is no number")
+    return value_in(word, marks, meaning)
 
 
 # -- times ---------------------------------------------------------------------------------------------------
@@ -77,8 +73,8 @@ def seconds(
     stamp: Json,
     clock: Clock = STATED_OFFSETS,
     received: float = math.inf,
-    order: LocalOrder | None = None,
-    series: Hashable = None,
+    order: Order | None = None,
+    series: tuple[str, ...] = (),
 ) -> float | None:
     """Seconds since 1970 of a stamp; None if it is none.
 
@@ -98,11 +94,8 @@ def seconds(
         return None if clock.zone is None else _of_local(at, clock.zone, received, order, series)
     if clock.form == EXCEL or not isinstance(stamp, str) or len(stamp) > LONGEST:
         return None
-    midnight = midnight_of(stamp, clock.form) if "24" in stamp else None
-    text = stamp.strip() if midnight is None else midnight
     try:
-        at = datetime.strptime(text, clock.form) if clock.form else datetime.fromisoformat(text)
-        at += timedelta(days=midnight is not None)
+        at = _read(stamp.strip(), clock.form)
         if at.tzinfo is not None:
             return at.astimezone(UTC).timestamp()
         return None if clock.zone is None else _of_local(at, clock.zone, received, order, series)
@@ -110,12 +103,23 @@ def seconds(
         return None
 
 
+def _read(text: str, form: str) -> datetime:
+    """The time of a text; 24:00 is the next day's 00:00.  Raises ValueError."""
+    try:
+        return datetime.strptime(text, form) if form else datetime.fromisoformat(text)
+    except ValueError:
+        midnight = midnight_of(text, form)
+        if midnight is None:
+            raise
+        return _read(midnight, form) + timedelta(days=1)
+
+
 def _of_unix(stamp: float) -> float:
     return stamp / next(units for most, units in UNIX_UNITS if stamp < most)
 
 
 def _of_local(
-    local: datetime, zone: tzinfo, received: float, order: LocalOrder | None, series: Hashable
+    local: datetime, zone: tzinfo, received: float, order: Order | None, series: tuple[str, ...]
 ) -> float:
     """Seconds since 1970 of a local time in a zone.  Raises Refused."""
     first, second = (local.replace(tzinfo=zone, fold=fold).timestamp() for fold in (0, 1))
@@ -125,17 +129,19 @@ def _of_local(
             f"{local} does not exist in {zone}: summer time begins; if the clock does not follow it, "
             'state its fixed offset, such as timezone = "+01:00"',
         )
+    newest, step = (order or {}).get(series, (math.nan, math.nan))
     if first < second <= received + AHEAD_S:  # else the second is still to come
-        next_ones = [one for one in (first, second) if order is not None and order.continues(series, one)]
-        if len(next_ones) != 1:
+        # the stamp repeats the newest of its series, or is the next one
+        continued = [one for one in (first, second) if one == newest or 0.0 < one - newest <= NEXT * step]
+        if len(continued) != 1:
             raise Refused(
                 "ambiguous time",
                 f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps with "
                 "an offset would",
             )
-        first = next_ones[0]
-    if order is not None:
-        order.note(series, first)
+        first = continued[0]
+    if order is not None and not first <= newest:
+        order[series] = first, first - newest
     return first
 
 
