@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, tzinfo
 from decimal import Decimal
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from hygrokf.data.numbers import (
     values_in,
 )
 from hygrokf.data.record import EARLIEST_S, LATEST_S
-from hygrokf.data.timestamps import EXCEL, Stamps, read_stamps, time_format_fault, zone_in_header, zone_named
+from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -126,16 +126,20 @@ def table_of(
         values[name] = numbers
         points = evidence(frame[name], ".") if stated is None and frame[name].dtype == object else "none"
         if points in ("thousands", "either"):
-            doubt = _point_doubt(name, frame[name], places)
-            (faults if points == "thousands" else warnings).append(doubt)
+            example = frame[name].dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
+            (faults if points == "thousands" else warnings).append(
+                f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as '
+                f'texts without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
+            )
         if wrong.any():
             faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
     if stamps is not None:
-        repeated = _repeated(list(values.values()), len(frame))
-        time, said, wrong = _stamps_read(
-            stamps, stamps_named, places, zone, timezone, time_format, ignore_offset, repeated
-        )
+        options = {"time_format": time_format, "ignore_offset": ignore_offset}
+        # a row like the one before it; NaN equals NaN
+        rows = np.nan_to_num(np.array([*values.values()]).reshape(len(values), len(frame)), nan=np.inf)
+        options["repeated"] = np.append(False, np.all(rows[:, 1:] == rows[:, :-1], axis=0))[: len(frame)]
+        time, said, wrong = _stamps_read(stamps, stamps_named, places, zone, timezone, options)
         warnings += said
         faults += wrong
         given = stamps.notna().to_numpy()
@@ -153,42 +157,26 @@ def table_of(
     return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
 
 
-def _repeated(columns: Sequence[np.ndarray], count: int) -> np.ndarray:
-    """True (N,) for a row with the readings of the row before."""
-    same = np.full(count, bool(columns))
-    same[:1] = False
-    for one in columns:
-        same[1:] &= (one[1:] == one[:-1]) | (np.isnan(one[1:]) & np.isnan(one[:-1]))
-    return same
-
-
 def _stamps_read(
     stamps: pandas.Series,
     stamps_named: str,
     places: Places,
     zone: tzinfo | None,
     timezone: str | None,
-    time_format: str | None,
-    ignore_offset: bool,
-    repeated: np.ndarray,
+    options: Mapping[str, Any],
 ) -> tuple[np.ndarray, list[str], list[str]]:
-    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`."""
+    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`;
+    options: of `read_stamps`."""
+    time_format = options["time_format"]
+    if fault := time_format_fault(time_format or ""):
+        return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"]
     warnings: list[str] = []
-    fault = time_format_fault(time_format or "")
-    if fault is not None:
-        return np.full(len(stamps), np.nan), warnings, [f"{stamps_named}: {fault}"]
     faults: list[str] = []
-
-    def read(zone: tzinfo | None) -> Stamps:
-        return read_stamps(
-            stamps, zone, time_format=time_format, ignore_offset=ignore_offset, repeated=repeated
-        )
-
-    found = read(zone)
+    found = read_stamps(stamps, zone, **options)
     header = zone_in_header(str(stamps.name or ""))
-    if found.naive.any() and zone is None and header is not None:
+    if found.naive.any() and header is not None:
         warnings.append(f'{stamps_named}: stamps without an offset are read at "{header}", which it names')
-        found = read(zone_named(header))
+        found = read_stamps(stamps, zone_named(header), **options)
     time = found.time
     if found.unreadable.any():
         where = _where(np.flatnonzero(found.unreadable), stamps, places)
@@ -205,7 +193,7 @@ def _stamps_read(
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not ignore_offset and found.aware:
+    elif zone is not None and not options["ignore_offset"] and found.aware:
         warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
     warnings += found.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
@@ -254,15 +242,6 @@ def _cell(one: object) -> object:
     if one is None or isinstance(one, Real | Decimal):
         return one
     return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
-
-
-def _point_doubt(name: str, column: pandas.Series, places: Places) -> str:
-    """What is said of points that divide thousands, or may, with both readings."""
-    example = column.dropna().astype(str).str.extract(f"^{PARTED.pattern}")[0].dropna().iloc[0]
-    return (
-        f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
-        f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
-    )
 
 
 def _text_fault(

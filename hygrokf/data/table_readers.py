@@ -231,16 +231,32 @@ class _CsvSource:
         faults += self._width_faults(len(layout.names))
         order = sorted(positions, key=positions.__getitem__)
         try:
-            frame = self._cells(order, positions, [time_column])
-            if self.marks is None:
-                doubtful = [
-                    one
-                    for one in frame
-                    if frame[one].dtype == float and could_divide_thousands(frame[one].to_numpy())
-                ]
-                if doubtful:
-                    return self._cells(order, positions, [time_column, *doubtful])
-            return frame
+            texts = [time_column]
+            while True:
+                with python_warnings.catch_warnings():
+                    python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
+                    frame = pd.read_csv(
+                        io.BytesIO(self.content),
+                        encoding=self.encoding,
+                        sep=self.separator,
+                        decimal=(self.marks or POINT).decimal,
+                        comment=self.comment if self.comment and len(self.comment) == 1 else None,
+                        header=None,
+                        skiprows=layout.header_line,
+                        usecols=[positions[name] for name in order],
+                        names=order,
+                        index_col=False,
+                        dtype=dict.fromkeys(texts, object),
+                        keep_default_na=False,
+                        na_values=[*MISSING, *self.missing],
+                        skipinitialspace=True,
+                        low_memory=False,
+                    )
+                floats = [one for one in frame if frame[one].dtype == float and self.marks is None]
+                doubtful = [one for one in floats if could_divide_thousands(frame[one].to_numpy())]
+                if not doubtful:
+                    return frame
+                texts += doubtful  # only the texts tell what their points mean
         except pd.errors.EmptyDataError:
             return pd.DataFrame({name: [] for name in order})
         except (pd.errors.ParserError, UnicodeDecodeError) as broken:
@@ -251,30 +267,6 @@ class _CsvSource:
             else:
                 faults.append(f"cannot be read as CSV: {broken}")
             return pd.DataFrame()
-
-    def _cells(self, order: list[str], positions: dict[str, int], texts: list[str]) -> pandas.DataFrame:
-        """The columns in their order; `texts` are those whose cells stay as they are written."""
-        import pandas as pd
-
-        with python_warnings.catch_warnings():
-            python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
-            return pd.read_csv(
-                io.BytesIO(self.content),
-                encoding=self.encoding,
-                sep=self.separator,
-                decimal=(self.marks or POINT).decimal,
-                comment=self.comment if self.comment and len(self.comment) == 1 else None,
-                header=None,
-                skiprows=self.layout.header_line,
-                usecols=[positions[name] for name in order],
-                names=order,
-                index_col=False,
-                dtype=dict.fromkeys(texts, object),
-                keep_default_na=False,
-                na_values=[*MISSING, *self.missing],
-                skipinitialspace=True,
-                low_memory=False,
-            )
 
     def _width_faults(self, width: int) -> list[str]:
         """Fault of rows with more cells than the header, whose values would otherwise shift silently."""

@@ -24,8 +24,9 @@ _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
 _ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
 _DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}([-/]\d{1,2})?\s*$")
 _HEADER_ZONE = re.compile(
-    r"(?<![A-Za-z])(?:(?:UTC|GMT)(?:\s?([+-]\d{1,2})(?::?(\d{2}))?)?|(CES?T|MES?Z))(?![A-Za-z])", re.IGNORECASE
+    r"(?<![A-Z])(UTC|GMT|CES?T|MES?Z)(?:\s?([+-]\d{1,2}):?(\d{2})?)?(?![A-Z])", re.IGNORECASE
 )
+_CENTRAL_EUROPE_H = {"CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2}
 EXCEL = "excel"
 """The `time_format` of Excel's serial days: days since 1899-12-30, with their fraction."""
 _EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
@@ -121,50 +122,36 @@ def zone_named(text: str) -> tzinfo:
 
 
 def zone_in_header(text: str) -> str | None:
-    """The zone that the header of a column of stamps names, such as "+02:00" for "Time (CEST)" or "UTC";
-    None where it names none.
-
-    Central European Time is that of the header's season; its clock may follow summer time.
-    """
+    """The zone that the header of a column of stamps names, such as "+02:00" for "Time (CEST)"; None if none."""
     found = _HEADER_ZONE.search(text.replace("_", " "))
     if found is None:
         return None
-    if found[3]:
-        return "+02:00" if "S" in found[3].upper() else "+01:00"
-    hours, minutes = int(found[1] or 0), int(found[2] or 0)
-    return f"{hours:+03d}:{minutes:02d}" if hours or minutes else "UTC"
+    hours, minutes = int(found[2] or _CENTRAL_EUROPE_H.get(found[1].upper(), 0)), found[3] or "00"
+    return f"{hours:+03d}:{minutes}" if hours or int(minutes) else "UTC"
 
 
 def time_format_fault(form: str) -> str | None:
-    """The fault of a strptime format whose hour would be read wrongly, with the remedy; None if it has none."""
+    """The fault of a strptime format that reads the wrong hour, with the remedy; None if it has none."""
     if "%H" in form and "%p" in form:
-        return f'time_format = "{form}": beside %H, which counts to 24, %p (AM, PM) is ignored: write %I for %H'
+        return f'time_format = "{form}": %p (AM, PM) is ignored beside %H: write %I for %H'
     if "%I" in form and "%p" not in form:
         return f'time_format = "{form}": %I counts to 12: add %p (AM, PM), or write %H for %I'
     return None
 
 
-@lru_cache(maxsize=64)
-def _hour_24(form: str | None) -> re.Pattern[str]:
-    """Finds the hour of stamps at 24:00; two groups hold what stands before and behind it."""
-    if not form:
-        return re.compile(r"^(.*\d[T ]+)24((?::?00(?::?00(?:\.0+)?)?)?(?:$|[Z+\- ].*))")
-    widths = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
-    parts = (
-        widths.get(part, r"\d\d?" if part in ("%m", "%d", "%y") else ".+?") if part[0] == "%" else re.escape(part)
-        for part in re.split(r"(%.)", form)
-        if part
-    )
-    return re.compile(f"^({''.join(parts)})$" if "%H" in form else r"(?!)()()")
-
-
 def midnight_of(text: str, form: str | None = None) -> str | None:
-    """A stamp at 24:00 as the 00:00 of the same day, which is a day earlier; None for any other stamp.
+    """A stamp at 24:00 as the 00:00 of its day, which is a day earlier; None for any other stamp.
 
     form: its strptime format, None or "" for ISO 8601.
     """
-    plain = _hour_24(form).sub(r"\g<1>00\g<2>", text.strip())
-    return None if plain == text.strip() else plain
+    pattern = r"(.*\d[T ]+)24((?::?00(?::?00(?:\.0+)?)?)?(?:$|[Z+\- ].*))"
+    if form:
+        parts = [one for one in re.split(r"(%.)", form) if one]
+        known = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
+        pattern = "".join(known.get(one, ".+?" if one[0] == "%" else re.escape(one)) for one in parts)
+        pattern = f"({pattern})" if "%H" in form else r"(?!)"
+    found = re.fullmatch(pattern, text.strip())
+    return None if found is None else f"{found[1]}00{found[2]}"
 
 
 def moment(value: Any) -> float:
@@ -222,11 +209,10 @@ def read_stamps(
     ignore_offset: read the stamps without their offset, in `zone`.
     repeated: (N,) True for a row with the readings of the row before; None: for none.
 
-    24:00 is the 00:00 of the next day in any format.  At the end of summer time, the two passes of the
-    doubled hour are distinguished by the order of the stamps where the file has both: the second begins where
-    they step back.  The stamp at its end (03:00) is of the first pass if it stands before the step.  Ambiguous
-    stamps of that hour, and stamps of the hour that does not exist in spring, are left out (NaN) with a
-    warning.
+    At the end of summer time, the two passes of the doubled hour are distinguished by the order of the stamps
+    where the file has both: the second begins where they step back, and the end of the hour (03:00) is of the
+    first pass before that.  Ambiguous stamps of that hour, and stamps of the hour that does not exist in
+    spring, are left out (NaN) with a warning.
     """
     import pandas as pd
 
@@ -269,7 +255,7 @@ def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.nda
     if failed.any():
         # 24:00 and a trailing "UTC" are common in exports and unambiguous
         kept = text[failed].astype(str).str.strip()
-        plain = kept.str.replace(_hour_24(form), r"\g<1>00\g<2>", regex=True)
+        plain = kept.map(lambda one: midnight_of(one, form) or one)
         midnight = plain != kept
         if form is None:
             plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
