@@ -124,7 +124,7 @@ def table_of(
         meaning = (meanings or {}).get(name, Meaning())
         numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
         values[name] = numbers
-        points = evidence(frame[name], ".") if stated is None and frame[name].dtype == object else "none"
+        points = evidence(frame[name], ".") if stated is None and frame[name].dtype.kind == "O" else "none"
         if points in ("thousands", "either"):
             example = frame[name].dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
             (faults if points == "thousands" else warnings).append(

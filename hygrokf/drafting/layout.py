@@ -144,18 +144,9 @@ def is_value(cell: str) -> bool:
 
 
 def unit_in_export(text: str) -> str | None:
-    """The name in `UNITS` of a unit as exports write it; None if unknown."""
-    bare = re.sub(r"\s+", " ", text.strip().strip("[](){}").strip()).replace("_", " ")
-    spelled = bare.lower().replace(" ", "").replace(".", "")
-    known = {
-        "%rf": "%", "%rh": "%", "rh%": "%", "%rel": "%", "percent": "%", "pct": "%", "prozent": "%",
-        "degc": "degC", "gradc": "degC", "grdc": "degC", "ºc": "degC", "°c": "degC", "℃": "degC",
-        "degf": "degF",
-        "u/min": "rpm", "rpm": "rpm", "min-1": "rpm", "1/min": "rpm", "umin": "rpm", "mps": "m/s",
-        "ms": "m/s", "ms-1": "m/s", "m/sec": "m/s", "wm2": "W/m2", "w/m^2": "W/m2", "w/qm": "W/m2",
-        "deg": "deg", "grad": "deg", "hpa": "hPa", "mbar": "hPa", "frac": "1",
-    }.get(spelled)  # fmt: skip
-    return known or (unit_named(bare) if bare else None)
+    """The name in `UNITS` of a unit as headers write it, perhaps in brackets; None if unknown."""
+    bare = text.strip().strip("[](){}").strip()
+    return unit_named(bare) if bare else None
 
 
 _FURTHER_UNITS = re.compile(
@@ -272,11 +263,6 @@ def _framed(
         thousands=marks.thousands,
         doubts=doubts,
     )  # fmt: skip
-
-
-def texts_in(export: Export, column: str) -> set[str]:
-    """Texts within a column of numbers, such as "Bad Input"."""
-    return set(export.read(column)[1])
 
 
 def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:

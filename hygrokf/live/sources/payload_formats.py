@@ -191,10 +191,7 @@ _FIELD = re.compile(r'((?:\\.|[^,= "\\])++)=("(?:\\.|[^"\\])*+"|(?:\\.|[^, "\\])
 _TAG = re.compile(r"((?:\\.|[^,= \\])++)=((?:\\.|[^,= \\])++)")
 _ESCAPED = re.compile(r'\\([,= "\\])')
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}[iu]")
-_FLAGS = {
-    **dict.fromkeys(("t", "T", "true", "True", "TRUE"), True),
-    **dict.fromkeys(("f", "F", "false", "False", "FALSE"), False),
-}
+_FLAGS = {"t": True, "T": True, "f": False, "F": False}
 
 
 def _lines(text: str) -> list[Json]:
