@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
-from hygrokf.data.numbers import POLES, Meaning, stated_marks
+from hygrokf.data.numbers import POLES, Meaning
 from hygrokf.data.record import HOLDS, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text

@@ -135,13 +135,13 @@ def table_of(
             faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
     if stamps is not None:
-        options = {"time_format": time_format, "ignore_offset": ignore_offset}
-        # a row like the one before it; NaN equals NaN
-        rows = np.nan_to_num(np.array([*values.values()]).reshape(len(values), len(frame)), nan=np.inf)
-        options["repeated"] = np.append(False, np.all(rows[:, 1:] == rows[:, :-1], axis=0))[: len(frame)]
-        time, said, wrong = _stamps_read(stamps, stamps_named, places, zone, timezone, options)
+        rows = np.array([*values.values()]).reshape(len(values), len(frame))
+        same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
+        repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
+        options = {"time_format": time_format, "ignore_offset": ignore_offset, "repeated": repeated}
+        time, said, amiss = _stamps_read(stamps, stamps_named, places, zone, timezone, options)
         warnings += said
-        faults += wrong
+        faults += amiss
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():

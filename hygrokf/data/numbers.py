@@ -32,7 +32,7 @@ class Marks(NamedTuple):
 
 
 class Meaning(NamedTuple):
-    """What texts stand for: a signal, its unit ("": unknown), and which of `POLES` is 1 where it is stated."""
+    """What texts stand for: a signal, its unit ("": unknown), and the one of `POLES` that is 1, if stated."""
 
     signal: str = ""
     unit: str = ""
@@ -86,7 +86,7 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
         one = meaning.one or ("open" if meaning.signal == "door_open" else "")
         if one:
             return float(word == one)
-        raise Unread("unknown polarity", f'{shown} may be 1 or 0: state which text is, one = "open" or "closed"')
+        raise Unread("unknown polarity", f'{shown} may be 1 or 0: state one = "open" or "closed"')
     parts = _MEASURE.fullmatch(text.strip())
     unit = unit_named(parts[2]) if parts is not None else None
     found = number_in(parts[1], marks) if parts is not None and unit is not None else None
@@ -101,7 +101,7 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
 def values_in(
     texts: pandas.Series, marks: Marks = POINT, meaning: Meaning = UNKNOWN
 ) -> tuple[np.ndarray, dict[str, Unread]]:
-    """Values (N,) of texts and numbers, NaN where there is none; texts that cannot be read, with the reason."""
+    """Values (N,) of texts and numbers, NaN where there is none; texts that are none, with the reason."""
     import pandas as pd
 
     plain = texts
@@ -121,10 +121,9 @@ def values_in(
 def evidence(texts: pandas.Series, mark: str) -> Literal["none", "decimal", "thousands", "either"]:
     """What a mark ("." or ",") does in the texts (N,) of a column, in their order.
 
-    It divides thousands if three digits follow every one, one to three stand before the first, and texts
-    without it stay below 1000; it is decimal otherwise, and where all texts have it.  Where both are possible,
-    that reading is taken by which the course leaps less from a text with the mark to one without, by half the
-    logarithms; else "either".
+    It is decimal where other than three digits follow it, or other than one to three come first, where a text
+    without it reaches 1000, or none is without it.  Else that reading counts by which the course leaps less
+    than half as far (in logarithms) between texts with and without it; "either" if neither does.
     """
     import pandas as pd
 

@@ -122,7 +122,7 @@ def zone_named(text: str) -> tzinfo:
 
 
 def zone_in_header(text: str) -> str | None:
-    """The zone that the header of a column of stamps names, such as "+02:00" for "Time (CEST)"; None if none."""
+    """The zone that the header of a column of stamps names: "+02:00" for "Time (CEST)"; None if none."""
     found = _HEADER_ZONE.search(text.replace("_", " "))
     if found is None:
         return None

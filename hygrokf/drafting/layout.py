@@ -14,7 +14,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import MISSING, TableFault
-from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
+from hygrokf.data.numbers import (
+    FLAGS,
+    POINT,
+    POLES,
+    Marks,
+    Meaning,
+    Unread,
+    evidence,
+    stated_marks,
+    unit_among,
+    values_in,
+)
 from hygrokf.data.signals import unit_named
 from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
 
@@ -46,8 +57,8 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, thousands, comment: of a text file; doubts: of its marks. missing: texts that are no readings, the row of units
-    included.
+    separator, decimal, thousands, comment: of a text file; doubts: of its marks. missing: texts that are no
+    readings, the row of units included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
     """
@@ -258,42 +269,30 @@ def _framed(
         for number, one in enumerate(given)
     )
     missing = tuple(sorted(words))
-    return Export(
-        file, cells, names, units, separator, marks.decimal, comment, missing, changes,
-        thousands=marks.thousands,
-        doubts=doubts,
-    )  # fmt: skip
+    found = Export(file, cells, names, units, separator, marks.decimal, comment, missing, changes)
+    return replace(found, thousands=marks.thousands, doubts=doubts)
 
 
 def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
-    """The marks of numbers by the evidence of all columns, and doubts where they allow two readings.
+    """The marks of numbers by the evidence of all columns, and a doubt where it allows two readings.
 
     Raises TableFault where both marks are decimal.
     """
-    found: dict[tuple[str, str], str] = {}
-    for name in cells:
-        given = cells[name].dropna()
-        for mark in ",.":
-            said = evidence(given, mark)
-            example = given[given.str.contains(mark, regex=False)].iloc[:1]
-            for text in example if said != "none" else ():
-                found.setdefault((mark, said), f'"{text}" in column "{name}"')
-    both = [found.get((mark, "decimal")) for mark in ",."]
-    if all(both):
+    found = {(mark, evidence(cells[name], mark)): name for name in cells for mark in ",."}
+    decimal = [mark for mark in ",." if (mark, "decimal") in found]
+    if len(decimal) == 2:
+        comma, point = (found[mark, "decimal"] for mark in ",.")
         raise TableFault(
-            f"expected one decimal mark, found both: {both[0]} and {both[1]}; export again with one of them"
+            f'expected one decimal mark, found both: a comma in column "{comma}" and a point in column '
+            f'"{point}"; export again with one of them'
         )
-    for mark, other in ((",", "."), (".", ",")):
-        if (mark, "thousands") in found and (mark, "decimal") not in found:
-            return Marks(other, mark), ()
-    decimal = "," if (",", "decimal") in found or (",", "either") in found else "."
-    if (decimal, "either") in found and (decimal, "decimal") not in found:
-        text = found[decimal, "either"]
-        return Marks(decimal), (
-            f'{text} may be a number with three decimals or have a mark between thousands: the first is assumed; '
-            f'else state thousands = "{decimal}"',
-        )
-    return Marks(decimal), ()
+    thousands = [mark for mark in ",." if (mark, "thousands") in found and mark not in decimal]
+    for mark in ",.":
+        if (mark, "either") in found and not decimal and not thousands:
+            name = found[mark, "either"]
+            doubt = f'"{mark}" in column "{name}" may be decimal, as assumed, or divide thousands: state'
+            return Marks(mark), (f'{doubt} decimal = "{mark}" or thousands = "{mark}"',)
+    return stated_marks("".join(decimal), "".join(thousands[:1])) or POINT, ()
 
 
 def _unique(names: list[str]) -> list[str]:

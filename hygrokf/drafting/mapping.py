@@ -328,7 +328,7 @@ def _settled(
         poles = flag_word(sources[one.source].export.cells[one.column]) == POLES[0]
         if poles and one.signal != "door_open":
             active = False
-            doubts.append(f'which of "open" and "closed" is 1? State one = "open" or "closed" for {one.signal}')
+            doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
         found.append(Assigned(one, active, False, tuple(doubts), near))
         for second in seconds[:1]:
             found.append(Assigned(second, True, True, second.doubts, ()))

@@ -35,7 +35,8 @@ FORMATS = (
     "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
     "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
     "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
-    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M", "%Y%m%d %H:%M", EXCEL,
+    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M",
+    "%Y%m%d %H:%M", EXCEL,
 )  # fmt: skip
 """strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
@@ -107,22 +108,17 @@ def time_columns(export: Export) -> tuple[str, str | None]:
                 continue
             if given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9:
                 return column, name
-            if dates.str.fullmatch(_DATE_ALONE).all() and _HOURS.search(name) and _are_hours(given):
+            hours = given.str.fullmatch(r"1?\d|2[0-4]|0\d").all() and given.nunique() > 2
+            if hours and _HOURS.search(name) and dates.str.fullmatch(_DATE_ALONE).all():
                 return column, name
     return column, None
 
 
-def _are_hours(given: pandas.Series) -> bool:
-    """Whether texts are hours of the day, 0 to 23 or 1 to 24."""
-    return bool(given.str.fullmatch(r"\d{1,2}").all() and given.nunique() > 2 and given.astype(int).max() <= 24)
-
-
 def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
     """Times of day as text, from hours too; and whether these are 1 to 24, the ends of their intervals."""
-    given = hours.dropna()
-    if given.str.contains(":").any():
+    if hours.str.contains(":").any():
         return hours, False
-    numbers = given.astype(int)
+    numbers = hours.dropna().astype(int)
     return hours.str.zfill(2) + ":00", bool(numbers.min() > 0 and numbers.max() == 24)
 
 

@@ -93,7 +93,7 @@ class MappingForm:
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")
     tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str | None = setting(None, "mark of numbers in texts; the other one divides thousands", choices=(".", ","))
+    decimal: str | None = setting(None, "mark of numbers in texts", choices=(".", ","))
     signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
 
     @across("tag", "value")

@@ -33,10 +33,12 @@ def column(*texts: object) -> pd.Series:
         (("998,5", "1.003"), "thousands"), (("-998 kW", "1.003 kW"), "thousands"),
         (("0", "0", "998", "1.003"), "thousands"),
         (("998", "1.003", "1.1"), "decimal"), (("998", "1.003", "0.998"), "decimal"),
-        (("2000", "1.003"), "decimal"), (("21.503", "22.117"), "decimal"), (("0", "1.503", "1.117"), "decimal"),
+        (("2000", "1.003"), "decimal"), (("21.503", "22.117"), "decimal"),
+        (("0", "1.503", "1.117"), "decimal"),
         (("5", "5.125", "5", "4.875"), "decimal"), (("1.5e3",), "decimal"),
         (("30", "1.003", "32"), "either"),
-        (("998", "21"), "none"), (("01.02.2020", "02.02.2020"), "none"), ((), "none"), (("error.", None), "none"),
+        (("998", "21"), "none"), (("01.02.2020", "02.02.2020"), "none"), ((), "none"),
+        (("error.", None), "none"),
     ],
 )  # fmt: skip
 def test_what_a_mark_does_is_told_by_the_whole_column(texts, said):
@@ -47,7 +49,7 @@ def test_what_a_mark_does_is_told_by_the_whole_column(texts, said):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_whole_numbers_with_thousands_marks_are_read_back(seed):
-    """A power that wanders through 1000: whatever its course, the marks are told, and the values are right."""
+    """A power that wanders through 1000: whatever its course, marks and values are right."""
     steps = np.random.default_rng(seed).normal(0.0, 60.0, 300)
     power = np.round(np.abs(900.0 + np.cumsum(steps)))
     power[:2] = 998.0, 1003.0
@@ -61,8 +63,8 @@ def test_whole_numbers_with_thousands_marks_are_read_back(seed):
 
 @pytest.mark.parametrize(
     ("decimal", "thousands", "marks"),
-    [(None, None, None), (",", None, GERMAN), (None, ".", GERMAN), (".", None, (".", ",")), (None, ",", (".", ",")),
-     (None, "'", (".", "'"))],
+    [(None, None, None), (",", None, GERMAN), (None, ".", GERMAN), (".", None, (".", ",")),
+     (None, ",", (".", ",")), (None, "'", (".", "'"))],
 )  # fmt: skip
 def test_each_stated_mark_implies_the_other(decimal, thousands, marks):
     assert stated_marks(decimal, thousands) == marks

@@ -222,7 +222,7 @@ def packed(total: np.ndarray, largest: np.ndarray) -> np.ndarray:
 def test_packed_sums_since_midnight_are_told_over_the_whole_file(
     longitude: float, as_csv: bool, tmp_path: Path
 ) -> None:
-    """A packed sum falls a little within the day, and far from Greenwich a day of sun ends after 00:00 UTC."""
+    """A packed sum falls a little within the day; far from Greenwich a day of sun ends after 00:00 UTC."""
     count = 24 * 20
     hours = np.arange(1, count + 1)
     local = (hours - 0.5 + longitude / 15.0) % 24.0
@@ -239,7 +239,8 @@ def test_packed_sums_since_midnight_are_told_over_the_whole_file(
         columns[name] = packed(total, most * into_day / 24.0)
     assert np.any(np.diff(columns["tp"])[into_day[1:] > 1] < 0.0)
     if as_csv:
-        frame = pd.DataFrame({"valid_time": pd.Timestamp("2024-01-01") + pd.to_timedelta(hours, "h"), **columns})
+        stamps = pd.Timestamp("2024-01-01") + pd.to_timedelta(hours, "h")
+        frame = pd.DataFrame({"valid_time": stamps, **columns})
         frame.assign(latitude=55.0, longitude=longitude).to_csv(tmp_path / "land.csv", index=False)
         record = read_era5(tmp_path / "land.csv")
     else:

@@ -78,9 +78,9 @@ def seconds(
 ) -> float | None:
     """Seconds since 1970 of a stamp; None if it is none.
 
-    ISO 8601, the clock's own form, or a Unix time in s, ms, µs or ns.  In the hour that comes twice at the end
-    of summer time a stamp is placed by the `order` of its `series`; what lies ahead of `received` [s] is
-    impossible.  Raises Refused for a local time that does not exist, or that these do not tell apart.
+    ISO 8601, the clock's own form, or a Unix time in s, ms, µs or ns.  In the hour that comes twice at the
+    end of summer time a stamp is placed by the `order` of its `series`; none lies ahead of `received` [s].
+    Raises Refused for a local time that does not exist, or that these do not tell apart.
     """
     if not clock.form and not (isinstance(stamp, str) and ":" in stamp):
         unix = number(stamp)
@@ -136,8 +136,8 @@ def _of_local(
         if len(continued) != 1:
             raise Refused(
                 "ambiguous time",
-                f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps with "
-                "an offset would",
+                f"{local} comes twice in {zone}, and the order of its source does not tell which: stamps "
+                "with an offset would",
             )
         first = continued[0]
     if order is not None and not first <= newest:
