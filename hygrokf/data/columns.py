@@ -13,16 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hygrokf.data.numbers import (
-    PARTED,
-    POINT,
-    Marks,
-    Meaning,
-    Unread,
-    evidence,
-    stated_marks,
-    values_in,
-)
+from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
 from hygrokf.data.record import EARLIEST_S, LATEST_S
 from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion

@@ -78,10 +78,10 @@ def value_in(text: str, marks: Marks = POINT, meaning: Meaning = UNKNOWN) -> flo
     A unit with the same zero is converted (MW to kW).  Raises Unread.
     """
     found, word, shown = number_in(text, marks), text.strip().lower(), repr(text[:40])
+    if found is None and meaning.unit in ("", "1"):
+        found = FLAGS.get(word)
     if found is not None:
         return found
-    if meaning.unit in ("", "1") and word in FLAGS:
-        return FLAGS[word]
     if meaning.unit in ("", "1") and word in POLES:
         one = meaning.one or ("open" if meaning.signal == "door_open" else "")
         if one:

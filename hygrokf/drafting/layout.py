@@ -14,18 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import MISSING, TableFault
-from hygrokf.data.numbers import (
-    FLAGS,
-    POINT,
-    POLES,
-    Marks,
-    Meaning,
-    Unread,
-    evidence,
-    stated_marks,
-    unit_among,
-    values_in,
-)
+from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
 from hygrokf.data.signals import unit_named
 from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
 
@@ -292,7 +281,8 @@ def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
             name = found[mark, "either"]
             doubt = f'"{mark}" in column "{name}" may be decimal, as assumed, or divide thousands: state'
             return Marks(mark), (f'{doubt} decimal = "{mark}" or thousands = "{mark}"',)
-    return stated_marks("".join(decimal), "".join(thousands[:1])) or POINT, ()
+    divided = "".join(thousands[:1])
+    return Marks("".join(decimal) or ("," if divided == "." else "."), divided), ()
 
 
 def _unique(names: list[str]) -> list[str]:

@@ -151,7 +151,7 @@ def test_texts_and_serial_days_are_read_as_in_files() -> None:
         "timezone": None, "stamp": None, "time_format": {"scada": "excel"},
     }  # fmt: skip
     frames = {"cabinet": logger, "scada": texts}
-    with pytest.raises(CaseFault, match=r"""may be 1\d{3} or 1\.\d+, as .*thousands = "." or decimal = "\.\""""):
+    with pytest.raises(CaseFault, match=r'may be 1\d{3} or 1\.\d+, as .*state thousands = "\."'):
         made(frames, **told)
     record = made(frames, **told, thousands={"scada": "."})
     for signal in ("cabinet_temperature", "active_power"):
