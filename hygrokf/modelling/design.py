@@ -44,6 +44,9 @@ BRIDGE_H = 1.0
 SETTLING_H = 12.0
 """[h] time after a long gap of the ambient series for which readings are left out, until the state has
 forgotten the gap."""
+BOUND = 4.0
+"""Standard deviations of its prediction from which a reading counts no more: a Gaussian reading lies beyond
+once in 16,000."""
 FEWEST_READINGS = 50
 """Fewest readings of a signal from which anything is identified."""
 PARTS = ("thermal", "hygric")
@@ -99,7 +102,8 @@ class Design:
             mechanisms = [
                 _with_priors(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
             ]
-            found = _models[key] = compose(mechanisms, holds, self.averaged)
+            found = replace(compose(mechanisms, holds, self.averaged), bound=BOUND)
+            _models[key] = found
         return found
 
     __getstate__ = fields_alone

@@ -11,7 +11,7 @@ from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Form, Plan
