@@ -1,4 +1,4 @@
-"""Readings of a record: their order, their resolution, and which are masked, with a sentence for each change."""
+"""Readings of a record: their order, their resolution, and which are masked, with a sentence for each."""
 
 from __future__ import annotations
 
@@ -211,8 +211,8 @@ def _ceiling(humidity: np.ndarray) -> float:
 def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     """Series without the readings that the gate keeps out, and warnings that name them.
 
-    The first reading of a frozen run is kept.  Where more than half of the readings would be masked, the source
-    repeats readings as a rule: no run is masked, and the warning says so.
+    The first reading of a frozen run is kept.  Where more than half of the readings would be masked, the
+    source repeats readings as a rule: no run is masked, and the warning says so.
     """
     row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
@@ -226,6 +226,8 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
         )
         return series, (f"{_label(series)}: {doubt}",)
     scale = scale_of(series.signal, time, value, series.resolution)
+    if scale is None:
+        return series, ()
     verdict = judge(series.signal, time, value, scale, in_hindsight=True).verdict
     said = []
     masked = np.zeros(len(series), dtype=bool)

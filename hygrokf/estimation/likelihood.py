@@ -100,7 +100,7 @@ class _Steps:
 
 
 def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root of the weight min(1, b/√(e²/S)) of readings with the squared innovations e²/S; b: `bound`."""
+    """Square root of the weight min(1, b √S/|e|) of readings with squared innovations e²/S; b: `bound`."""
     if math.isinf(bound):
         return np.ones_like(quadratic)
     return np.sqrt(bound / np.sqrt(np.maximum(quadratic, bound**2)))

@@ -118,7 +118,7 @@ class System:
     `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct
     values); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs
     (name, function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that
-    are running means of an output, set to zero where an averaging interval begins; `bound` is that of `Model`.
+    are running means of an output, set to zero where an averaging interval begins; `bound` is the model's.
     """
 
     parameters: tuple[str, ...]
