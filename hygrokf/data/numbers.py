@@ -159,7 +159,9 @@ def could_divide_thousands(values: np.ndarray) -> bool:
     parted = size[size != np.round(size)]
     if not len(parted) or np.max(size) >= 1e3 or np.min(parted) < 1.0:
         return False
-    return bool(np.all(np.abs(1e3 * parted - np.round(1e3 * parted)) < 1e-6))
+    # three digits, of which the last is seldom 0
+    further = [np.abs(scale * parted - np.round(scale * parted)) > 1e-6 for scale in (1e2, 1e3)]
+    return bool(not further[1].any() and np.mean(further[0]) > 0.5)
 
 
 def unit_among(texts: pandas.Series) -> str:
