@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.data.input_paths import centred
+from hygrokf.data.input_paths import centred, on_change
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
@@ -96,6 +97,11 @@ def _doubts_of_readings(record: Record) -> list[str]:
         row = signal_named(series.signal)
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
+        if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
+            said.append(
+                f"{series.signal} comes only when it changes (no two successive values are equal), and is "
+                'joined by lines: state hold = "previous" if each value holds until the next'
+            )
         if mistaken is not None:
             said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
-from hygrokf.data.record import HOLDS, Site
+from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
 from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
 from hygrokf.errors import suggestion
+from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
 
 STAMPS = ("instant", "start", "middle", "end")
@@ -34,6 +36,18 @@ def _size(value: Any) -> float:
     return float(value)
 
 
+def longest_hold(value: Any) -> float:
+    """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
+    if value == "connected":
+        return math.inf
+    seconds = duration(value)
+    if not seconds > 0.0:
+        raise ValueError(f"expected a duration longer than 0, found {value!r}")
+    return seconds
+
+
+HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
+LONGEST_HOLD_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
 _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
@@ -125,7 +139,8 @@ class StatedSource:
     interval_s: float | None = setting(
         None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
     )
-    hold: str | None = setting(None, "between readings; by default derived from the stamp", choices=HOLDS)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HOLD_HELP, read=longest_hold)
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
@@ -147,9 +162,13 @@ class StatedSource:
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
-        if self.interval_s is None or self.stamp != "instant" or self.hold == "zero-order":
+        if self.stamp != "instant":
+            remedy = 'remove stamp (and interval), or state hold = "mean" or "linear"'
+            return f'hold = "previous" is for instants: {remedy}' if self.hold == PREVIOUS else None
+        said = "an interval" if self.interval_s is not None else 'hold = "mean"'
+        if self.interval_s is None and self.hold != MEAN:
             return None
-        return 'an interval needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+        return f'{said} needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:

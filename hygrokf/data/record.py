@@ -16,12 +16,16 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import HOLDS, LINEAR, MEAN, hold_named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-HOLDS = (LINEAR, ZERO_ORDER)
+BY_SIGNAL = "by the signal"
+"""The hold of a series that states none: that of means, else that of its signal's instants."""
+USUAL_STEPS, AGE_STEPS = 11, 3.0
+"""A value is held for `AGE_STEPS` times the median of the `USUAL_STEPS` steps before it: by earlier readings
+alone, so that a tracker knows it in time."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,9 @@ class Series:
     signal: a name of the signal table.
     time: [s] (T,) since 1970-01-01T00:00Z, strictly increasing; for means the END of the interval.
     value: [SI unit of the signal table] (T,); NaN = missing.
-    hold: "linear" for instants, "zero-order" for means: the value holds over
-        (time - interval_s, time].
+    hold: "previous": a value holds from its time on, until the next one or `longest_hold_s`; "mean": over
+        (time - interval_s, time]; "linear": joined by straight lines. By default that of means with an
+        interval, else `Signal.hold_of_instants`. "zoh" and "foh" are previous and linear.
     interval_s: [s] averaging interval; 0 for instants.
     resolution: [SI unit] spacing of the readings' grid; 0 = none found.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
@@ -40,6 +45,7 @@ class Series:
     source: file and column, such as 'scada.csv, column "P"'.
     height_m: [m] height above ground of a wind whose file states it; None: not known.
     response_time_s: [s] stated time constant of the sensor; None: not stated.
+    longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -47,7 +53,7 @@ class Series:
     signal: str
     time: np.ndarray
     value: np.ndarray
-    hold: str = "linear"
+    hold: str = BY_SIGNAL
     interval_s: float = 0.0
     resolution: float = 0.0
     accuracy: float | None = None
@@ -55,6 +61,7 @@ class Series:
     source: str = ""
     height_m: float | None = None
     response_time_s: float | None = None
+    longest_hold_s: float | None = None
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -65,8 +72,7 @@ class Series:
         value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
         if time is not None and value is not None:
             faults += _reading_faults(time, value, row)
-        if self.hold not in HOLDS:
-            faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
+        faults += self._settle_hold(row)
         for name in ("interval_s", "resolution"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
@@ -83,6 +89,25 @@ class Series:
         for name, array in (("time", time), ("value", value)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+
+    def _settle_hold(self, row: Signal | None) -> list[str]:
+        """Put the hold into one of `HOLDS`; returns its faults."""
+        hold = self.hold
+        if hold == BY_SIGNAL:
+            hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
+        faults = []
+        try:
+            object.__setattr__(self, "hold", hold_named(hold))
+        except ValueError as fault:
+            faults.append(str(fault))
+        if self.hold in HOLDS and (self.hold == MEAN) != (self.interval_s > 0.0):
+            faults.append(
+                f'a mean has hold "{MEAN}" and its interval_s, found hold "{self.hold}" and interval_s '
+                f"{self.interval_s}"
+            )
+        if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
+            faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
+        return faults
 
     def __len__(self) -> int:
         return len(self.time)
@@ -116,6 +141,17 @@ class Series:
         """Times [s] and values of the readings that are not missing."""
         there = ~self.missing
         return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
+
+    @cached_property
+    def held_s(self) -> np.ndarray:
+        """How long [s] each reading that is not missing holds at most, if it holds from its stamp on."""
+        time, _ = self.known
+        held = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
+        if self.longest_hold_s is None and len(time) > 1:
+            steps = np.concatenate([np.full(USUAL_STEPS - 1, np.nan), np.diff(time)])
+            windows = np.lib.stride_tricks.sliding_window_view(steps, USUAL_STEPS)
+            held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
+        return held
 
     def window(self, start_s: float, end_s: float) -> Series | None:
         """The readings with start_s ≤ time ≤ end_s [s]; None where there is none."""

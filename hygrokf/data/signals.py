@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
@@ -85,9 +85,10 @@ class Signal:
     idle: [SI unit] range in which unchanged readings are ordinary (calm, night, standstill,
         saturated air), so that the frozen-sensor check leaves them alone; None: nowhere.
     also: units of another dimension whose numbers are taken as they stand.
-    hold: how the quantity itself goes on between two instants, as an input of a model and in a live source:
-        "linear", or "zero-order" for what is switched (power, speeds of machines, duties, flags), for rain
+    hold: how the quantity itself goes on between two instants in a live source, where the next one is still
+        to come: "linear", or "previous" for what jumps (power, speeds of machines, duties, flags), for rain
         and cloud cover, and for a direction, whose straight line may pass through all other directions.
+    switched: whether it only takes the values at which something switches it.
     """
 
     name: str
@@ -100,6 +101,12 @@ class Signal:
     idle: tuple[float, float] | None = None
     also: tuple[str, ...] = ()
     hold: str = LINEAR
+    switched: bool = False
+
+    @property
+    def hold_of_instants(self) -> str:
+        """How instants of a table or of a `Series` continue unless that is stated."""
+        return PREVIOUS if self.switched or self.dimension == "angle" else LINEAR
 
     @property
     def dimension(self) -> str:
@@ -132,18 +139,22 @@ def _irradiance(name: str, meaning: str) -> Signal:
     return Signal(name, "W/m2", -20.0, 1600.0, meaning, display="W/m2", idle=(-20.0, 5.0))
 
 
-def _duty(name: str, meaning: str) -> Signal:
-    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=ZERO_ORDER)
+def _duty(name: str, meaning: str, switched: bool = True) -> Signal:
+    row = Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=PREVIOUS)
+    return replace(row, switched=switched)
 
 
-def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
-    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=ZERO_ORDER)
+def _power(
+    name: str, low: float, high: float, idle_high: float, meaning: str, switched: bool = False
+) -> Signal:
+    row = Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=PREVIOUS)
+    return replace(row, switched=switched)
 
 
 def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
     """Speed of a machine; its name is its meaning."""
     part = name.removesuffix("_speed")
-    return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=ZERO_ORDER)
+    return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=PREVIOUS)
 
 
 _TURN = 2.0 * math.pi
@@ -165,14 +176,14 @@ _ROWS = (
     _temperature("tower_temperature", -60, 100, "air in the tower base around the cabinet"),
     _relative_humidity("tower_relative_humidity", "air in the tower base"),
     _power("active_power", -5e6, 3e7, 2e4, "power fed into the grid; consumption is negative"),
-    _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater"),
+    _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater", True),
     _power("auxiliary_power", -1e6, 5e6, 1e3, "own consumption of the turbine, positive"),
     _speed("rotor_speed", -1.0, 15.0, 0.05),
     _speed("generator_speed", -50.0, 500.0, 1.0),
     Signal("wind_speed", "m/s", 0.0, 75.0, "at hub height", display="m/s", idle=(0.0, 0.5)),
     Signal(
         "wind_direction", "rad", -_TURN, _TURN, "where the wind comes from, clockwise from north",
-        display="deg", idle=_ALWAYS, hold=ZERO_ORDER,
+        display="deg", idle=_ALWAYS, hold=PREVIOUS,
     ),
     _irradiance("global_horizontal_irradiance", "sun and sky on a horizontal plane"),
     _irradiance("diffuse_horizontal_irradiance", "sky alone on a horizontal plane"),
@@ -181,9 +192,9 @@ _ROWS = (
         "rain", "1", 0.0, 500.0,
         "0 = dry, above = wet: a flag, a share of the interval, or the depth in mm fallen in the reading's "
         "interval (taken as a plain number)",
-        display="1", idle=_ALWAYS, also=("mm",), hold=ZERO_ORDER,
+        display="1", idle=_ALWAYS, also=("mm",), hold=PREVIOUS,
     ),
-    _duty("cloud_cover", "share of the sky that is covered"),
+    _duty("cloud_cover", "share of the sky that is covered", switched=False),
     _duty("preheating", "1 while the cabinet is heated before start-up, 0 else"),
     _duty("heater_duty", "share of the time that the cabinet's heater runs"),
     _duty("fan_duty", "share of the time (or of full speed) that the cabinet's fan runs"),
@@ -363,7 +374,8 @@ def in_words(value: float, signal: str | Signal) -> str:
 def signal_table_markdown() -> str:
     """The page docs/reference/signals.md: the signal table."""
     over_water = "over liquid water, also below 0 °C"
-    held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == "zero-order")
+    held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == PREVIOUS)
+    switched = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold_of_instants == PREVIOUS)
     lines = [
         "# Signals",
         "",
@@ -373,8 +385,8 @@ def signal_table_markdown() -> str:
         "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
         f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
-        f"Models and live sources hold these between two instants: {held}. All others are joined by straight "
-        "lines. Readings of a table follow their stamps instead ([case file](case_file.md)).",
+        f"Instants of {switched} hold from their stamp on, everywhere. Live sources also hold {held} so. All "
+        "others are joined by straight lines ([case file](case_file.md)).",
         "",
         "| signal | units | range | accuracy | meaning |",
         "| --- | --- | --- | --- | --- |",

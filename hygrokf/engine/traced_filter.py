@@ -40,7 +40,7 @@ from hygrokf.physics.expression import (
     jacobian,
     where,
 )
-from hygrokf.physics.holds import LINEAR, REGIME
+from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
 from hygrokf.physics.model import Model, System, TracedOutput, Values
 
 DIFFUSE_TOLERANCE = 1e-9
@@ -79,9 +79,10 @@ class Recursion:
         self.state = [*self.mean, *self.packed, *self.infinite]
         self.start, self.end, self.now = {}, {}, {}
         for name in self.varying:
-            self.end[name] = self.now[name] = g.symbol(f"b:{name}")
-            linear = system.inputs[name] == LINEAR
-            self.start[name] = g.symbol(f"a:{name}") if linear else self.end[name]
+            hold = system.inputs[name]
+            self.now[name] = g.symbol(f"b:{name}")
+            self.start[name] = g.symbol(f"a:{name}") if hold in (LINEAR, PREVIOUS) else self.now[name]
+            self.end[name] = self.start[name] if hold == PREVIOUS else self.now[name]
         for table in (self.start, self.end, self.now):
             table.update(regime)
         self.reading = g.symbol("y")

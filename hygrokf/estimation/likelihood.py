@@ -20,11 +20,12 @@ from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.physics.expression import is_zero
+from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
 

@@ -6,7 +6,14 @@ import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
+from hygrokf.cases.form import (
+    HOLD_HELP,
+    LONGEST_HOLD_HELP,
+    STAMPS,
+    StatedSensor,
+    longest_hold,
+    stated_signal,
+)
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
@@ -16,7 +23,7 @@ from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
@@ -57,6 +64,8 @@ class SignalForm(StatedSensor):
     signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float = setting(0.0, "length averaged over", read=duration)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HOLD_HELP, read=longest_hold)
     scale: float = setting(
         1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
     )
@@ -68,10 +77,17 @@ class SignalForm(StatedSensor):
             return None
         return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
 
+    @across("hold", "stamp", "interval")
+    def hold_of_stamp(self) -> str | None:
+        if self.hold is None or (self.hold == MEAN) == (self.stamp != "instant"):
+            return None
+        return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
+
     def to_field(self) -> Field:
         """The field of a payload."""
-        hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
-        form = Form(hold, self.interval_s, **self.settings)
+        hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
+        age = self.longest_hold_s if hold == PREVIOUS else None
+        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=age)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset)
 
 

@@ -112,13 +112,13 @@ def test_a_case_becomes_a_record(folder):
     ("stamp", "hold", "shift", "found"),
     [
         ("instant", None, 0.0, ("linear", 0.0)),
-        ("start", None, 600.0, ("zero-order", 600.0)),
-        ("middle", None, 300.0, ("zero-order", 600.0)),
-        ("end", None, 0.0, ("zero-order", 600.0)),
+        ("start", None, 600.0, ("mean", 600.0)),
+        ("middle", None, 300.0, ("mean", 600.0)),
+        ("end", None, 0.0, ("mean", 600.0)),
         ("start", "linear", 300.0, ("linear", 0.0)),
         ("middle", "linear", 0.0, ("linear", 0.0)),
         ("end", "linear", -300.0, ("linear", 0.0)),
-        ("instant", "zero-order", 0.0, ("zero-order", 600.0)),
+        ("instant", "mean", 0.0, ("mean", 600.0)),
     ],
 )
 def test_stamps_and_holds(folder, stamp, hold, shift, found):
@@ -144,7 +144,7 @@ def test_directions_are_held_and_not_interpolated(folder):
     turning = 'signals.wind_direction = { column = "T", unit = "deg" }\n'
     flag = 'signals.rain = { column = "T", unit = "mm" }\n'
     record = read(folder, (ambient, ambient + turning + flag))
-    assert record["wind_direction"].hold == "zero-order"
+    assert record["wind_direction"].hold == "mean"
     assert record["wind_direction"].interval_s == 600.0
     assert record["rain"].hold == "linear"
 

@@ -19,7 +19,7 @@ FINE = 40
 def means(values, width=600.0, start=START_S):
     """Adjacent interval means as a series."""
     ends = start + width * np.arange(1, len(values) + 1)
-    return Series("ambient_temperature", ends, values, hold="zero-order", interval_s=width)
+    return Series("ambient_temperature", ends, values, hold="mean", interval_s=width)
 
 
 def dense(count: int, noise: float = 0.0):

@@ -28,7 +28,7 @@ def test_arrays_are_copied_and_read_only():
     with pytest.raises(ValueError, match="read-only"):
         one.value[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
-        one.hold = "zero-order"
+        one.hold = "mean"
 
 
 def test_everything_wrong_with_a_series_is_said_at_once():
@@ -135,7 +135,7 @@ def test_equality_looks_at_the_readings():
     one = series(value=[281.0, np.nan, 283.0])
     assert one == series(value=[281.0, np.nan, 283.0])
     assert one != series(value=[281.0, np.nan, 284.0])
-    assert one != series(value=[281.0, np.nan, 283.0], hold="zero-order")
+    assert one != series(value=[281.0, np.nan, 283.0], hold="mean")
 
 
 def test_a_record_finds_its_signals():
@@ -167,7 +167,7 @@ def test_a_site_is_on_earth(site, word):
 
 
 def test_span_includes_the_interval_of_the_first_mean():
-    mean = series("active_power", (600.0, 1200.0), hold="zero-order", interval_s=600.0)
+    mean = series("active_power", (600.0, 1200.0), hold="mean", interval_s=600.0)
     record = Record("x", (series(time=(30.0, 90.0)), mean))
     assert record.start_s == 0.0
     assert record.end_s == 1200.0

@@ -148,7 +148,7 @@ def late(record, time):
 def warm(p, x, u, q):
     return {"heat_release": p.late_heat * u.late * u.standstill}
 
-brought = {"late": (late, "zero-order")}
+brought = {"late": (late, "mean")}
 factory = made(warm, ("late_heat",), "late_warmth", ("late", "standstill"), features=brought)
 LATE = hygrokf.cause_of("late_warmth", thermal=factory, **WORDS)
 """

@@ -125,7 +125,7 @@ def thermal10k() -> tuple[Likelihood, dict]:
         lambda p: {"T1": exp(2.0 * p.ls1), "T2": exp(2.0 * p.ls2)},
         lambda p, u: {"T1": (15.0, 0.1), "T2": (15.0, 0.1)},
     )
-    model = compose([made], {"Ta": "zero-order", "P": "zero-order"})
+    model = compose([made], {"Ta": "mean", "P": "mean"})
     # the file states what holds from each instant on; a timeline what held over the step that ends there
     inputs = {name: np.concatenate([data[name][:1], data[name][:-1]]) for name in ("Ta", "P")}
     likelihood = Likelihood(model, timeline(model, data["t"], inputs, {"y": data["y"]}))
@@ -249,7 +249,7 @@ def test_armadillo_needs_its_hold(armadillo: tuple) -> None:
     """Under the wrong hold the same parameters are far from likely: holds are not a detail."""
     likelihood, expected = armadillo
     theta = expected["notebook_fit_frequentist"]["theta"]
-    model = replace(likelihood.model, holds={"outside": "zero-order", "heat": "zero-order"})
+    model = replace(likelihood.model, holds={"outside": "mean", "heat": "mean"})
     wrong = Likelihood(
         model,
         timeline(
@@ -288,7 +288,7 @@ def ornstein(hold: str) -> tuple[Likelihood, dict]:
 
 
 def test_ornstein_log_likelihood_at_the_stated_parameters() -> None:
-    likelihood, expected = ornstein("zero-order")
+    likelihood, expected = ornstein("mean")
     stated = expected["negative_loglik"]["zero_order_hold_at_parameters"]
     assert -likelihood.value(expected["parameters_zero_order"]) == pytest.approx(stated, abs=1e-10)
 
@@ -361,7 +361,7 @@ def building(order: str, data: dict[str, np.ndarray]) -> Likelihood:
         noise,
         lambda p, u: {s: (getattr(p, f"{s}0"), v / 12.0) for s, v in noise(p).items()},
     )
-    model = compose([made], dict.fromkeys(("Ta", "Ps", "Ph"), "zero-order"))
+    model = compose([made], dict.fromkeys(("Ta", "Ps", "Ph"), "mean"))
     inputs = {name: np.concatenate([data[name][:1], data[name][:-1]]) for name in ("Ta", "Ps", "Ph")}
     return Likelihood(model, timeline(model, data["t"], inputs, {"yTi": data["yTi"]}))
 

@@ -91,7 +91,7 @@ def of_means(record: Record) -> Record:
         if not series.signal.startswith(("cabinet", "ambient")):
             return series
         step = float(np.median(np.diff(series.time)))
-        return replace(series, hold="zero-order", interval_s=step)
+        return replace(series, hold="mean", interval_s=step)
 
     return record.replace_series(*(mean(s) for s in record.series))
 

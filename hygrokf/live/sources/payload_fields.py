@@ -9,7 +9,7 @@ import numpy as np
 
 from hygrokf.data.signals import signal_named, to_si
 from hygrokf.live.plan import Form
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import PREVIOUS
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Field:
         zero, one = to_si(np.array([self.offset, self.scale + self.offset]), self.unit, self.signal).tolist()
         row = signal_named(self.signal)
         slack = 1e-9 * (row.high - row.low)
-        is_flag = self.unit == "1" and row.hold == ZERO_ORDER
+        is_flag = self.unit == "1" and row.hold == PREVIOUS
         return Conversion(
             self.signal, one - zero, zero, self.shift_s, row.low - slack, row.high + slack, self.unit, is_flag
         )
