@@ -279,7 +279,7 @@ def _source_series(
             continue
         hold = source.hold or (one.signal.hold_of_instants if source.stamp == "instant" else MEAN)
         length = source.interval_s
-        if length is None and source.stamp != "instant":
+        if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
                 faults.append(_no_step(source, step, regular))
                 break
@@ -289,9 +289,8 @@ def _source_series(
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
         if hold == PREVIOUS:
-            settings["longest_hold_s"] = source.longest_hold_s
-            if source.longest_hold_s is None and one.signal.switched and on_change(time, raw):
-                settings["longest_hold_s"] = math.inf
+            until_next = one.signal.switched and on_change(time, raw)
+            settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
         try:
             found.append(
                 Series(
@@ -331,7 +330,7 @@ def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> 
     if hold == LINEAR:
         # a mean that is joined by straight lines is placed in the middle of its interval
         return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
-    return time + shift, length
+    return time + shift, length if hold == MEAN else 0.0
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:

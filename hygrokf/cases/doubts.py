@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.data.input_paths import centred, on_change
+from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
@@ -98,10 +98,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
         if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
-            said.append(
-                f"{series.signal} comes only when it changes (no two successive values are equal), and is "
-                'joined by lines: state hold = "previous" if each value holds until the next'
-            )
+            said.append(f"{series.signal} {ON_CHANGE}")
         if mistaken is not None:
             said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():

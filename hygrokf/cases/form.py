@@ -40,14 +40,11 @@ def longest_hold(value: Any) -> float:
     """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
     if value == "connected":
         return math.inf
-    seconds = duration(value)
-    if not seconds > 0.0:
-        raise ValueError(f"expected a duration longer than 0, found {value!r}")
-    return seconds
+    return duration(value)
 
 
 HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
-LONGEST_HOLD_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
+LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
 _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
@@ -140,7 +137,7 @@ class StatedSource:
         None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
     )
     hold: str | None = setting(None, HOLD_HELP, read=hold_named)
-    longest_hold_s: float | None = setting(None, LONGEST_HOLD_HELP, read=longest_hold)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
@@ -163,11 +160,10 @@ class StatedSource:
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
         if self.stamp != "instant":
-            remedy = 'remove stamp (and interval), or state hold = "mean" or "linear"'
-            return f'hold = "previous" is for instants: {remedy}' if self.hold == PREVIOUS else None
-        said = "an interval" if self.interval_s is not None else 'hold = "mean"'
+            return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
         if self.interval_s is None and self.hold != MEAN:
             return None
+        said = "an interval" if self.interval_s else "a mean"
         return f'{said} needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
 
     @across("ignore_offset", "timezone")

@@ -16,7 +16,7 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import HOLDS, LINEAR, MEAN, hold_named
+from hygrokf.physics.holds import LINEAR, MEAN, hold_named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -95,15 +95,14 @@ class Series:
         hold = self.hold
         if hold == BY_SIGNAL:
             hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
-        faults = []
         try:
             object.__setattr__(self, "hold", hold_named(hold))
         except ValueError as fault:
-            faults.append(str(fault))
-        if self.hold in HOLDS and (self.hold == MEAN) != (self.interval_s > 0.0):
+            return [str(fault)]
+        faults = []
+        if (self.hold == MEAN) != (self.interval_s > 0.0):
             faults.append(
-                f'a mean has hold "{MEAN}" and its interval_s, found hold "{self.hold}" and interval_s '
-                f"{self.interval_s}"
+                f"a mean has hold mean and its interval_s, found hold {self.hold} and {self.interval_s} s"
             )
         if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
             faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -140,15 +140,14 @@ def _irradiance(name: str, meaning: str) -> Signal:
 
 
 def _duty(name: str, meaning: str, switched: bool = True) -> Signal:
-    row = Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=PREVIOUS)
-    return replace(row, switched=switched)
+    return Signal(name, "1", 0.0, 1.0, meaning, None, "1", _ALWAYS, hold=PREVIOUS, switched=switched)
 
 
 def _power(
     name: str, low: float, high: float, idle_high: float, meaning: str, switched: bool = False
 ) -> Signal:
-    row = Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=PREVIOUS)
-    return replace(row, switched=switched)
+    idle = (-math.inf, idle_high)
+    return Signal(name, "W", low, high, meaning, None, "kW", idle, hold=PREVIOUS, switched=switched)
 
 
 def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
@@ -374,8 +373,9 @@ def in_words(value: float, signal: str | Signal) -> str:
 def signal_table_markdown() -> str:
     """The page docs/reference/signals.md: the signal table."""
     over_water = "over liquid water, also below 0 °C"
-    held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == PREVIOUS)
-    switched = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold_of_instants == PREVIOUS)
+    jumping = [row for row in SIGNALS.values() if row.hold == PREVIOUS]
+    live = ", ".join(f"`{row.name}`" for row in jumping if row.hold_of_instants != PREVIOUS)
+    held = ", ".join(f"`{row.name}`" for row in jumping if row.hold_of_instants == PREVIOUS)
     lines = [
         "# Signals",
         "",
@@ -385,8 +385,8 @@ def signal_table_markdown() -> str:
         "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
         f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
-        f"Instants of {switched} hold from their stamp on, everywhere. Live sources also hold {held} so. All "
-        "others are joined by straight lines ([case file](case_file.md)).",
+        f"Instants of {held} hold from their stamp on, in live sources also those of {live}; all others are "
+        "joined by straight lines ([case file](case_file.md#stamps-and-holds)).",
         "",
         "| signal | units | range | accuracy | meaning |",
         "| --- | --- | --- | --- | --- |",

@@ -6,14 +6,7 @@ import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from hygrokf.cases.form import (
-    HOLD_HELP,
-    LONGEST_HOLD_HELP,
-    STAMPS,
-    StatedSensor,
-    longest_hold,
-    stated_signal,
-)
+from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
@@ -65,7 +58,7 @@ class SignalForm(StatedSensor):
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float = setting(0.0, "length averaged over", read=duration)
     hold: str | None = setting(None, HOLD_HELP, read=hold_named)
-    longest_hold_s: float | None = setting(None, LONGEST_HOLD_HELP, read=longest_hold)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     scale: float = setting(
         1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
     )

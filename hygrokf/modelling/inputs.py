@@ -49,11 +49,6 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     return time[(time >= first) & (time <= last)]
 
 
-def _corners(series: Series, hold: str) -> Series:
-    """The series whose changes are those of an input with this hold."""
-    return input_path(series) if hold == LINEAR and series.hold == PREVIOUS else series
-
-
 def longest_gap_h(signal: str) -> float:
     """Longest gap [h] of an input that is bridged, unless its own usual step is longer."""
     return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
@@ -84,8 +79,11 @@ def prepare_run(design: Design, record: Record) -> Run:
         for name in ("active_power", "preheating")
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
-    others = sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})
-    further = [_corners(record[name], model.holds[name]) for name in others]
+    others = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    # a held value that is joined by lines has the corners of its path
+    further = [
+        input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others
+    ]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))

@@ -33,9 +33,9 @@ def hold_named(word: object) -> str:
         return _ALSO[word]
     if isinstance(word, str) and re.match(r"zero(th)?order", re.sub(r"[\W_]", "", word.lower())):
         raise ValueError(
-            f'{word!r} has two meanings: held from its stamp on (control, scipy, MATLAB, ctsmTMB), which is '
-            f'"{PREVIOUS}", or constant over the interval that ends at its stamp (hygrokf before), which is '
-            f'"{MEAN}"; state which'
+            f"the hold {word!r} has two meanings: held from its stamp on (control, scipy, MATLAB, ctsmTMB), "
+            f'which is "{PREVIOUS}", or constant over the interval that ends at its stamp (hygrokf before), '
+            f'which is "{MEAN}"; state which'
         )
     near = suggestion(word, (*HOLDS, *_ALSO), 1) if isinstance(word, str) else ""
     raise ValueError(f"expected the hold {', '.join(HOLDS[:-1])} or {LINEAR}, found {word!r}{near}")

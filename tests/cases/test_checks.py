@@ -306,6 +306,6 @@ def test_the_table_is_aligned_and_complete():
     start = next(n for n, line in enumerate(lines) if line.startswith("signal") and "step" in line)
     column = lines[start].index("hold")
     for line in lines[start + 1 : start + 6]:
-        assert line[column:].startswith(("linear", "zero-order 10 min"))
+        assert line[column:].startswith(("linear", "mean 10 min"))
     assert "warnings: none" in text
     assert "doubts: none" in text

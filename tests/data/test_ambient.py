@@ -263,6 +263,24 @@ def test_every_value_is_the_one_by_definition(seed, hold, missing, bridge):
     assert_allclose(found, [by_definition(series, when, bridge) for when in asked], atol=1e-9)
 
 
+def test_a_held_value_is_known_from_its_stamp_on_until_it_is_too_old():
+    """Three times the median of the steps before it, whatever comes later; or the stated age; or for ever."""
+    time = START_S + 60.0 * np.array([0, 1, 2, 3, 4, 5, 15, 16, 17, 18, 100])
+    value = np.arange(11.0)
+    door = Series("ambient_temperature", time, 280.0 + value, "previous")
+    minutes = [-0.01, 0.0, 0.99, 1.0, 5.5, 8.0, 8.01, 14.99, 15.0, 21.0, 21.01, 103.0]
+    asked = START_S + 60.0 * np.array(minutes)
+    expected = [np.nan, 0, 0, 1, 5, 5, np.nan, np.nan, 6, 9, np.nan, 10]
+    assert_array_equal(at_times(door, asked, 6.0) - 280.0, expected)
+    stated, endless = (replace(door, longest_hold_s=age) for age in (120.0, np.inf))
+    young = [np.nan, 0, 0, 1, 5, np.nan, np.nan, np.nan, 6, np.nan, np.nan, np.nan]
+    assert_array_equal(at_times(stated, asked, 6.0) - 280.0, young)
+    assert_array_equal(at_times(endless, asked, 6.0) - 280.0, [np.nan, 0, 0, 1, 5, 5, 5, 5, 6, 9, 9, 10])
+    for count in range(2, 11):  # by earlier readings alone
+        part = replace(door, time=time[:count], value=door.value[:count])
+        assert_array_equal(part.held_s, door.held_s[:count])
+
+
 def test_an_empty_series_is_unknown_everywhere():
     empty = Series("ambient_temperature", START_S + np.arange(5.0), np.full(5, np.nan))
     assert np.isnan(at_times(empty, START_S + np.arange(3.0), 6.0)).all()

@@ -135,7 +135,21 @@ def test_equality_looks_at_the_readings():
     one = series(value=[281.0, np.nan, 283.0])
     assert one == series(value=[281.0, np.nan, 283.0])
     assert one != series(value=[281.0, np.nan, 284.0])
-    assert one != series(value=[281.0, np.nan, 283.0], hold="mean")
+    assert one != series(value=[281.0, np.nan, 283.0], hold="zoh")
+
+
+def test_a_hold_is_one_word_and_a_mean_has_its_interval():
+    assert (series().hold, series("door_open").hold) == ("linear", "previous")
+    assert series(interval_s=60.0).hold == series(interval_s=60.0, hold="mean").hold == "mean"
+    assert (series(hold="zoh").hold, series("door_open", hold="foh").hold) == ("previous", "linear")
+    for more in ({"hold": "mean"}, *({"hold": word, "interval_s": 60.0} for word in ("linear", "zoh"))):
+        with pytest.raises(ValueError, match="a mean has hold mean and its interval_s"):
+            series(**more)
+    for word in ("zero-order", "zero_order_hold", "Linear", "", "regime", None):
+        with pytest.raises(ValueError, match="hold"):
+            series(hold=word)
+    with pytest.raises(ValueError, match="longest_hold_s must be a number > 0"):
+        series(hold="zoh", longest_hold_s=0.0)
 
 
 def test_a_record_finds_its_signals():

@@ -331,7 +331,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove), features={'glow': (lambda r, t: t, "
             "'cubic')}, **WORDS)",
-            "feature 'glow': expected the hold linear or zero-order, found 'cubic'",
+            "feature 'glow': expected the hold previous, mean or linear, found 'cubic'",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.stove_heat * "
