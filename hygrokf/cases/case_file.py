@@ -21,7 +21,7 @@ from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
+from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.data.toml_form import FormFault, read_toml
@@ -289,7 +289,7 @@ def _source_series(
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
         if hold == PREVIOUS:
-            until_next = one.signal.switched and on_change(time, raw)
+            until_next = one.signal.name in SWITCHED and on_change(time, raw)
             settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
         try:
             found.append(

@@ -136,9 +136,7 @@ def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
     if len(known) == 0:
         return np.full(len(time), np.nan)
     if series.hold == PREVIOUS:
-        last = np.searchsorted(known, time, side="right") - 1
-        valid = (last >= 0) & (time - known[last] <= series.held_s[last])
-        return np.where(valid, value[last], np.nan)
+        return series.held_at(time)
     linear = series.hold == LINEAR
     if linear:
         result = np.interp(time, known, value, left=np.nan, right=np.nan)

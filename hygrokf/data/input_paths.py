@@ -28,15 +28,13 @@ from functools import cache, lru_cache
 import numpy as np
 
 from hygrokf.data.record import Series
-from hygrokf.data.timestamps import modal_step
+from hygrokf.data.timestamps import DAY_S, modal_step
 from hygrokf.physics.holds import LINEAR, MEAN
 
 AROUND = 2
 """Number of means on each side of an edge that determine its value."""
 JOINED_S = 1.0
 """[s] intervals count as adjacent when their edges are closer than this; held values change within it."""
-LONGEST_S = 30 * 86400.0
-"""[s] the path of a held value ends so long after its stamp, whatever its age may be."""
 PIECE_S = 900.0
 """[s] longest straight piece of a path within an interval; there are at least two pieces."""
 SLOPE_REACH_S = 6 * 3600.0
@@ -186,7 +184,7 @@ def _held(series: Series) -> Series:
     if not len(time):
         return series
     gap = np.append(np.diff(time), np.inf)
-    held = np.minimum(series.held_s, LONGEST_S)
+    held = np.minimum(series.held_s, 30 * DAY_S)  # a path has an end
     ends = gap > held
     changes = np.append(False, (value[1:] != value[:-1]) & ~ends[:-1])
     steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, held))

@@ -16,7 +16,7 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import LINEAR, MEAN, hold_named
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -72,7 +72,18 @@ class Series:
         value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
         if time is not None and value is not None:
             faults += _reading_faults(time, value, row)
-        faults += self._settle_hold(row)
+        if self.hold == BY_SIGNAL:
+            hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
+            object.__setattr__(self, "hold", hold)
+        try:
+            object.__setattr__(self, "hold", hold_named(self.hold))
+            if (self.hold == MEAN) != (self.interval_s > 0.0):
+                found = f"found hold {self.hold} and {self.interval_s} s"
+                faults.append(f"a mean has hold mean and its interval_s, {found}")
+        except ValueError as fault:
+            faults.append(str(fault))
+        if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
+            faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
         for name in ("interval_s", "resolution"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
@@ -89,24 +100,6 @@ class Series:
         for name, array in (("time", time), ("value", value)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-
-    def _settle_hold(self, row: Signal | None) -> list[str]:
-        """Put the hold into one of `HOLDS`; returns its faults."""
-        hold = self.hold
-        if hold == BY_SIGNAL:
-            hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
-        try:
-            object.__setattr__(self, "hold", hold_named(hold))
-        except ValueError as fault:
-            return [str(fault)]
-        faults = []
-        if (self.hold == MEAN) != (self.interval_s > 0.0):
-            faults.append(
-                f"a mean has hold mean and its interval_s, found hold {self.hold} and {self.interval_s} s"
-            )
-        if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
-            faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
-        return faults
 
     def __len__(self) -> int:
         return len(self.time)
@@ -152,13 +145,23 @@ class Series:
             held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
         return held
 
+    def held_at(self, time: np.ndarray) -> np.ndarray:
+        """Values that hold from their stamps on, at other times [s]; NaN before the first and if too old."""
+        known, value = self.known
+        last = np.searchsorted(known, time, side="right") - 1
+        return np.where((last >= 0) & (time - known[last] <= self.held_s[last]), value[last], np.nan)
+
     def window(self, start_s: float, end_s: float) -> Series | None:
-        """The readings with start_s ≤ time ≤ end_s [s]; None where there is none."""
+        """The readings with start_s ≤ time ≤ end_s [s], and one at start_s of a value that is held until
+        then; None where there is none."""
         first = np.searchsorted(self.time, start_s, side="left")
         last = np.searchsorted(self.time, end_s, side="right")
-        if last <= first:
-            return None
-        return dataclasses.replace(self, time=self.time[first:last], value=self.value[first:last])
+        time, value = self.time[first:last], self.value[first:last]
+        if self.hold == PREVIOUS and len(self.known[0]) and start_s not in time[:1] and start_s < end_s:
+            held = self.held_at(np.array([start_s]))
+            if np.isfinite(held[0]):
+                time, value = np.append(start_s, time), np.append(held, value)
+        return dataclasses.replace(self, time=time, value=value) if len(time) else None
 
     def to_frame(self) -> DataFrame:
         """The readings as a pandas frame over time in UTC, in a column named after the signal.

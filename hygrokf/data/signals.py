@@ -72,6 +72,12 @@ _OTHER_SPELLINGS = {
 """Other spellings found in exports -> the name that a case file takes; used only for suggestions."""
 
 
+SWITCHED = (
+    "preheating", "heater_power", "heater_duty", "fan_duty", "pump_duty", "dehumidifier_duty", "door_open",
+)  # fmt: skip
+"""Signals that change only when something switches them."""
+
+
 @dataclass(frozen=True)
 class Signal:
     """One row of the table of signals.
@@ -88,7 +94,6 @@ class Signal:
     hold: how the quantity itself goes on between two instants in a live source, where the next one is still
         to come: "linear", or "previous" for what jumps (power, speeds of machines, duties, flags), for rain
         and cloud cover, and for a direction, whose straight line may pass through all other directions.
-    switched: whether it only takes the values at which something switches it.
     """
 
     name: str
@@ -101,12 +106,11 @@ class Signal:
     idle: tuple[float, float] | None = None
     also: tuple[str, ...] = ()
     hold: str = LINEAR
-    switched: bool = False
 
     @property
     def hold_of_instants(self) -> str:
         """How instants of a table or of a `Series` continue unless that is stated."""
-        return PREVIOUS if self.switched or self.dimension == "angle" else LINEAR
+        return PREVIOUS if self.name in SWITCHED or self.dimension == "angle" else LINEAR
 
     @property
     def dimension(self) -> str:
@@ -139,15 +143,12 @@ def _irradiance(name: str, meaning: str) -> Signal:
     return Signal(name, "W/m2", -20.0, 1600.0, meaning, display="W/m2", idle=(-20.0, 5.0))
 
 
-def _duty(name: str, meaning: str, switched: bool = True) -> Signal:
-    return Signal(name, "1", 0.0, 1.0, meaning, None, "1", _ALWAYS, hold=PREVIOUS, switched=switched)
+def _duty(name: str, meaning: str) -> Signal:
+    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=PREVIOUS)
 
 
-def _power(
-    name: str, low: float, high: float, idle_high: float, meaning: str, switched: bool = False
-) -> Signal:
-    idle = (-math.inf, idle_high)
-    return Signal(name, "W", low, high, meaning, None, "kW", idle, hold=PREVIOUS, switched=switched)
+def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
+    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=PREVIOUS)
 
 
 def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
@@ -175,7 +176,7 @@ _ROWS = (
     _temperature("tower_temperature", -60, 100, "air in the tower base around the cabinet"),
     _relative_humidity("tower_relative_humidity", "air in the tower base"),
     _power("active_power", -5e6, 3e7, 2e4, "power fed into the grid; consumption is negative"),
-    _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater", True),
+    _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater"),
     _power("auxiliary_power", -1e6, 5e6, 1e3, "own consumption of the turbine, positive"),
     _speed("rotor_speed", -1.0, 15.0, 0.05),
     _speed("generator_speed", -50.0, 500.0, 1.0),
@@ -193,7 +194,7 @@ _ROWS = (
         "interval (taken as a plain number)",
         display="1", idle=_ALWAYS, also=("mm",), hold=PREVIOUS,
     ),
-    _duty("cloud_cover", "share of the sky that is covered", switched=False),
+    _duty("cloud_cover", "share of the sky that is covered"),
     _duty("preheating", "1 while the cabinet is heated before start-up, 0 else"),
     _duty("heater_duty", "share of the time that the cabinet's heater runs"),
     _duty("fan_duty", "share of the time (or of full speed) that the cabinet's fan runs"),

@@ -148,8 +148,8 @@ class Emission:
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.system.inputs[name]
-            end = before if hold == PREVIOUS else row
-            value = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", end, c)))
+            end = w.integer("add", before if hold == PREVIOUS else row, c)
+            value = w.load(SCALAR, w.at(SCALAR, "%u", end))
             if hold == LINEAR:
                 old = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
                 rise = w.real("fsub", value, old)
@@ -193,8 +193,8 @@ class Emission:
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.system.inputs[name]
-            end = before if hold == PREVIOUS else row
-            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", end, c)))
+            end = w.integer("add", before if hold == PREVIOUS else row, c)
+            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", end))
             if hold == LINEAR:
                 result[r.start[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
         return result

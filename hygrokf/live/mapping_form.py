@@ -16,7 +16,7 @@ from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
+from hygrokf.physics.holds import MEAN, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
@@ -79,8 +79,7 @@ class SignalForm(StatedSensor):
     def to_field(self) -> Field:
         """The field of a payload."""
         hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
-        age = self.longest_hold_s if hold == PREVIOUS else None
-        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=age)
+        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset)
 
 

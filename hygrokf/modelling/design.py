@@ -124,9 +124,8 @@ class Design:
     def from_json(cls, data: Mapping[str, Any]) -> Design:
         """A design from the data of `to_json`; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
-        # files of earlier versions call it zero-order
-        holds = {key: MEAN if hold == "zero-order" else hold for key, hold in known.get("holds", {}).items()}
-        known["holds"] = holds
+        holds = known.get("holds", {})  # earlier versions called a mean zero-order
+        known["holds"] = {key: MEAN if hold == "zero-order" else hold for key, hold in holds.items()}
         wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
         if wrong:
             raise ValueError(f"expected names of mechanisms, found {wrong}")

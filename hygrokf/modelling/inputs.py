@@ -80,10 +80,7 @@ def prepare_run(design: Design, record: Record) -> Run:
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
     others = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
-    # a held value that is joined by lines has the corners of its path
-    further = [
-        input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others
-    ]
+    further = [input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))
@@ -289,12 +286,10 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float
         )
     series = record[name]
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
-    if hold == LINEAR:
-        value = at_times(input_path(without_response(series)), time, longest)
-    else:
-        value = _over_steps(series, time, longest)
-        if hold == PREVIOUS:  # over the step that begins at each instant
-            value = np.append(value[1:], value[-1:])
+    path = input_path(without_response(series))
+    value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    if hold == PREVIOUS:  # over the step that begins at each instant
+        value = np.append(value[1:], value[-1:])
     return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)
 
 

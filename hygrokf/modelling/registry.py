@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 from hygrokf.data.signals import SIGNALS
 from hygrokf.modelling.derived_inputs import FEATURES
-from hygrokf.physics.holds import holds_named
+from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.model import Feature
 
@@ -53,10 +53,10 @@ def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], or
     faults = name_faults(mechanisms, features)
     if faults:
         raise ValueError("; ".join(faults))
-    holds = holds_named({name: hold for name, (_, hold) in features.items()})
+    held = {name: (function, hold_named(hold)) for name, (function, hold) in features.items()}
     withdraw((*mechanisms, *features))
     LIBRARY.update(mechanisms)
-    FEATURES.update({name: (function, holds[name]) for name, (function, _) in features.items()})
+    FEATURES.update(held)
     _origins.update({name: dict(origin) for name in (*mechanisms, *features)})
 
 

@@ -60,10 +60,8 @@ def inputs_between(
     after: Mapping[str, np.ndarray | float],
     share: np.ndarray | float,
 ) -> dict[str, np.ndarray | float]:
-    """Inputs at a `share` [1] of the step between two instants, with their values `before` and `after`.
-
-    An input that is held from its stamp on has its next value at the end of the step (share = 1).
-    """
+    """Inputs at a `share` [1] of the step between two instants, with their values `before` and `after`; one
+    that is held from its stamp on has its next value at the end (share = 1)."""
     return {name: between(holds[name], before[name], value, share) for name, value in after.items()}
 
 

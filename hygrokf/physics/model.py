@@ -361,14 +361,12 @@ def compose(
     """Compose a model from mechanisms.
 
     mechanisms: in any order; each brings its parameters, states, inputs and contributions.
-    holds: input → how it continues between its values at two instants: "previous" (held from an instant on
-        until the next one; "zoh"), "mean" (constant over the step that ends at an instant) or "linear"
-        ("foh").
+    holds: input → how it continues between its values at two instants: "previous" ("zoh", held from an
+        instant on), "mean" (constant over the step that ends at an instant) or "linear" ("foh").
     averaged: output → interval [h] over which its readings are means.
 
-    Returns the model.  Raises ValueError for an unknown hold.  Its equations are put together at first use,
-    which raises ValueError for two states of one name, for a sum that nobody reads, and for an input without
-    a hold.
+    Returns the model.  Its equations are put together at first use.  Raises ValueError for an unknown hold
+    and, then, for two states of one name, for a sum that nobody reads, and for an input without a hold.
     """
     return Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
 

@@ -252,7 +252,6 @@ def record_mapping(record: Record, turbine: str) -> PayloadMapping:
 
 
 def form_of(series: Series) -> Form:
-    """How a record's series is reported."""
     return Form(**{one.name: getattr(series, one.name) for one in fields(Form)})
 
 
