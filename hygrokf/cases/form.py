@@ -163,8 +163,7 @@ class StatedSource:
             return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
         if self.interval_s is None and self.hold != MEAN:
             return None
-        said = "an interval" if self.interval_s else "a mean"
-        return f'{said} needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+        return 'a mean needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:

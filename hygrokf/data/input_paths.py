@@ -45,16 +45,14 @@ ON_CHANGE = (
     "comes only when it changes (no two successive values are equal), and is joined by lines: state "
     'hold = "previous" if each value holds until the next'
 )
-"""What is said of a signal that is joined by lines although `on_change`."""
 
 
 def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> bool:
-    """Whether readings come only when the value changes: no two successive ones (N,) are equal, and the steps
-    between their times [s] are not.
+    """Whether readings come only when the value changes: irregular times [s], no successive (N,) equal ones.
 
-    resolution: [unit of the value] its grid, 0 for a switched signal, which a regular reading repeats nearly
-        always.  A measured value stays at least as often as it moves by one step of its grid up, or down: the
-        chance that m such readings never stay is (2/3)^m, and on change is said below one in a thousand.
+    resolution: the values' grid; 0 for a switched signal, which regular readings repeat nearly always.  A
+        measured value stays at least as often as it moves one step up, or down: the chance that m such
+        readings never stay is (2/3)^m, and must be below one in a thousand.
     """
     there = np.isfinite(value)
     move = np.abs(np.diff(value[there]))

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 BY_SIGNAL = "by the signal"
 """The hold of a series that states none: that of means, else that of its signal's instants."""
 USUAL_STEPS, AGE_STEPS = 11, 3.0
-"""A value is held for `AGE_STEPS` times the median of the `USUAL_STEPS` steps before it: by earlier readings
-alone, so that a tracker knows it in time."""
+"""A value holds for the second times the median of the first steps before it, as a tracker knows in time."""
 
 
 @dataclass(frozen=True)

@@ -131,9 +131,8 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
     scenarios."""
     stepped = signal in OPERATION or (plan.form(signal).hold != LINEAR and not signal.startswith("ambient_"))
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])
-    return Series(
-        signal, scenarios.time_s, values, MEAN if stepped else LINEAR, step_s if stepped else 0.0
-    )
+    hold = (MEAN, step_s) if stepped else (LINEAR, 0.0)
+    return Series(signal, scenarios.time_s, values, *hold)
 
 
 def mixture(found: Sequence[Condition]) -> Condition:

@@ -295,7 +295,7 @@ def _signals(
             kind = "speed" if match[1] == "speed" else "angle"
             number = _converted(answer, name, kind, faults)
             # a straight line between two directions may turn the wrong way: they hold
-            made[f"wind_{match[1]}"] = (name, number, kind == "angle", float(heights[0]))
+            made[f"wind_{match[1]}"] = (name, number, False, float(heights[0]))
     if heights and heights[0] <= 10:
         warnings.append(
             f"wind_speed is measured at {heights[0]} m, not at hub height: ask for wind_speed_100m"

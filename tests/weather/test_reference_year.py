@@ -35,7 +35,7 @@ def test_the_layout_of_2017(file: Path) -> None:
         ("ambient_temperature", columns["t"] + 273.15, "linear"),
         ("ambient_pressure", 100.0 * columns["p"], "linear"),
         ("wind_speed", columns["WG"], "linear"),
-        ("wind_direction", np.radians(columns["WR"]), "mean"),
+        ("wind_direction", np.radians(columns["WR"]), "previous"),
         ("cloud_cover", columns["N"] / 8.0, "linear"),
         ("global_horizontal_irradiance", columns["B"] + columns["D"], "mean"),
         ("diffuse_horizontal_irradiance", columns["D"], "mean"),
