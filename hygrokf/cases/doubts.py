@@ -326,7 +326,7 @@ def _doubts_of_clocks(record: Record) -> list[str]:
     said: list[str] = []
     for series in record.series:
         step, regular = modal_step(series.time)
-        if len(series) > 2 and regular < 0.9:
+        if len(series) > 2 and regular < 0.9 and series.longest_hold_s is None:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))
