@@ -152,6 +152,17 @@ def test_a_hold_is_one_word_and_a_mean_has_its_interval():
         series(hold="zoh", longest_hold_s=0.0)
 
 
+def test_a_window_begins_with_the_value_that_is_held_until_then():
+    door = series("door_open", 3600.0 * np.array([0.0, 6.0, 7.0]), [0.0, 1.0, 0.0], longest_hold_s=math.inf)
+    for start, end, hours, values in ((3, 8, [3, 6, 7], [0, 1, 0]), (6, 6.5, [6], [1]), (8, 9, [8], [0])):
+        part = door.window(3600.0 * start, 3600.0 * end)
+        assert (part.time / 3600.0).tolist() == hours and part.value.tolist() == values
+    assert door.window(-7200.0, -3600.0) is None
+    aged = dataclasses.replace(door, longest_hold_s=3600.0)
+    assert aged.window(3 * 3600.0, 8 * 3600.0).value.tolist() == [1.0, 0.0]
+    assert aged.window(9 * 3600.0, 10 * 3600.0) is None
+
+
 def test_a_record_finds_its_signals():
     record = Record("x", (series(), series("active_power")))
     assert "active_power" in record
