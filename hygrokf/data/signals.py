@@ -386,8 +386,8 @@ def signal_table_markdown() -> str:
         "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
         f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
-        f"Instants of {held} hold from their stamp on, in live sources also those of {live}; all others are "
-        "joined by straight lines ([case file](case_file.md#stamps-and-holds)).",
+        f"Instants of {held} hold from their stamp on, from live sources also {live}; others are joined by "
+        "lines ([case file](case_file.md#stamps-and-holds)).",
         "",
         "| signal | units | range | accuracy | meaning |",
         "| --- | --- | --- | --- | --- |",
