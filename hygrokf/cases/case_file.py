@@ -18,13 +18,14 @@ from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWea
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
+from hygrokf.data.input_paths import on_change
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
+from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.data.toml_form import FormFault, read_toml
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 
@@ -282,21 +283,20 @@ def _source_series(
         if wrong is not None:
             faults.append(f'column "{one.column}": {wrong}')
             continue
-        hold = source.hold
-        if hold is None:
-            # a straight line between two directions may pass through all other directions
-            turning = one.signal.dimension == "angle"
-            hold = "linear" if source.stamp == "instant" and not turning else "zero-order"
+        hold = source.hold or (one.signal.hold_of_instants if source.stamp == "instant" else MEAN)
         length = source.interval_s
-        if length is None and (source.stamp != "instant" or hold == "zero-order"):
+        if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
                 faults.append(_no_step(source, step, regular))
                 break
             length = step
         moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
-        settings = dict(one.settings)
+        settings: dict[str, Any] = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
+        if hold == PREVIOUS:
+            until_next = one.signal.name in SWITCHED and on_change(own, raw)
+            settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
         try:
             found.append(
                 Series(
@@ -336,7 +336,7 @@ def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> 
     if hold == LINEAR:
         # a mean that is joined by straight lines is placed in the middle of its interval
         return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
-    return time + shift, length
+    return time + shift, length if hold == MEAN else 0.0
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.data.input_paths import centred
+from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
@@ -96,6 +97,8 @@ def _doubts_of_readings(record: Record) -> list[str]:
         row = signal_named(series.signal)
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
+        if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
+            said.append(f"{series.signal} {ON_CHANGE}")
         if mistaken is not None:
             said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():
@@ -323,7 +326,7 @@ def _doubts_of_clocks(record: Record) -> list[str]:
     said: list[str] = []
     for series in record.series:
         step, regular = modal_step(series.time)
-        if len(series) > 2 and regular < 0.9:
+        if len(series) > 2 and regular < 0.9 and series.longest_hold_s is None:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
 from hygrokf.data.numbers import POLES, Meaning
-from hygrokf.data.record import HOLDS, Site
+from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
 from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
 from hygrokf.errors import suggestion
+from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
 
 STAMPS = ("instant", "start", "middle", "end")
@@ -35,6 +37,15 @@ def _size(value: Any) -> float:
     return float(value)
 
 
+def longest_hold(value: Any) -> float:
+    """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
+    if value == "connected":
+        return math.inf
+    return duration(value)
+
+
+HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
+LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
 _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
@@ -133,7 +144,8 @@ class StatedSource:
     interval_s: float | None = setting(
         None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
     )
-    hold: str | None = setting(None, "between readings; by default derived from the stamp", choices=HOLDS)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
@@ -156,9 +168,11 @@ class StatedSource:
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
-        if self.interval_s is None or self.stamp != "instant" or self.hold == "zero-order":
+        if self.stamp != "instant":
+            return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
+        if self.interval_s is None and self.hold != MEAN:
             return None
-        return 'an interval needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+        return 'a mean needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:

@@ -64,9 +64,9 @@ def read_frames(
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
         resolution, response_time, one. Those of a source are one value for all frames or a mapping from their
-        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, thousands,
-        missing, time_format, ignore_offset, compare, and time, the column that holds the times where the
-        index does not.
+        names: timezone, stamp, interval, hold, longest_hold, clock_uncertainty, clock_correction, decimal,
+        thousands, missing, time_format, ignore_offset, compare, and time, the column that holds the times
+        where the index does not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
     frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.

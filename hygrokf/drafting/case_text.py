@@ -10,9 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.files import DRAFT_DOUBT
+from hygrokf.data.input_paths import ON_CHANGE, on_change
 from hygrokf.data.readings import detect_resolution
+from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.drafting.mapping import Assigned, Source
+from hygrokf.physics.holds import LINEAR
 
 _WIDTH = 100
 
@@ -158,7 +161,11 @@ def _signal(source: Source, one: Assigned) -> Iterator[str]:
     best = one.best
     for doubt in one.doubts:
         yield from _doubt(doubt)
-    resolution = detect_resolution(source.values[best.column])
+    values = source.values[best.column]
+    resolution = detect_resolution(values)
+    lines = source.clock.stamp == "instant" and SIGNALS[best.signal].hold_of_instants == LINEAR
+    if lines and resolution and on_change(source.clock.time, values, resolution):
+        yield from _doubt(f"{best.signal} {ON_CHANGE}")
     note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
     entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"

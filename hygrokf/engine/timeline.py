@@ -25,10 +25,10 @@ class Timeline:
 
     `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length
     [h] and regime inputs) that leads to each instant; `u` (T+1, m) inputs, whose first row belongs to the
-    instant before the first
-    one: a linear input has its value at the instant, a zero-order input its value over the step that ends
-    there; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the running means that restart
-    at the instant; `whole` inputs of the whole run, which a piece of the run keeps.
+    instant before the first one: a linear input has its value at the instant, one that holds from its stamp
+    on (previous) its value from there on, and a mean its value over the step that ends there; `y` (T, k)
+    readings, NaN where there is none; `reset` (T,) bits of the running means that restart at the instant;
+    `whole` inputs of the whole run, which a piece of the run keeps.
     """
 
     time: np.ndarray

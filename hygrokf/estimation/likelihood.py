@@ -22,11 +22,12 @@ from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, traced
+from hygrokf.engine.traced_filter import Recursion, bounded_weight, traced
 from hygrokf.physics.expression import is_zero
+from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
 
@@ -97,11 +98,6 @@ class _Steps:
         """Stretches of instants that the loops take in one call; every long step begins a new one."""
         cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
         return [slice(a, b) for a, b in pairwise(cuts)]
-
-
-def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
-    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
 
 
 @dataclass(frozen=True)

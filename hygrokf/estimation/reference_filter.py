@@ -20,11 +20,13 @@ import numpy as np
 
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Value
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 
 TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
+INSIDE = math.nextafter(1.0, 0.0)
+"""[1] the end of a step, before an input that is held from its stamp on changes."""
 
 
 def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[float, list[Gaussian]]:
@@ -76,9 +78,8 @@ def predicted(
 
     def inputs(share: float) -> dict[str, float]:
         ends = zip(line.varying, line.u[k], line.u[k + 1], strict=True)
-        return regimes | {
-            name: a + share * (b - a) if model.holds[name] == LINEAR else b for name, a, b in ends
-        }
+        within = min(share, INSIDE)
+        return regimes | {name: between(model.holds[name], a, b, within) for name, a, b in ends}
 
     def slopes(t: float, moments: np.ndarray) -> np.ndarray:
         u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)

@@ -6,7 +6,7 @@ import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
+from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.numbers import stated_marks
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
@@ -17,7 +17,7 @@ from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import MEAN, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
@@ -60,6 +60,8 @@ class SignalForm(StatedSensor):
     signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float = setting(0.0, "length averaged over", read=duration)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     scale: float = setting(
         1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
     )
@@ -71,10 +73,16 @@ class SignalForm(StatedSensor):
             return None
         return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
 
+    @across("hold", "stamp", "interval")
+    def hold_of_stamp(self) -> str | None:
+        if self.hold is None or (self.hold == MEAN) == (self.stamp != "instant"):
+            return None
+        return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
+
     def to_field(self) -> Field:
         """The field of a payload."""
-        hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
-        form = Form(hold, self.interval_s, **self.settings)
+        hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
+        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
         return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
 
 

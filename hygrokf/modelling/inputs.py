@@ -13,7 +13,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, SETTLING_H, TEMPERATURE, Design, power_features
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 
 IDENTIFIED_ON = {
@@ -42,6 +42,10 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     time = series.time
     if series.interval_s > 0:
         time = np.concatenate([time, time - series.interval_s])
+    elif series.hold == PREVIOUS:
+        known, _ = series.known
+        ends = known + series.held_s
+        time = np.concatenate([time, ends[ends < np.append(known[1:], np.inf)]])
     return time[(time >= first) & (time <= last)]
 
 
@@ -75,7 +79,8 @@ def prepare_run(design: Design, record: Record) -> Run:
         for name in ("active_power", "preheating")
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
-    further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    others = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    further = [input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))
@@ -261,9 +266,10 @@ def _bridged(record: Record, name: str, time: np.ndarray) -> np.ndarray:
 def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:
     """Values of a series over the step that ends at each instant; NaN outside the series and in longer gaps.
 
-    Instants are joined by straight lines, whose mean over a step is the value in its middle.
+    The mean of a straight line over a step is the value in its middle, and so is a value that holds from its
+    stamp on, since its stamps are instants.
     """
-    if series.hold == LINEAR:
+    if series.hold != MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return at_times(series, time, longest_h)
 
@@ -282,6 +288,8 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
     path = input_path(without_response(series))
     value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    if hold == PREVIOUS:  # over the step that begins at each instant
+        value = np.append(value[1:], value[-1:])
     return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)
 
 

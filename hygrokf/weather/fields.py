@@ -205,14 +205,7 @@ class _Making:
             return None
         points = self.points
         source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
-        hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
-        # a direction holds over the hour before its stamp: a straight line between two directions may turn
-        # the wrong way
-        return Series(
-            signal, self.time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0),
-            source=source,
-            height_m=height_m,
-        )  # fmt: skip
+        return Series(signal, self.time, number, interval_s=interval_s, source=source, height_m=height_m)
 
 
 def _values(made: _Making, places: np.ndarray) -> dict[str, np.ndarray]:

@@ -294,7 +294,7 @@ def test_periods_are_means_over_themselves() -> None:
     found = made({"cabinet": cabinet(), "scada": frame}, stamp=None)
     stated = made(interval={"scada": "10min"})
     assert found["active_power"] == stated["active_power"]
-    assert (found["active_power"].hold, found["active_power"].interval_s) == ("zero-order", 600.0)
+    assert (found["active_power"].hold, found["active_power"].interval_s) == ("mean", 600.0)
     assert found["active_power"].time[0] == INDEX[0].timestamp() + 600.0
     # with a zone that has summer time, and hours of which some are missing: the length is the period's, not
     # the step's

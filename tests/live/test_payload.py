@@ -17,7 +17,7 @@ from hygrokf.live.sources.payload_values import seconds
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
 STAMP = "2026-03-01T12:10:00Z"
-MEAN = Form("zero-order", 600.0)
+MEAN = Form("mean", 600.0)
 WIDE = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),

@@ -36,7 +36,7 @@ def instants(signal: str, value, *, step_s: float, hours: float, offset_s: float
 def means(signal: str, value, *, step_s: float, hours: float, offset_s: float = 0.0) -> Series:
     """Interval means with their stamps at the end, the first interval beginning at the offset."""
     series = instants(signal, value, step_s=step_s, hours=hours - step_s / HOUR_S, offset_s=offset_s + step_s)
-    return replace(series, hold="zero-order", interval_s=step_s)
+    return replace(series, hold="mean", interval_s=step_s)
 
 
 def power_course(time: np.ndarray) -> np.ndarray:
@@ -243,7 +243,7 @@ def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
 
 def averaged_record(time_end: np.ndarray, interval_s: float, value: np.ndarray | None = None) -> Record:
     value = weather(time_end) + 7.0 if value is None else value
-    series = Series("cabinet_temperature", time_end, value, "zero-order", interval_s)
+    series = Series("cabinet_temperature", time_end, value, "mean", interval_s)
     return a_record(cabinet_temperature=series, cabinet_relative_humidity=None)
 
 
@@ -554,7 +554,7 @@ def test_every_reading_appears_once_at_its_own_time(clock):
     value[random.random(count) < missing] = np.nan
     humidity = np.where(random.random(count) < missing, np.nan, 0.5)
     length = 0.7 * step if interval and jitter <= 0.2 * step else 0.0
-    hold = "zero-order" if length else "linear"
+    hold = "mean" if length else "linear"
     record = a_record(
         hours=60,
         cabinet_temperature=Series("cabinet_temperature", time, value, hold, length),

@@ -68,7 +68,7 @@ def test_the_streams_of_one_request_come_as_a_zip_named_nc(tmp_path: Path) -> No
     assert_middle_cell(record)
     sun = record["global_horizontal_irradiance"]
     np.testing.assert_allclose(sun.value, made.truth("ssrd") / 3600.0, rtol=1e-6)
-    assert (sun.hold, sun.interval_s) == ("zero-order", 3600.0)
+    assert (sun.hold, sun.interval_s) == ("mean", 3600.0)
     np.testing.assert_array_equal(sun.time, made.seconds())  # the sum's hour ends at its stamp
     np.testing.assert_allclose(
         record["diffuse_horizontal_irradiance"].value,
