@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,8 +19,9 @@ from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep
 from hygrokf.engine.packing import pack, trace_width, unpack
+from hygrokf.engine.pieces import GapEnd, SubSteps, crossed, long_step
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.physics.expression import is_zero
@@ -79,22 +79,6 @@ class Trace:
     transition: np.ndarray
     loglik: float
     last: Gaussian
-
-
-@dataclass(frozen=True)
-class _Steps:
-    """Sub-steps: `keys` (distinct steps, 1 + regimes) with their length [h], `parts` their number; `long` the
-    instants that a long step leads to, of which the loops take the last `tail_h` [h]."""
-
-    keys: np.ndarray
-    parts: np.ndarray
-    long: tuple[int, ...] = ()
-    tail_h: float = 0.0
-
-    def pieces(self, part: slice) -> list[slice]:
-        """Stretches of instants that the loops take in one call; every long step begins a new one."""
-        cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
-        return [slice(a, b) for a, b in pairwise(cuts)]
 
 
 @dataclass(frozen=True)
@@ -193,7 +177,7 @@ class Likelihood:
         places |= {place for row in pairs for pair in row for place in pair}
         return sorted(places), pairs
 
-    def _steps(self, values: Mapping[str, float]) -> _Steps:
+    def _steps(self, values: Mapping[str, float]) -> SubSteps:
         """Sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
         steps = self.timeline.steps
         limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
@@ -201,7 +185,7 @@ class Likelihood:
         if not math.isfinite(rate):
             raise RatesFault(self._not_finite(values))
         if steps[:, 0].max() * rate <= limit:
-            return _Steps(steps, self._single)
+            return SubSteps(steps, self._single, self._ends)
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         far = parts > MOST
@@ -213,7 +197,7 @@ class Likelihood:
                 raise RatesFault(self._too_fast(rate, long))
             keys[far, 0], parts[far] = tail_h, TAIL
         keys[:, 0] /= np.maximum(parts, 1)
-        return _Steps(keys, parts.astype(np.int32), long, tail_h)
+        return SubSteps(keys, parts.astype(np.int32), self._ends, long, tail_h)
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
@@ -251,6 +235,10 @@ class Likelihood:
     def _single(self) -> np.ndarray:
         """One sub-step for every key, none where no time passes."""
         return (self.timeline.steps[:, 0] > 0).astype(np.int32)
+
+    @cached_property
+    def _ends(self) -> tuple[int, ...]:
+        return tuple(np.flatnonzero(self.timeline.ends).tolist())
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline
@@ -325,7 +313,7 @@ class Likelihood:
         return result
 
     def _common(
-        self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice
+        self, values: Mapping[str, float], steps: SubSteps, state: np.ndarray, part: slice
     ) -> tuple[np.ndarray | int, ...]:
         """Arguments that all compiled loops share, in their order (`filter_codegen.COMMON`)."""
         t = self.timeline
@@ -346,7 +334,7 @@ class Likelihood:
             state.copy(),
         )
 
-    def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
+    def _inputs(self, steps: SubSteps, part: slice) -> np.ndarray:
         """Inputs of these instants as a view; the compiled loop also reads the row in front of them.
 
         Where a long step leads to the first instant, that row holds the inputs at the start of its tail.
@@ -355,7 +343,7 @@ class Likelihood:
         if part.start not in steps.long:
             return t.u[1:][part]
         rows = t.u[part.start : part.stop + 1].copy()
-        tail = self._long(steps, part.start).tail
+        tail = long_step(self.model, self.recursion, t, steps, part.start).tail
         rows[0] = [tail[name] for name in t.varying]
         return rows[1:]
 
@@ -363,22 +351,17 @@ class Likelihood:
     def _whole(self) -> slice:
         return slice(0, len(self.timeline))
 
-    def _long(self, steps: _Steps, k: int) -> LongStep:
-        """The long step to instant k."""
-        t = self.timeline
-        hours, *held = t.steps[t.key[k]].tolist()
-        before, after = (
-            dict(zip((*t.regimes, *t.varying), (*held, *t.u[row].tolist()), strict=True))
-            for row in (k, k + 1)
-        )
-        tail = inputs_between(self.model.holds, before, after, 1.0 - steps.tail_h / hours)
-        return LongStep(self.recursion, before, tail, hours - steps.tail_h, steps.tail_h)
+    def _crossed(self, steps: SubSteps, k: int) -> list[GapEnd | LongStep]:
+        return crossed(self.model, self.recursion, self.timeline, steps, k)
 
     def _enter(
-        self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray
+        self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray | None:
-        """Move a state to the tail of the long step that a piece may begin with; returns the transition."""
-        return self._long(steps, part.start).take(values, state) if part.start in steps.long else None
+        """Move a state to where the loops take over a piece; returns the transition of a long step."""
+        through = None
+        for one in self._crossed(steps, part.start):
+            through = one.take(values, state)
+        return through
 
     @cached_property
     def _store(self) -> np.ndarray:
@@ -398,7 +381,7 @@ class Likelihood:
         value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
         return value if math.isfinite(value) else -math.inf
 
-    def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
+    def _run(self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray) -> float:
         """ln L of a piece; moves `state` through it."""
         self._enter(values, steps, part, state)
         out = np.zeros(3)
@@ -445,19 +428,21 @@ class Likelihood:
             states.append(state)
         loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
-            entered = state.copy()
-            self._enter(values, steps, part, entered)
-            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
+            crossed, entered = self._crossed(steps, part.start), [state]
+            for one in crossed:
+                entered.append(entered[-1].copy())
+                one.take(values, entered[-1])
+            share, slopes = self._pulled_back(values, steps, part, entered[-1].copy(), state_bar)
             loglik, theta_bar = loglik + share, theta_bar + slopes
-            if part.start in steps.long:
-                state_bar, slopes = self._long(steps, part.start).adjoints(values, state, state_bar)
+            for one, before in zip(reversed(crossed), reversed(entered[:-1]), strict=True):
+                state_bar, slopes = one.adjoints(values, before, state_bar)
                 theta_bar = theta_bar + slopes
         return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
 
     def _pulled_back(
         self,
         values: Mapping[str, float],
-        steps: _Steps,
+        steps: SubSteps,
         part: slice,
         state: np.ndarray,
         state_bar: np.ndarray,
@@ -529,7 +514,7 @@ class Likelihood:
     def _tangent_part(
         self,
         values: Mapping[str, float],
-        steps: _Steps,
+        steps: SubSteps,
         part: slice,
         blocks: Blocks,
         gain: bool,
@@ -543,9 +528,9 @@ class Likelihood:
             de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
-                if piece.start in steps.long:
-                    dot[:] = self._long(steps, piece.start).tangents(values, state, dot, seed)
-                self._enter(values, steps, piece, state)
+                for one in self._crossed(steps, piece.start):
+                    dot[:] = one.tangents(values, state, dot, seed)
+                    one.take(values, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
                 rows = (e[own], s[own], de[own], ds[own])

@@ -29,7 +29,7 @@ from hygrokf.estimation.optimiser import (
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.smoother import smooth
-from hygrokf.evaluation.simulation import air_temperature, project
+from hygrokf.evaluation.simulation import air_temperature, project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
@@ -236,7 +236,9 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
 
     def free_run(one: Design) -> OutputError:
         start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
-        return fit_output_error(Likelihood(one.model, prepare_run(one, early).timeline), start)
+        run = settled(one, start, prepare_run(one, early))
+        known = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
+        return fit_output_error(Likelihood(one.model, known), start)
 
     return dict(zip(fitted, mapped(free_run, fitted.values()), strict=True))
 

@@ -18,7 +18,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import HOLDS, SETTLING_H, Design, extended
+from hygrokf.modelling.design import HOLDS, Design, extended
 from hygrokf.physics.holds import ZERO_ORDER
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
@@ -125,12 +125,9 @@ class Plan:
 
     @property
     def context_s(self) -> float:
-        """[s] before a final estimate for which readings are kept, because inputs look back over gaps and
-        settling times.
-
-        Features may look back over a day.
-        """
-        return HOUR_S * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0)
+        """[s] before a final estimate for which readings are kept, because inputs look back over gaps, and
+        features over a day."""
+        return HOUR_S * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0)
 
     @cached_property
     def longest_mean_s(self) -> float:
