@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
+from hygrokf.data.probes import copies
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
@@ -20,7 +22,9 @@ from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_e
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
-_FEWEST_IN_COMMON = 20
+_MANY_LOST = 0.03
+"""[1] share of readings without known inputs that is worth a doubt."""
+_AMBIENT = "ambient_temperature"
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
@@ -80,7 +84,9 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
 def doubts(record: Record) -> tuple[str, ...]:
     """Doubts about a record, one sentence each; a doubt is no fault."""
     return (
+        *record.doubts,
         *_doubts_of_readings(record),
+        *_doubts_of_gaps(record),
         *_doubts_of_periods(record),
         *_doubts_of_power(record),
         *_doubts_of_climate(record),
@@ -138,6 +144,25 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
         "their stamps"
         for where, signals in apart.items()
     ]
+
+
+def _doubts_of_gaps(record: Record) -> Iterator[Doubt]:
+    """Readings of the cabinet that no fit uses, because the air outside is unknown at their time."""
+    outside = {"the ambient temperature": record["ambient_temperature"]} if _AMBIENT in record else {}
+    vapour = ambient_absolute_humidity(record) if outside else None
+    outside |= {} if vapour is None else {"the ambient humidity": vapour}
+    for signal in (one for one in IDENTIFIABLE if one in record):
+        time = record[signal].known[0]
+        for words, series in outside.items():
+            inside = time[(time >= series.time[0]) & (time <= series.time[-1])] if len(series) else time[:0]
+            hours = bridge_h(series, AMBIENT_BRIDGE_H)
+            lost = int(np.isnan(at_times(series, inside, hours)).sum())
+            if lost > _MANY_LOST * len(time):
+                text = (
+                    f"{lost} of the {len(time)} readings of {signal} are not used: {words} is unknown then, "
+                    f"in gaps of more than {duration_text(3600.0 * hours)}"
+                )
+                yield Doubt(text, *(PARTS if signal.endswith("_temperature") else PARTS[1:]))
 
 
 def _doubts_of_periods(record: Record) -> list[str]:
@@ -248,17 +273,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
                         *PARTS,
                     )
                 )
-    for kind in ("temperature", *_HUMIDITIES):
-        if f"cabinet_{kind}" in record and f"ambient_{kind}" in record:
-            inside, outside = record[f"cabinet_{kind}"], record[f"ambient_{kind}"]
-            if _same_readings(inside, outside):
-                said.append(
-                    Doubt(
-                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
-                        f"{outside.source}): one of the two columns is wrong",
-                        *(PARTS if kind == "temperature" else PARTS[1:]),
-                    )
-                )
+    said += [Doubt(words, *_told_by(outside.signal)) for outside, words in copies(record.series)]
     pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
@@ -271,16 +286,6 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 )
             )
     return said
-
-
-def _same_readings(one: Series, other: Series) -> bool:
-    """Whether two varying series agree to rounding at nearly all their common times."""
-    _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
-    there = ~(one.missing[i] | other.missing[j])
-    first, second = one.value[i][there], other.value[j][there]
-    if len(first) < _FEWEST_IN_COMMON or not np.ptp(first) > 0.0:
-        return False
-    return bool(np.mean(np.isclose(first, second, rtol=1e-9, atol=0.0)) > 0.99)
 
 
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
