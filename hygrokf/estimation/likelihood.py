@@ -21,7 +21,7 @@ from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep
 from hygrokf.engine.packing import pack, trace_width, unpack
-from hygrokf.engine.pieces import GapEnd, SubSteps, crossed, long_step
+from hygrokf.engine.pieces import SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.physics.expression import is_zero
@@ -185,7 +185,7 @@ class Likelihood:
         if not math.isfinite(rate):
             raise RatesFault(self._not_finite(values))
         if steps[:, 0].max() * rate <= limit:
-            return SubSteps(steps, self._single, self._ends)
+            return SubSteps(steps, self._single, tuple(self._gaps))
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         far = parts > MOST
@@ -197,7 +197,7 @@ class Likelihood:
                 raise RatesFault(self._too_fast(rate, long))
             keys[far, 0], parts[far] = tail_h, TAIL
         keys[:, 0] /= np.maximum(parts, 1)
-        return SubSteps(keys, parts.astype(np.int32), self._ends, long, tail_h)
+        return SubSteps(keys, parts.astype(np.int32), tuple(self._gaps), long, tail_h)
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
@@ -237,8 +237,8 @@ class Likelihood:
         return (self.timeline.steps[:, 0] > 0).astype(np.int32)
 
     @cached_property
-    def _ends(self) -> tuple[int, ...]:
-        return tuple(np.flatnonzero(self.timeline.ends).tolist())
+    def _gaps(self) -> dict[int, np.ndarray]:
+        return gap_variances(self.model, self.timeline)
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline
@@ -343,7 +343,7 @@ class Likelihood:
         if part.start not in steps.long:
             return t.u[1:][part]
         rows = t.u[part.start : part.stop + 1].copy()
-        tail = long_step(self.model, self.recursion, t, steps, part.start).tail
+        tail = self._long(steps, part.start).tail
         rows[0] = [tail[name] for name in t.varying]
         return rows[1:]
 
@@ -351,17 +351,24 @@ class Likelihood:
     def _whole(self) -> slice:
         return slice(0, len(self.timeline))
 
-    def _crossed(self, steps: SubSteps, k: int) -> list[GapEnd | LongStep]:
-        return crossed(self.model, self.recursion, self.timeline, steps, k)
+    def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
+        """The state in front of instant k, with the variance that the end of a gap adds."""
+        if k in self._gaps:
+            n = len(self._gaps[k])
+            state = state.copy()
+            state[n - 1 + np.cumsum(np.arange(1, n + 1))] += self._gaps[k]
+        return state
 
     def _enter(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray | None:
-        """Move a state to where the loops take over a piece; returns the transition of a long step."""
-        through = None
-        for one in self._crossed(steps, part.start):
-            through = one.take(values, state)
-        return through
+        """Move a state to where the loops take over a piece, behind the end of a gap and the jump of a long
+        step that it may begin with; returns the transition of the long step."""
+        state[:] = self._widened(part.start, state)
+        return self._long(steps, part.start).take(values, state) if part.start in steps.long else None
+
+    def _long(self, steps: SubSteps, k: int) -> LongStep:
+        return long_step(self.model, self.recursion, self.timeline, steps, k)
 
     @cached_property
     def _store(self) -> np.ndarray:
@@ -428,14 +435,13 @@ class Likelihood:
             states.append(state)
         loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
-            crossed, entered = self._crossed(steps, part.start), [state]
-            for one in crossed:
-                entered.append(entered[-1].copy())
-                one.take(values, entered[-1])
-            share, slopes = self._pulled_back(values, steps, part, entered[-1].copy(), state_bar)
+            entered = state.copy()
+            self._enter(values, steps, part, entered)
+            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
             loglik, theta_bar = loglik + share, theta_bar + slopes
-            for one, before in zip(reversed(crossed), reversed(entered[:-1]), strict=True):
-                state_bar, slopes = one.adjoints(values, before, state_bar)
+            if part.start in steps.long:
+                before = self._widened(part.start, state)
+                state_bar, slopes = self._long(steps, part.start).adjoints(values, before, state_bar)
                 theta_bar = theta_bar + slopes
         return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
 
@@ -528,9 +534,10 @@ class Likelihood:
             de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
-                for one in self._crossed(steps, piece.start):
-                    dot[:] = one.tangents(values, state, dot, seed)
-                    one.take(values, state)
+                if piece.start in steps.long:
+                    before = self._widened(piece.start, state)
+                    dot[:] = self._long(steps, piece.start).tangents(values, before, dot, seed)
+                self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
                 rows = (e[own], s[own], de[own], ds[own])

@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from hygrokf.engine.pieces import GapEnd
+from hygrokf.engine.pieces import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import LINEAR
@@ -39,12 +39,10 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     if likelihood.initial == "diffuse":
         raise ValueError("expected a proper initial state, found a diffuse state; state `initial`")
     first = likelihood.first_gaussian(values)
+    gaps = gap_variances(model, line)
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):
-        if k in np.flatnonzero(line.ends):  # inputs were unknown until now
-            held = {name: float(line.u[k, i]) for i, name in enumerate(line.varying)}
-            held |= dict(zip(line.regimes, line.steps[line.key[k], 1:], strict=True))
-            P = P + np.diag(GapEnd(model, held).variances(values))
+        P = P + np.diag(gaps.get(k, np.zeros(len(m))))
         m, P = predicted(likelihood, values, k, m, P)
         u = {name: float(line.input(name)[k]) for name in model.inputs}
         for name, y in zip(model.outputs, readings, strict=True):

@@ -74,7 +74,7 @@ class Resolved:
     its readings to ten times its length."""
 
     shortest_h: float = 0.0
-    longest_h: float = math.inf
+    longest_h: float = 1e300
 
     def bounds(self, lower_h: float, upper_h: float) -> tuple[float, float]:
         """Bounds as results state them: those beyond the range are open, 0 below and NaN above."""
@@ -141,25 +141,16 @@ def from_sampling(shift: float, step_h: float) -> Source:
 
 
 def compose_interval(
-    value: float,
-    lower: float,
-    upper: float,
-    level: float,
-    sources: Sequence[Source],
-    scale: float = 1.0,
-    resolved: Resolved = ANY,
+    value: float, lower: float, upper: float, level: float, sources: Sequence[Source], within: Resolved = ANY
 ) -> tuple[Step, ...]:
     """The profile's interval [h], and the interval after each source; the last is the headline interval.
 
-    An open side stays open, and a bound that is not `resolved` is open.  scale: [h] per unit of `value` and
-    its bounds.
-    """
+    An open side stays open, and a bound beyond `within` is open."""
     z, total = normal_quantile(level), 0.0
-    steps = [Step("profile", *resolved.bounds(lower * scale, upper * scale))]
+    steps = [Step("profile", *within.bounds(lower, upper))]
     for source in sources:
         total += source.variance
-        low, high = _moved(value, lower, -z, total), _moved(value, upper, z, total)
-        ends = resolved.bounds(low * scale, high * scale)
+        ends = within.bounds(_moved(value, lower, -z, total), _moved(value, upper, z, total))
         steps.append(Step(source.name, *ends, math.sqrt(source.variance), source.text))
     return tuple(steps)
 

@@ -137,7 +137,7 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         return ResistanceCapacity(value, 0.0, exponent=exponent)
     reach = normal_quantile(entry.level) * math.sqrt(variance)
     ends = ANY.around(value, reach)
-    steps = compose_interval(value, *ends, entry.level, sources, resolved=_resolved(stage, THERMAL))
+    steps = compose_interval(value, *ends, entry.level, sources, _resolved(stage, THERMAL))
     return ResistanceCapacity(value, steps[-1].lower_h, steps[-1].upper_h, exponent)
 
 
@@ -188,20 +188,21 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     free = _by_free_run(other, name)
     resolved, without = _resolved(stage, name), stage.without.get(name)
     sources = _sources(stage, name, free)
-    steps = compose_interval(b.value, b.lower, b.upper, b.level, sources, scale, resolved)
+    value, low, high = (scale * one for one in (b.value, b.lower, b.upper))
+    steps = compose_interval(value, low, high, b.level, sources, resolved)
     shown = (steps[-1].lower_h, steps[-1].upper_h)
     if without is not None and not without.enough:
         shown = (0.0, math.nan)
     closed = shown[0] > 0 and math.isfinite(shown[1])
     sampling = stage.sampling
     return TimeConstant(
-        value_h=b.value * scale,
+        value_h=value,
         lower_h=shown[0],
         upper_h=shown[1],
         level=b.level,
         method="composed" if b.method == "profile" else b.method,
-        statement=statement if closed or statement else interval(b.value * scale, *shown)[0],
-        profile=Profile(b.value * scale, steps[0].lower_h, steps[0].upper_h, b.method, statement),
+        statement=statement if closed or statement else interval(value, *shown)[0],
+        profile=Profile(value, steps[0].lower_h, steps[0].upper_h, b.method, statement),
         composition=steps,
         forms=tuple(_form(form, name, scale, b.level, resolved) for form in stage.forms),
         parts=_parts(stage, name, scale),
