@@ -9,8 +9,8 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.input_paths import centred
-from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.probes import copies
+from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
