@@ -24,7 +24,6 @@ _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
 _MANY_LOST = 0.03
 """[1] share of readings without known inputs that is worth a doubt."""
-_AMBIENT = "ambient_temperature"
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
@@ -146,23 +145,24 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
     ]
 
 
-def _doubts_of_gaps(record: Record) -> Iterator[Doubt]:
+def _doubts_of_gaps(record: Record) -> Iterator[str]:
     """Readings of the cabinet that no fit uses, because the air outside is unknown at their time."""
-    outside = {"the ambient temperature": record["ambient_temperature"]} if _AMBIENT in record else {}
+    outside = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
     vapour = ambient_absolute_humidity(record) if outside else None
-    outside |= {} if vapour is None else {"the ambient humidity": vapour}
+    outside |= {} if vapour is None else {"humidity": vapour}
     for signal in (one for one in IDENTIFIABLE if one in record):
         time = record[signal].known[0]
-        for words, series in outside.items():
-            inside = time[(time >= series.time[0]) & (time <= series.time[-1])] if len(series) else time[:0]
-            hours = bridge_h(series, AMBIENT_BRIDGE_H)
-            lost = int(np.isnan(at_times(series, inside, hours)).sum())
-            if lost > _MANY_LOST * len(time):
-                text = (
-                    f"{lost} of the {len(time)} readings of {signal} are not used: {words} is unknown then, "
-                    f"in gaps of more than {duration_text(3600.0 * hours)}"
-                )
-                yield Doubt(text, *(PARTS if signal.endswith("_temperature") else PARTS[1:]))
+        lost, gaps = np.zeros(len(time), dtype=bool), []
+        for kind, series in outside.items():
+            known = series.known[0]
+            gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
+            gap &= (time >= known[0]) & (time <= known[-1]) if len(known) else False
+            lost, gaps = lost | gap, [*gaps, kind] if gap.any() else gaps
+        if lost.sum() > _MANY_LOST * len(time):
+            yield (
+                f"{lost.sum()} of the {len(time)} readings of {signal} are not used: the ambient "
+                f"{' and '.join(gaps)} is unknown then, in gaps too long to bridge"
+            )
 
 
 def _doubts_of_periods(record: Record) -> list[str]:

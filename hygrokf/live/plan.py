@@ -130,8 +130,8 @@ class Plan:
 
     @property
     def context_s(self) -> float:
-        """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over a
-        day, the gate over the time for which a signal may stay still."""
+        """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
+        a day, the gate over the time for which a signal may stay still."""
         hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
         still_s = max((still_s for _, still_s, _ in self.design.scales.values()), default=0.0)
         return max(HOUR_S * hours, still_s + 2.0 * REACH_S)

@@ -320,7 +320,7 @@ def test_readings_lost_in_gaps_of_the_ambient_are_counted():
         for one, at in zip(record.series[2:4], day, strict=True)
     ]
     said = [one for one in doubts(record.replace_series(*series)) if "are not used" in one]
-    assert len(said) == 4 and not [one for one in doubts(record) if "are not used" in one]
+    assert len(said) == 2 and not [one for one in doubts(record) if "are not used" in one]
     lost = [int(one.split()[0]) for one in said]
     assert all(0.48 < one / len(record["cabinet_temperature"]) < 0.52 for one in lost)
-    assert {part for one in said for part in one.touches} == {"thermal", "hygric"}
+    assert all("ambient temperature and humidity" in one for one in said)
