@@ -3,7 +3,7 @@
 At the end of a gap of the inputs, the states that follow the inputs are unknown.
 
 In a gap too long to bridge the inputs hold their last values, and no reading is used.  The true inputs may
-have been any, so every state that follows an input (one whose first value depends on the inputs) is then as
+have been any, so every state that follows an input, at once or through other states, is then as
 uncertain about its course as it is at a record's first instant: at the end of the gap
 
     P ← P + diag(p₀),    p₀ the initial variance of these states, 0 of the others.
@@ -22,6 +22,7 @@ import numpy as np
 from hygrokf.engine.long_steps import LongStep, inputs_between
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion
+from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model
 
 
@@ -44,17 +45,27 @@ class SubSteps:
         return [slice(a, b) for a, b in pairwise([part.start, *sorted(inner), part.stop])]
 
 
-def gap_variances(model: Model, t: Timeline) -> dict[int, np.ndarray]:
+def gap_variances(model: Model, recursion: Recursion, t: Timeline) -> dict[int, np.ndarray]:
     """p₀ (n,) of each end of a gap, by the instant after it; parameters that it depends on have their start
     values."""
     start, found = {p.name: p.start for p in model.parameters}, {}
+    driven = _driven(recursion) if t.ends.any() else np.empty(0)
     for k in np.flatnonzero(t.ends).tolist():
         held = zip((*t.regimes, *t.varying), (*t.steps[t.key[k], 1:], *t.u[k]), strict=True)
-        inputs = {name: float(value) for name, value in held}
-        mean, _ = model.initial(start, {name: value + 1e-30j for name, value in inputs.items()})
-        _, variance = model.initial(start, inputs)
-        found[k] = np.where(np.imag(np.array(mean, dtype=complex)) != 0.0, np.array(variance), 0.0)
+        _, variance = model.initial(start, {name: float(value) for name, value in held})
+        found[k] = np.where(driven, np.array(variance, dtype=float), 0.0)
     return found
+
+
+def _driven(recursion: Recursion) -> np.ndarray:
+    """(n,) True for states that follow an input, by themselves or through other states."""
+    graph, n = recursion.graph, recursion.n
+    inputs = {i for i, node in enumerate(graph.nodes) if node[0] == "symbol" and node[1][:2] in ("b:", "g:")}
+    driven = np.array([not inputs.isdisjoint(graph.needed([rate])) for rate in recursion.rates])
+    acts = np.array([[not is_zero(entry) for entry in row] for row in recursion.jacobian]).reshape(n, n)
+    for _ in range(n):
+        driven = driven | (acts @ driven)
+    return driven
 
 
 def long_step(model: Model, recursion: Recursion, t: Timeline, steps: SubSteps, k: int) -> LongStep:

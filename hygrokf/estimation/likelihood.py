@@ -245,7 +245,7 @@ class Likelihood:
 
     @cached_property
     def _gaps(self) -> dict[int, np.ndarray]:
-        return gap_variances(self.model, self.timeline)
+        return gap_variances(self.model, self.recursion, self.timeline)
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline

@@ -39,7 +39,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     if likelihood.initial == "diffuse":
         raise ValueError("expected a proper initial state, found a diffuse state; state `initial`")
     first = likelihood.first_gaussian(values)
-    gaps = gap_variances(model, line)
+    gaps = gap_variances(model, likelihood.recursion, line)
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):
         P = P + np.diag(gaps.get(k, np.zeros(len(m))))

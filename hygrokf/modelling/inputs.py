@@ -159,6 +159,10 @@ def _readings(
         readings[name] = at
         if name in design.averaged:
             start = _beginnings(series, first)
+            # a mean over a time with unknown inputs cannot be predicted, either
+            count = np.append(0, np.cumsum(unknown))
+            begun = np.searchsorted(time, np.nan_to_num(start, nan=first))
+            start[inside] = np.where((count[place] > count[begun])[inside], np.nan, start[inside])
             readings[name][place[inside & np.isnan(start)]] = np.nan
             begin = np.zeros(len(time), bool)
             begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True

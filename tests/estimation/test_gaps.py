@@ -11,13 +11,15 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.data.record import Record, Series
+from hygrokf.engine.pieces import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.evaluation.simulation import settled
-from hygrokf.modelling.design import design
+from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import Run, prepare_run
 
 GAPS_H = ((20.0, 30.0), (50.0, 61.0))
+DRIFT = ("wandering_exchange", {"rate": 0.02})
 
 
 def cut(series: Series, start_s: float) -> Series:
@@ -106,3 +108,18 @@ def test_only_readings_within_the_gaps_are_lost(holed, whole):
     t = run.timeline
     within = np.any([(t.time > first + 0.5) & (t.time < last - 0.5) for first, last in GAPS_H], axis=0)
     assert not run.scored[within].any() and not np.isfinite(t.y[within]).any()
+
+
+def test_a_slow_sensor_and_a_wall_are_unknown_after_a_gap_but_no_random_walk(holed):
+    """What follows an input through other states is as unknown as the input; what drifts by itself is not."""
+    made = design(holed)
+    sensors = [
+        (name, settings | {"response_h": 0.1} if name.endswith("humidity_sensor") else settings)
+        for name, settings in made.mechanisms
+    ]
+    wider = extended(replace(made, mechanisms=tuple(sensors)), [("wall_thermal_mass", {}), DRIFT])
+    line = prepare_run(wider, holed).timeline
+    gained = gap_variances(wider.model, Likelihood(wider.model, line).recursion, line)
+    added = dict(zip(wider.model.states, next(iter(gained.values())), strict=True))
+    follow = {"converter_temperature", "vapour", "wall_temperature", "cabinet_relative_humidity_sensor"}
+    assert {name for name, value in added.items() if value > 0.0} == follow

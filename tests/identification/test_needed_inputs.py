@@ -82,7 +82,7 @@ def test_an_exchange_is_needed_beyond_doubt():
     assert math.isfinite(hygric.upper_h) and "input_not_needed" not in [one.code for one in hygric.reasons]
 
 
-@pytest.mark.parametrize("kind", ["cascade", "joint"])
+@pytest.mark.parametrize("kind", ["cascade", pytest.param("joint", marks=pytest.mark.slow)])
 def test_a_temperature_on_its_own_has_no_constant(kind):
     """The temperature of another plant, with other weather and power."""
     record, other = (to_record(plant(seed, days=8)) for seed in (5, 6))
