@@ -152,7 +152,7 @@ def _doubts_of_gaps(record: Record) -> Iterator[str]:
     outside |= {} if vapour is None else {"humidity": vapour}
     for signal in (one for one in IDENTIFIABLE if one in record):
         time = record[signal].known[0]
-        lost, gaps = np.zeros(len(time), dtype=bool), []
+        lost, gaps = np.zeros(len(time), dtype=bool), list[str]()
         for kind, series in outside.items():
             known = series.known[0]
             gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
