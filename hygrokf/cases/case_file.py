@@ -7,18 +7,19 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
+from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
+from hygrokf.data.probes import copies, probe_of
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
@@ -104,6 +105,7 @@ def record_of(
     compared: list[Series] = []
     warnings: list[str] = []
     provenance: dict[str, str] = {}
+    headers: dict[str, tuple[str, ...]] = {}
     whole = True
     for source in case.sources:
         try:
@@ -112,6 +114,7 @@ def record_of(
             faults += [f"{source.file}: {fault}" for fault in broken.faults]
             whole = False
             continue
+        headers[source.file] = read.header
         if read.sha256:
             provenance[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.rated_power_W)
@@ -132,7 +135,7 @@ def record_of(
         compared += [one for one in brought.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
-    faults += no_overlap(tuple(unique.values()))
+    faults += [*no_overlap(tuple(unique.values())), *(words for _, words in copies(tuple(unique.values())))]
     record = Record(
         case.name,
         tuple(unique.values()),
@@ -140,6 +143,7 @@ def record_of(
         case.rated_power_W,
         warnings=tuple(warnings),
         compared=tuple(second.values()),
+        doubts=tuple(_split_probes(case, headers)),
     )
     if whole and series:
         faults += _period_faults(record, case)
@@ -153,6 +157,29 @@ def record_of(
     if faults:
         raise CaseFault(head, faults)
     return record
+
+
+def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Doubt]:
+    """Doubts of places whose humidity is of one probe and whose temperature of another one."""
+    used = {
+        column.signal.name: (source.file, column.column)
+        for source in reversed(case.sources)
+        if not source.compare
+        for column in source.columns
+    }
+    for place in ("cabinet", "ambient"):
+        warm, moist = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
+        if warm is None or moist is None:
+            continue
+        file, probe = moist[0], probe_of(moist[1])[0]
+        own = [one for one in headers.get(file, ()) if probe_of(one) == (probe, "temperature")]
+        if len(own) == 1 and warm != (file, own[0]):
+            yield Doubt(
+                f'{place}_temperature ({warm[0]}, column "{warm[1]}") is not of the probe of '
+                f'{place}_relative_humidity ({file}, column "{moist[1]}"), whose own temperature is there '
+                f'("{own[0]}"): relative humidity holds at the temperature of its own probe',
+                "hygric",
+            )
 
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:

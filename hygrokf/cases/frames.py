@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
-from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import EXCEL
@@ -315,6 +315,7 @@ def _prepare(
     kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
     kept.columns = list(used)
     kept.index = range(len(frame))
+    kept.attrs = {HEADER: labels}
     return _Prepared(source, kept, stamps, stamps_named, tuple(wrong))
 
 

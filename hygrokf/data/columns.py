@@ -38,6 +38,10 @@ class TableFault(HygrokfError):
         self.faults = faults
 
 
+HEADER = "header"
+"""Key of `DataFrame.attrs` with the names of all columns of a source."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns of a file, in the order of the file.
@@ -46,12 +50,14 @@ class Table:
     values: column name -> (N,) as in the file; NaN = missing.
     warnings: rows that were left out, and why.
     sha256: of the file.
+    header: names of all its columns, also of those that were not read.
     """
 
     time: np.ndarray
     values: dict[str, np.ndarray]
     warnings: tuple[str, ...]
     sha256: str
+    header: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -145,7 +151,8 @@ def table_of(
     keep = np.isfinite(time)
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
-    return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
+    kept = {name: array[keep] for name, array in values.items()}
+    return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())))
 
 
 def _stamps_read(

@@ -329,6 +329,7 @@ class Record:
     provenance: (file name, SHA-256) of every file read.
     compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
         those of the record, which reveals wrong clocks.
+    doubts: sentences about how it was put together, which `check` adds to its own.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -341,9 +342,10 @@ class Record:
     warnings: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
     compared: tuple[Series, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("series", "compared", "warnings", "provenance"):
+        for name in ("series", "compared", "warnings", "provenance", "doubts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         second = [one.signal for one in self.compared]
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})

@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.columns import MISSING, Places, Table, TableFault, column_fault, numbered, table_of
+from hygrokf.data.columns import (
+    HEADER,
+    MISSING,
+    Places,
+    Table,
+    TableFault,
+    column_fault,
+    numbered,
+    table_of,
+)
 from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
 from hygrokf.errors import suggestion
 
@@ -82,6 +91,7 @@ def read_table(
             content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
         )
         frame = source.frame(wanted, time_column, faults)
+        frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
@@ -348,7 +358,9 @@ def _parquet_frame(
                 faults.append(column_fault(name, found, "the file has"))
         if not there:
             return pd.DataFrame()
-        return file.read(columns=there).to_pandas(ignore_metadata=True)
+        frame = file.read(columns=there).to_pandas(ignore_metadata=True)
+        frame.attrs[HEADER] = found
+        return frame
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault(f"cannot be read as Parquet: {reason}") from None

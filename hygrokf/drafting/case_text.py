@@ -65,6 +65,9 @@ def lacking(case: Contents) -> tuple[str, ...]:
         lacks.append("no ambient temperature was found, and every model needs it: add its export")
     if not any(one.startswith("cabinet_") for one in signals):
         lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
+    humid = {one.partition("_")[0] for one in signals if "humidity" in one or "dew_point" in one}
+    if "cabinet" in humid and "ambient" not in humid and not case.weather:
+        lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
     if "active_power" not in signals:
         lacks.append(
             "no active power was found: the whole record would count as standstill; add its export, "

@@ -18,6 +18,7 @@ from functools import partial
 
 import numpy as np
 
+from hygrokf.engine.pieces import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import between
@@ -40,8 +41,10 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     if likelihood.initial == "diffuse":
         raise ValueError("expected a proper initial state, found a diffuse state; state `initial`")
     first = likelihood.first_gaussian(values)
+    gaps = gap_variances(model, likelihood.recursion, line)
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):
+        P = P + np.diag(gaps.get(k, np.zeros(len(m))))
         m, P = predicted(likelihood, values, k, m, P)
         u = {name: float(line.input(name)[k]) for name in model.inputs}
         for name, y in zip(model.outputs, readings, strict=True):

@@ -19,7 +19,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import HOLDS, SETTLING_H, Design, extended
+from hygrokf.modelling.design import HOLDS, Design, extended
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
@@ -136,12 +136,9 @@ class Plan:
 
     @property
     def context_s(self) -> float:
-        """[s] before a final estimate for which readings are kept, because inputs look back over gaps and
-        settling times.
-
-        Features may look back over a day, and the gate over the time for which a signal may stay still.
-        """
-        hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0
+        """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
+        a day, the gate over the time for which a signal may stay still."""
+        hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
         still_s = max((still_s for _, still_s, _ in self.design.scales.values()), default=0.0)
         return max(HOUR_S * hours, still_s + 2.0 * REACH_S)
 

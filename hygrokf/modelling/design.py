@@ -42,9 +42,6 @@ TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
 """[h] longest gap of the power bridged by the preceding value; in longer gaps the power is unknown."""
-SETTLING_H = 12.0
-"""[h] time after a long gap of the ambient series for which readings are left out, until the state has
-forgotten the gap."""
 BOUND = 4.0
 """Standard deviations of its prediction from which a reading counts no more: a Gaussian reading lies beyond
 once in 16,000."""

@@ -12,7 +12,7 @@ from hygrokf.data.input_paths import input_path, without_response
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, SETTLING_H, TEMPERATURE, Design, power_features
+from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, TEMPERATURE, Design, power_features
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 
@@ -29,7 +29,8 @@ class Run:
     """A timeline with flags for its instants.
 
     `operating` (T,) is True where the turbine feeds power (a record without power counts as standstill);
-    `scored` (T,) is False where an input is unknown or was unknown until shortly before.
+    `scored` (T,) is False where an input is unknown, after `evaluation.simulation.settled` also until
+    the free run has forgotten it.
     """
 
     timeline: Timeline
@@ -94,11 +95,17 @@ def prepare_run(design: Design, record: Record) -> Run:
         values[name] = feature(record, name, design.features[name], time)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
         values[name] = _further(record, name, time, model.holds[name], design.actuator_means.get(name))
-    near = _spread(time, unknown_ambient, SETTLING_H)
-    readings, resets = _readings(design, record, outputs, time, near)
-    run = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
-    scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
-    return Run(run, operating, scored)
+    readings, resets = _readings(design, record, outputs, time, unknown_ambient)
+    ends = gap_ends(~unknown_ambient)
+    run = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
+    return Run(run, operating, ~unknown_ambient & ~unknown_power)
+
+
+def gap_ends(known: np.ndarray) -> np.ndarray:
+    """True at the instants (T,) with known inputs, those of whose predecessors are unknown; empty without
+    any."""
+    ends = known & np.append(False, ~known[:-1])
+    return ends if ends.any() else ends[:0]
 
 
 def _courses(design: Design, record: Record) -> dict[str, Series]:
@@ -140,7 +147,7 @@ def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, flo
 
 
 def _readings(
-    design: Design, record: Record, outputs: list[str], time: np.ndarray, near: np.ndarray
+    design: Design, record: Record, outputs: list[str], time: np.ndarray, unknown: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Readings (T,) of every output, NaN where there is none or an input is unknown; flags (T,) where running
     means restart."""
@@ -153,10 +160,14 @@ def _readings(
         inside = (series.time >= first) & (series.time <= last)
         scale = 1e3 if name == "cabinet_absolute_humidity" else 1.0
         at[place[inside]] = series.value[inside] * scale
-        at[near] = np.nan
+        at[unknown] = np.nan
         readings[name] = at
         if name in design.averaged:
             start = _beginnings(series, first)
+            # a mean over a time with unknown inputs cannot be predicted, either
+            count = np.append(0, np.cumsum(unknown))
+            begun = np.searchsorted(time, np.nan_to_num(start, nan=first))
+            start[inside] = np.where((count[place] > count[begun])[inside], np.nan, start[inside])
             readings[name][place[inside & np.isnan(start)]] = np.nan
             begin = np.zeros(len(time), bool)
             begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True
@@ -291,11 +302,3 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float
     if hold == PREVIOUS:  # over the step that begins at each instant
         value = np.append(value[1:], value[-1:])
     return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)
-
-
-def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:
-    """True at instants where the flag holds or held within the last `hours`."""
-    if not flag.any():
-        return flag
-    last = np.where(flag, time, -np.inf)
-    return time - np.maximum.accumulate(last) <= hours * 3600.0

@@ -309,3 +309,18 @@ def test_the_table_is_aligned_and_complete():
         assert line[column:].startswith(("linear", "mean 10 min"))
     assert "warnings: none" in text
     assert "doubts: none" in text
+
+
+def test_readings_lost_in_gaps_of_the_ambient_are_counted():
+    """Outside, nothing from 21:00 to 9:00: half of the cabinet's readings have no known input."""
+    record = good()
+    day = [one.time % DAY for one in record.series[2:4]]
+    series = [
+        replace(one, value=np.where((at > 9 * 3600.0) & (at < 21 * 3600.0), one.value, np.nan))
+        for one, at in zip(record.series[2:4], day, strict=True)
+    ]
+    said = [one for one in doubts(record.replace_series(*series)) if "are not used" in one]
+    assert len(said) == 2 and not [one for one in doubts(record) if "are not used" in one]
+    lost = [int(one.split()[0]) for one in said]
+    assert all(0.48 < one / len(record["cabinet_temperature"]) < 0.52 for one in lost)
+    assert all("ambient temperature and humidity" in one for one in said)

@@ -456,3 +456,29 @@ def test_a_power_alone_is_a_record_when_asked_for() -> None:
     assert power.signals == ("active_power",) and power["active_power"] == made()["active_power"]
     with pytest.raises(CaseFault, match="nothing in the cabinet to identify"):
         read_frames({"scada": scada()}, **alone, ambient=False)
+
+
+def test_a_dew_point_of_the_logger_is_not_the_air_outside():
+    """The logger's own dew point given as the ambient's: the columns are named."""
+    frame = cabinet()
+    gamma = np.log(frame["RH"] / 100.0) + 17.27 * frame["T"] / (237.7 + frame["T"])
+    frame["DP"] = (237.7 * gamma / (17.27 - gamma)).round(2)
+    frames, units = {"cabinet": frame, "scada": scada()}, UNITS | {"DP": "degC"}
+    with pytest.raises(CaseFault, match="computed from the cabinet's own readings") as raised:
+        made(frames, signals=SIGNALS | {"DP": "ambient_dew_point_temperature"}, units=units)
+    assert all(f'column "{one}"' in str(raised.value) for one in ("T", "RH", "DP"))
+    inside = made(frames, signals=SIGNALS | {"DP": "cabinet_dew_point_temperature"}, units=units)
+    assert "cabinet_dew_point_temperature" in inside
+
+
+def test_a_humidity_beside_another_probe_s_temperature_is_doubted():
+    """The logger's own temperature stays unused, and that of the controller stands in for it."""
+    logger = cabinet()
+    controller = logger.assign(Tc=logger["T"] + 2.0)[["Tc"]]
+    signals = {"RH": "cabinet_relative_humidity", "Tc": "cabinet_temperature", "P": "active_power"}
+    units = {"RH": "%", "Tc": "degC", "ambient_temperature": "degC", "P": "kW"}
+    frames = {"cabinet": logger, "controller": controller, "scada": scada()}
+    record = made(frames, signals=signals, units=units)
+    (said,) = [one for one in all_doubts(record) if "own temperature is there" in one]
+    assert all(f'"{one}"' in said for one in ("Tc", "RH", "T")) and said.touches == ("hygric",)
+    assert not [one for one in all_doubts(made()) if "own temperature" in one]

@@ -331,3 +331,39 @@ def test_flags_in_words_are_drafted_and_an_unstated_polarity_is_not_used(tmp_pat
     assert line in path.read_text()
     path.write_text(path.read_text().replace(line, line[2:] + ', one = "closed"'))
     np.testing.assert_array_equal(read_case(path, cabinet=False)["fan_duty"].value, number % 30 >= 9)
+def a_logger(path, header="Date-Time (UTC),Temperature (°C),RH (%),Dew Point (°C)"):
+    """A logger in the cabinet that exports a dew point of its own readings."""
+    warm, moist = TRUTH["cabinet_temperature"], TRUTH["cabinet_relative_humidity"]
+    gamma = np.log(moist / 100.0) + 17.62 * warm / (243.12 + warm)
+    dew = 243.12 * gamma / (17.62 - gamma)
+    rows = [f"{s},{a:.2f},{b:.1f},{c:.2f}" for s, a, b, c in zip(STAMPS, warm, moist, dew, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("name", ["cabinet.csv", "20457722.csv"])
+def test_a_logger_s_dew_point_is_the_logger_s(tmp_path, name):
+    outside = written(tmp_path / "mast.csv", "time (UTC),Outside (°C)", ["ambient_temperature"])
+    draft, found = drafted(tmp_path, a_logger(tmp_path / name), outside)
+    assert found["cabinet_dew_point_temperature"].column == "Dew Point (°C)"
+    assert not [one for one in draft.signals if one.signal == "ambient_dew_point_temperature"]
+    assert any("humidity of the air outside" in one for one in draft.lacks)
+
+
+def test_a_dew_point_computed_inside_is_not_read_as_the_outside_s(tmp_path):
+    outside = written(tmp_path / "mast.csv", "time (UTC),Outside (°C)", ["ambient_temperature"])
+    header = "Date-Time (UTC),Temperature (°C),RH (%),Ambient dew point (°C)"
+    draft, found = drafted(tmp_path, a_logger(tmp_path / "cabinet.csv", header), outside)
+    assert "ambient_dew_point_temperature" not in found
+    (left,) = [one for one in draft.left if "computed from the cabinet's own" in one.why]
+    assert left.column == "Ambient dew point (°C)"
+
+
+def test_the_temperature_of_a_place_is_of_its_humidity_s_probe(tmp_path):
+    columns = ["active_power", "ambient_temperature", "oil"]
+    header = "time,Power (kW),Outside (°C),Ambient temperature (converter) (°C)"
+    scada = written(tmp_path / "scada.csv", header, columns)
+    draft, _ = drafted(tmp_path, a_logger(tmp_path / "cabinet.csv"), scada)
+    used = {one.signal: one for one in draft.signals if one.active and not one.compare}
+    assert used["cabinet_temperature"].column == "Temperature (°C)"
+    assert used["cabinet_relative_humidity"].file == used["cabinet_temperature"].file

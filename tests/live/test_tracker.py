@@ -299,8 +299,8 @@ def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record
     tracker, _ = followed(planned(record), readings_of(record), 50)
     kept = [one.time for one in tracker.readings()]
     before_s = (BEFORE + 1) * 900.0
-    assert 19 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
-    assert tracker.plan.context_s == 20.0 * HOUR_S
+    assert 7 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
+    assert tracker.plan.context_s == 8.0 * HOUR_S
     assert max(kept) == tracker.newest
 
 

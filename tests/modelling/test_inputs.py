@@ -371,9 +371,8 @@ def test_long_gaps_of_the_power_are_unknown_and_not_zero(record, remove):
     # readings are kept: the filter goes on with an honest spread
     read = np.isfinite(made.timeline.reading("cabinet_temperature"))
     assert read[unknown].sum() == pytest.approx(40, abs=1)
-    # but scores leave the stretch out, and twelve hours more
-    left_out = (time > begin + 1.0) & (time <= time[unknown][-1] + 12 * HOUR_S)
-    assert_array_equal(made.scored, ~left_out)
+    # but scores leave the stretch out
+    assert_array_equal(made.scored, ~unknown)
 
 
 def test_a_gap_unforeseen_by_the_design_takes_the_mean_all_the_same(base, record):
@@ -403,17 +402,19 @@ def test_gaps_of_the_ambient_up_to_six_hours_are_straight(base, record):
 
 @pytest.mark.parametrize("remove", [blanked, cut])
 @pytest.mark.parametrize("signal", ["ambient_temperature", "ambient_relative_humidity"])
-def test_over_long_gaps_of_the_ambient_readings_are_left_out_until_settled(base, record, remove, signal):
+def test_in_long_gaps_of_the_ambient_readings_are_left_out(base, record, remove, signal):
     hole = remove(record[signal], 30.0, 40.0)
     known = hole.time[~hole.missing]
     first, last = known[known <= START_S + 30 * HOUR_S][-1], known[known >= START_S + 40 * HOUR_S][0]
     made = prepare_run(base, record.replace_series(hole))
     time = seconds(made)
-    lost = (time > first + 1.0) & (time <= last + 12 * HOUR_S + 1e-3)
+    # the step that ends at the first reading after the gap is unknown, too
+    lost = (time > first + 1.0) & (time <= last + 1e-3)
     assert_array_equal(made.scored, ~lost)
+    assert_array_equal(made.timeline.ends, np.arange(len(time)) == np.flatnonzero(lost)[-1] + 1)
     for name in ("cabinet_temperature", "cabinet_relative_humidity"):
         series = record[name]
-        inside = (series.time > first) & (series.time <= last + 12 * HOUR_S)
+        inside = (series.time > first) & (series.time <= last)
         read = np.isfinite(made.timeline.reading(name))
         assert read.sum() == len(series) - inside.sum()
         assert not read[lost].any()
@@ -422,16 +423,15 @@ def test_over_long_gaps_of_the_ambient_readings_are_left_out_until_settled(base,
 
 
 def test_a_gap_of_all_loggers_at_once_is_a_gap_too(base, record):
-    """No instant lies inside; the step over the gap is what is unknown, and readings wait until it is
-    forgotten."""
+    """No instant lies inside; the step over the gap is what is unknown."""
     down = replace(record, series=tuple(cut(s, 30.0, 45.0) for s in record.series))
     made = prepare_run(base, down)
     time = seconds(made)
     assert not np.any((time > START_S + 30.3 * HOUR_S) & (time < START_S + 44.8 * HOUR_S))
-    after = (time > START_S + 45.0 * HOUR_S) & (time < START_S + 56.9 * HOUR_S)
-    assert not made.scored[after].any()
-    assert not np.isfinite(made.timeline.y[after]).any()
-    assert made.scored[time > START_S + 57.5 * HOUR_S].all()
+    end = np.flatnonzero(made.timeline.ends)
+    assert len(end) == 1 and time[end[0]] < START_S + 45.6 * HOUR_S
+    assert not np.isfinite(made.timeline.y[end[0] - 1]).any()
+    assert made.scored[end[0] :].all() and not made.scored[end[0] - 1]
     assert made.scored[
         time <= down["active_power"].time[down["active_power"].time < START_S + 31 * HOUR_S][-1]
     ].all()
