@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
+from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
@@ -115,6 +115,11 @@ def record_of(
             provenance[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
+        for one in source.columns:
+            of = read.judged.get(one.column)
+            if of is not None and of.doubt:
+                touches = told_by(one.signal.name) if of.matters else ()
+                warnings.append(Doubt(f"{source.file}: {of.doubt}", *touches))
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong

@@ -80,6 +80,7 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
 def doubts(record: Record) -> tuple[str, ...]:
     """Doubts about a record, one sentence each; a doubt is no fault."""
     return (
+        *(one for one in record.warnings if isinstance(one, Doubt)),
         *_doubts_of_readings(record),
         *_doubts_of_periods(record),
         *_doubts_of_power(record),
@@ -97,10 +98,10 @@ def _doubts_of_readings(record: Record) -> list[str]:
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
         if mistaken is not None:
-            said.append(Doubt(mistaken, *_told_by(series.signal)))
+            said.append(Doubt(mistaken, *told_by(series.signal)))
         elif outside.any():
             words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
-            said.append(Doubt(words, *_told_by(series.signal)))
+            said.append(Doubt(words, *told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
             f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since "
@@ -109,7 +110,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
     return said + no_overlap(record.series)
 
 
-def _told_by(signal: str) -> tuple[str, ...]:
+def told_by(signal: str) -> tuple[str, ...]:
     """The time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return PARTS[1:]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import HOLDS, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
@@ -69,6 +70,7 @@ class StatedColumn(StatedSensor):
 
     signal: Signal = entry_name(stated_signal)
     column: str = setting(help="its name in the table")
+    quality: str | None = setting(None, 'column of its quality, "" if it has none', empty=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +138,8 @@ class StatedSource:
     )
     time_format: str | None = setting(None, "strptime format of stamps that are not ISO 8601")
     ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
+    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    use_uncertain: bool = setting(True, "use readings of uncertain quality")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
@@ -175,7 +179,9 @@ class StatedSource:
     def reading(self) -> dict[str, Any]:
         """Further arguments of `hygrokf.data.table_readers.read_table`."""
         names = ("timezone", "separator", "decimal", "comment", "missing", "time_format", "ignore_offset")
-        return {name: getattr(self, name) for name in names}
+        columns = {one.column: one.quality for one in self.columns}
+        quality = StatedQuality(columns, self.vocabulary, self.use_uncertain)
+        return {name: getattr(self, name) for name in names} | {"quality": quality}
 
 
 @dataclass(frozen=True)

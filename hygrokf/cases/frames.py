@@ -11,6 +11,7 @@ import numpy as np
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.toml_form import keys_of
@@ -33,7 +34,7 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
+_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset", "quality")
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -62,10 +63,10 @@ def read_frames(
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-        resolution, response_time. Those of a source are one value for all frames or a mapping from their
-        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
-        time_format, ignore_offset, compare, and time, the column that holds the times where the index does
-        not.
+        resolution, response_time, quality={"RH": "RH quality"}. Those of a source are one value for all
+        frames or a mapping from their names: timezone, stamp, interval, hold, clock_uncertainty,
+        clock_correction, decimal, missing, time_format, ignore_offset, vocabulary, use_uncertain, compare,
+        and time, the column that holds the times where the index does not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
     frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
@@ -220,6 +221,7 @@ class _Prepared:
 
     source: in the form of a case file. frame: columns by name, rows counted from 0. stamps: (N,), or None
     where the faults explain why. stamps_named: name of the stamps in messages. faults: of the stamps.
+    beside: column -> column of its quality.
     """
 
     source: dict[str, Any]
@@ -227,6 +229,7 @@ class _Prepared:
     stamps: pandas.Series | None
     stamps_named: str
     faults: tuple[str, ...]
+    beside: Mapping[str, str]
 
     def table(self, source: StatedSource) -> Table:
         """Its readings; raises TableFault."""
@@ -239,6 +242,7 @@ class _Prepared:
             self.stamps_named,
             _PLACES,
             faults=self.faults,
+            beside=self.beside,
             **{key: source.reading[key] for key in _READING},
         )
 
@@ -311,10 +315,18 @@ def _prepare(
         "separator": "\t",  # a frame has no separator: this one differs from any decimal mark
         "signals": entries,
     }
-    kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
-    kept.columns = list(used)
+    quality = StatedQuality({label: name for label, name in by_column["quality"].items() if label in used})
+    beside = quality.beside(labels, list(used))
+    faults += [
+        f"{name}: quality: {column_fault(one, labels, 'the frame has')}"
+        for one in beside.values()
+        if labels.count(one) != 1
+    ]
+    columns = [one for one in dict.fromkeys([*used, *beside.values()]) if one in labels]
+    kept = frame.iloc[:, [labels.index(label) for label in columns]].copy(deep=False)
+    kept.columns = columns
     kept.index = range(len(frame))
-    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong))
+    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong), beside)
 
 
 def _stamps(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.cases.doubts import all_doubts
+from hygrokf.cases.doubts import Doubt, all_doubts
 from hygrokf.data.actuators import actuators
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
@@ -132,7 +132,7 @@ def describe(record: Record) -> RecordSummary:
         tuple(_describe_series(series) for series in record.series),
         tuple(ActuatorUse(one.signal, one.used, one.statement) for one in actuators(record.identification())),
         source_comparisons(clocks),
-        record.warnings,
+        tuple(one for one in record.warnings if not isinstance(one, Doubt)),
         tuple(map(str, all_doubts(record, clocks))),
         tuple(FileDigest(file, digest) for file, digest in record.provenance),
     )

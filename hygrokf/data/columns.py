@@ -4,8 +4,8 @@ place."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, tzinfo
 from decimal import Decimal
 from numbers import Real
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
 from hygrokf.data.record import EARLIEST_S, LATEST_S
 from hygrokf.data.timestamps import read_stamps, zone_named
 from hygrokf.errors import HygrokfError, suggestion
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 MISSING: tuple[str, ...] = (
     "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
-    "-", "--", "---",
+    "-", "--", "---", "-nan", "-NaN", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF",
 )  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
@@ -45,12 +46,14 @@ class Table:
     values: column name -> (N,) as in the file; NaN = missing.
     warnings: rows that were left out, and why.
     sha256: of the file.
+    judged: column name -> what the quality beside it says.
     """
 
     time: np.ndarray
     values: dict[str, np.ndarray]
     warnings: tuple[str, ...]
     sha256: str
+    judged: Mapping[str, Judged] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,8 @@ def table_of(
     ignore_offset: bool = False,
     faults: Sequence[str] = (),
     sha256: str = "",
+    quality: StatedQuality = NOTHING_STATED,
+    beside: Mapping[str, str] | None = None,
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
@@ -90,6 +95,8 @@ def table_of(
         such as 'column "time"'.
     places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
     faults: found before, raised together with those found here. sha256: of the file, where there is one.
+    quality: as stated. beside: column of numbers -> column of the frame with its quality.  Readings that it
+        excludes are missing, whatever their cells hold.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -104,14 +111,22 @@ def table_of(
             zone = UTC
     wanted = list(dict.fromkeys(columns))
     values = {}
+    judged = {
+        name: quality.judged(name, of, frame[of])
+        for name, of in (beside or {}).items()
+        if name in frame and of in frame
+    }
     for name in wanted:
         if name not in frame:
             continue
         numbers, texts = _numbers(frame[name], decimal, tuple(missing))
+        if name in judged:
+            texts = texts & judged[name].usable
+            numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
         if texts.any():
             faults.append(_text_fault(name, frame[name], texts, places, decimal))
-    warnings: list[str] = []
+    warnings = [said for one in judged.values() for said in one.warnings]
     time = np.full(len(frame), np.nan)
     if stamps is not None:
         time, said, wrong = _stamps_read(
@@ -131,7 +146,8 @@ def table_of(
     keep = np.isfinite(time)
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
-    return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
+    values = {name: array[keep] for name, array in values.items()}
+    return Table(time[keep], values, tuple(warnings), sha256, judged)
 
 
 def _stamps_read(

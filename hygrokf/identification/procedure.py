@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.cases.doubts import Doubt, all_doubts, doubted
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
@@ -254,7 +254,7 @@ def assemble_fit(
         period=_period(record, stages[0]),
         design=whole,
         statements=tuple(_statements(stages, thermal, moist, any(f.unseen for f in by_free_run.values()))),
-        warnings=tuple(record.warnings),
+        warnings=tuple(one for one in record.warnings if not isinstance(one, Doubt)),
         doubts=tuple(doubts),
         doubted={part: tuple(lines) for part, lines in doubted(doubts).items()},
         provenance=tuple(record.provenance),

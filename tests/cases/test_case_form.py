@@ -71,6 +71,7 @@ def test_the_form_is_read():
         "missing": ("bad",),
         "time_format": None,
         "ignore_offset": False,
+        "quality": StatedQuality({"P": None}),
     }
 
 

@@ -4,10 +4,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
-from hygrokf.live.sources.payload import NOBODY, PayloadMapping, Rejection, TurbineReadings
-from hygrokf.live.sources.payload_formats import Content, Refused
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, misfit, quality_columns, unstated
+from hygrokf.live.sources.payload import NOBODY, USED_THOUGH, PayloadMapping, Rejection, TurbineReadings
+from hygrokf.live.sources.payload_formats import Content, Refused, records
+
+MOST_MARKS = 1_000
+"""Different marks of quality that are noted."""
+
+
+@dataclass(frozen=True)
+class _Noting(QualityVocabulary):
+    """A vocabulary that notes the marks that it judges."""
+
+    of: QualityVocabulary = UNSTATED
+    seen: dict[str, None] = field(default_factory=dict)
+
+    def judge(self, mark: object) -> str:
+        if len(self.seen) < MOST_MARKS:
+            self.seen[str(mark)] = None
+        return self.of.judge(mark)
 
 
 class PayloadStatistics:
@@ -19,7 +37,9 @@ class PayloadStatistics:
     """
 
     def __init__(self, mapping: PayloadMapping) -> None:
-        self.mapping = mapping
+        self._noting = _Noting("", {}, of=mapping.vocabulary)
+        self._beside: dict[tuple[str, str], dict[str, None]] = {}
+        self.mapping = replace(mapping, vocabulary=self._noting)
         self.payloads = self.used = 0
         self.newest: dict[tuple[str, str], float] = {}
         self.counts: Counter[str] = Counter()
@@ -29,6 +49,8 @@ class PayloadStatistics:
     def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
         """Count a payload received at a time [s], and return what it gave."""
         self.payloads += 1
+        if not self.mapping.quality:
+            self._look_for_quality(content, topic)
         try:
             found = self.mapping.read(content, received, topic)
         except Refused as fault:
@@ -42,7 +64,7 @@ class PayloadStatistics:
         for turbine, readings, rejections in found:
             for kind, words in rejections:
                 self.counts[kind] += 1
-                self.reasons.setdefault(kind, words)
+                self.reasons.setdefault(kind, f"{words}, used" if kind == USED_THOUGH else words)
             for one in readings:
                 key = (turbine, one.signal)
                 self.newest[key] = max(one.time, self.newest.get(key, -math.inf))
@@ -53,6 +75,30 @@ class PayloadStatistics:
         if stamp is not None:
             lag_s = received - stamp
             self.lag_s = min(lag_s, self.lag_s) if self.lag_s == self.lag_s else lag_s
+
+    def _look_for_quality(self, content: Content, topic: str) -> None:
+        """Note the marks in fields that, by their names, hold the quality of others."""
+        mapping = self.mapping
+        try:
+            scopes = [one.scopes for one in records(content, mapping.form, mapping.layout.steps, topic)]
+        except Refused:
+            return
+        for payload in (one[0] for one in scopes if one):
+            columns = [mapping.value] if mapping.tag else [one for one in payload if one in mapping.fields]
+            for column, name in quality_columns(list(payload), columns).items():
+                marks = self._beside.setdefault((column, name), {})
+                if name not in mapping.fields and len(marks) < MOST_MARKS:
+                    marks[str(payload[name])] = None
+
+    @property
+    def of_quality(self) -> Iterator[str]:
+        """Doubts about quality: a vocabulary that does not fit, a field that is not used."""
+        better = misfit(self._noting.of, list(self._noting.seen))
+        if better:
+            yield f"the vocabulary does not tell what all marks of quality mean: {better}"
+        for (column, name), marks in self._beside.items():
+            if said := unstated(column, name, list(marks)):
+                yield said
 
     @property
     def rejected(self) -> str:
