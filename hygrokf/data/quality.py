@@ -153,6 +153,14 @@ def misfit(stated: QualityVocabulary, marks: Sequence[object]) -> str:
     return advice(marks) if wrong else ""
 
 
+def drafted(marks: Sequence[object]) -> tuple[QualityVocabulary, str]:
+    """The vocabulary of columns of marks, as far as these tell it, and a doubt or ""."""
+    fits = fitting(marks)
+    found = VOCABULARIES[fits[0]] if fits else UNSTATED
+    sure = any(UNSTATED.judge(one) != AMBIGUOUS for one in marks if isinstance(_key(one), int))
+    return found, "" if len(fits) == sure or not fits else f"the meaning of the quality: {advice(marks)}"
+
+
 # -- columns -------------------------------------------------------------------------------------------------
 _NAMES = ("quality", "qual", "qc", "qualität", "qualitaet", "güte", "质量")
 _FURTHER = ("status", "flag", "valid", "ok", "q")

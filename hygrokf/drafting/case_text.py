@@ -145,6 +145,10 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:
         yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
+    for doubt in () if compare else source.quality_doubts:
+        yield from _doubt(doubt)
+    if source.vocabulary.name and any(one.best.column in source.quality for one in lines):
+        yield f"vocabulary = {_text(source.vocabulary.name)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
     for one in lines:
@@ -159,7 +163,9 @@ def _signal(source: Source, one: Assigned) -> Iterator[str]:
         yield from _doubt(doubt)
     resolution = detect_resolution(source.values[best.column])
     note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)} }}"
+    of = source.quality.get(best.column)
+    quality = f", quality = {_text(of)}" * (of is not None)
+    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.data.quality import BAD, GOOD, UNSTATED, QualityVocabulary, drafted, quality_columns, unstated
 from hygrokf.drafting.behaviour import (
     Hourly,
     hourly,
@@ -71,8 +72,9 @@ class Assigned:
 class Source:
     """An export whose columns are numbers.
 
-    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no
-    signal.
+    values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
+    column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
+    quality_doubts: about them.
     """
 
     export: Export
@@ -80,6 +82,9 @@ class Source:
     values: dict[str, np.ndarray]
     named: dict[str, NamedColumn]
     left: dict[str, str] = field(default_factory=dict)
+    quality: dict[str, str] = field(default_factory=dict)
+    vocabulary: QualityVocabulary = UNSTATED
+    quality_doubts: tuple[str, ...] = ()
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
@@ -108,6 +113,11 @@ def source_of(export: Export, column: str) -> Source:
     Means over intervals are told by their names, or by what they are of.
     """
     values = numbers_of(export, column)
+    quality, vocabulary, doubts = _quality_of(export, [one for one in values if one != column])
+    values = {name: one for name, one in values.items() if name not in quality.values()}
+    for name, of in quality.items():
+        bad = export.cells[of].map(vocabulary.judge) == BAD
+        values[name] = np.where(bad, np.nan, values[name])
     several = {
         name
         for name, header in zip(export.cells, export.names, strict=False)
@@ -123,11 +133,26 @@ def source_of(export: Export, column: str) -> Source:
         for name in export.cells
         if name not in values and name != column
     }
+    left |= {of: f'quality of "{name}"' for name, of in quality.items()}
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
-    return Source(export, clock, values, named, left)
+    return Source(export, clock, values, named, left, quality, vocabulary, doubts)
+
+
+def _quality_of(
+    export: Export, columns: list[str]
+) -> tuple[dict[str, str], QualityVocabulary, tuple[str, ...]]:
+    """Column -> column of its quality, by name and marks; the vocabulary; doubts."""
+    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
+    beside = quality_columns(list(export.cells), columns)
+    beside = {one: of for one, of in beside.items() if one not in beside.values()}
+    seeming = {one: of for one, of in beside.items() if unstated(one, of, marks[of])}
+    vocabulary, doubt = drafted([mark for of in dict.fromkeys(seeming.values()) for mark in marks[of]])
+    found = {one: of for one, of in seeming.items() if GOOD in map(vocabulary.judge, marks[of])}
+    doubts = [unstated(one, of, marks[of]) for one, of in seeming.items() if one not in found]
+    return found, vocabulary, (*([doubt] if doubt else []), *doubts)
 
 
 def _is_filler(values: np.ndarray) -> bool:

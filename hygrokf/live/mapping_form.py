@@ -88,7 +88,9 @@ class MappingForm:
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
     vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
-    good: QualityVocabulary | None = setting(None, "good marks, in place of a vocabulary", read=stated_vocabulary)
+    good: QualityVocabulary | None = setting(
+        None, "good marks, in place of a vocabulary", read=stated_vocabulary
+    )
     use_uncertain: bool = setting(True, "use readings of uncertain quality")
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")

@@ -8,6 +8,7 @@ import pytest
 
 from hygrokf.cases.form import stated_case
 from hygrokf.cases.places import CaseLines
+from hygrokf.data.quality import StatedQuality
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0

@@ -55,14 +55,12 @@ EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
 NOBODY = ""
 """Turbine name of what is rejected before its turbine is known."""
-
-
 USED_THOUGH = f"{UNCERTAIN} quality"
 """Kind under which values are counted that are used."""
 
 
 class Rejection(NamedTuple):
-    """Something in a payload that is counted, and not used unless it is `USED_THOUGH`: its `kind`, and why."""
+    """Something in a payload that is counted, not used unless it is `USED_THOUGH`: its `kind`, and why."""
 
     kind: str
     words: str

@@ -72,7 +72,7 @@ class PayloadStatistics:
         return found
 
     def _note(self, stamp: float | None, received: float) -> None:
-        if stamp is not None:
+        if stamp is not None and math.isfinite(stamp):
             lag_s = received - stamp
             self.lag_s = min(lag_s, self.lag_s) if self.lag_s == self.lag_s else lag_s
 
