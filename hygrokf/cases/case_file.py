@@ -116,10 +116,8 @@ def record_of(
         found, said, wrong = _source_series(source, read, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
         for one in source.columns:
-            of = read.judged.get(one.column)
-            if of is not None and of.doubt:
-                touches = told_by(one.signal.name) if of.matters else ()
-                warnings.append(Doubt(f"{source.file}: {of.doubt}", *touches))
+            if one.column in read.judged and (doubt := read.judged[one.column].doubt):
+                warnings.append(Doubt(f"{source.file}: {doubt}", *told_by(one.signal.name)))
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong

@@ -163,8 +163,7 @@ def _signal(source: Source, one: Assigned) -> Iterator[str]:
         yield from _doubt(doubt)
     resolution = detect_resolution(source.values[best.column])
     note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    of = source.quality.get(best.column)
-    quality = f", quality = {_text(of)}" * (of is not None)
+    quality = f", quality = {_text(source.quality.get(best.column, ''))}" * (best.column in source.quality)
     entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.data.quality import BAD, GOOD, UNSTATED, QualityVocabulary, drafted, quality_columns, unstated
+from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
 from hygrokf.drafting.behaviour import (
     Hourly,
     hourly,
@@ -113,7 +113,8 @@ def source_of(export: Export, column: str) -> Source:
     Means over intervals are told by their names, or by what they are of.
     """
     values = numbers_of(export, column)
-    quality, vocabulary, doubts = _quality_of(export, [one for one in values if one != column])
+    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
+    quality, vocabulary, doubts = drafted(marks, values)
     values = {name: one for name, one in values.items() if name not in quality.values()}
     for name, of in quality.items():
         bad = export.cells[of].map(vocabulary.judge) == BAD
@@ -139,20 +140,6 @@ def source_of(export: Export, column: str) -> Source:
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
     return Source(export, clock, values, named, left, quality, vocabulary, doubts)
-
-
-def _quality_of(
-    export: Export, columns: list[str]
-) -> tuple[dict[str, str], QualityVocabulary, tuple[str, ...]]:
-    """Column -> column of its quality, by name and marks; the vocabulary; doubts."""
-    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
-    beside = quality_columns(list(export.cells), columns)
-    beside = {one: of for one, of in beside.items() if one not in beside.values()}
-    seeming = {one: of for one, of in beside.items() if unstated(one, of, marks[of])}
-    vocabulary, doubt = drafted([mark for of in dict.fromkeys(seeming.values()) for mark in marks[of]])
-    found = {one: of for one, of in seeming.items() if GOOD in map(vocabulary.judge, marks[of])}
-    doubts = [unstated(one, of, marks[of]) for one, of in seeming.items() if one not in found]
-    return found, vocabulary, (*([doubt] if doubt else []), *doubts)
 
 
 def _is_filler(values: np.ndarray) -> bool:

@@ -104,12 +104,6 @@ class MappingForm:
             return None
         return "tag and value belong together: one reading a record needs both"
 
-    @across("vocabulary", "good")
-    def one_vocabulary(self) -> str | None:
-        if self.good is None or self.vocabulary is UNSTATED:
-            return None
-        return "vocabulary and good say the same: state one of them"
-
     @across(*PATHS)
     def paths(self) -> Iterator[str]:
         for key in PATHS:

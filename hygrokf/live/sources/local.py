@@ -19,7 +19,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
 from hygrokf.live.sources.payload_paths import RECEIVED
@@ -328,19 +328,13 @@ class FileForm:
 
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
-    """(time [s], content) of a file's rows, sorted by time; a row without a possible time goes with the one
-    before it, so that it is counted.  Empty if no row has one."""
-    contents: list[tuple[float | None, Content]] = []
+    """(time [s], content) of a file's rows with a readable time, sorted by time."""
+    found: list[tuple[float, Content]] = []
     lines = Lines(mapping.form)
     with path.open("rb") as file:
         while line := next_line(file):
             content = lines.content(line)
-            if content is not None:
-                contents.append((mapping.stamp(content), content))
-    found: list[tuple[float, Content]] = []
-    times = [at for at, _ in contents if at is not None and EARLIEST_S <= at <= LATEST_S]
-    last = times[0] if times else 0.0
-    for at, content in contents:
-        last = at if at is not None and EARLIEST_S <= at <= LATEST_S else last
-        found.append((last, content))
-    return sorted(found, key=lambda one: one[0]) if times else []
+            at = None if content is None else mapping.stamp(content)
+            if content is not None and at is not None:
+                found.append((at, content))
+    return sorted(found, key=lambda one: one[0])

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hygrokf.data.quality import BAD, GOOD, UNCERTAIN, UNSTATED, VOCABULARIES, QualityVocabulary
+from hygrokf.data.quality import BAD, GOOD, UNCERTAIN, UNSTATED, QualityVocabulary
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.sources.payload_fields import Conversion, Field
@@ -128,7 +128,6 @@ class PayloadMapping:
         return PayloadMapping(
             self.fields,
             quality="quality",
-            vocabulary=VOCABULARIES["words"],
             use_uncertain=use_uncertain,
             turbines=turbines,
             weather=self.weather,

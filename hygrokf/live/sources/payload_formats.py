@@ -151,8 +151,7 @@ _NOT_FINITE = re.compile(
     r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)|(?P<one>[+-]?(?:nan|inf(?:inity)?|\d\.#\w+)\b(?:\(\w*\))?)',
     re.IGNORECASE | re.DOTALL,
 )
-"""A text of JSON (an open one to its end, so that time is linear), or a number that is not finite as C and
-C++ print it: -nan, nan(ind), inf, 1.#QNAN."""
+"""A text of JSON (to the end if it is open), or a number that is not finite: -nan, nan(ind), inf, 1.#QNAN."""
 
 
 def decoded(text: bytes) -> Json:

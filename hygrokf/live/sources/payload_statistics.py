@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, misfit, quality_columns, unstated
@@ -72,7 +72,7 @@ class PayloadStatistics:
         return found
 
     def _note(self, stamp: float | None, received: float) -> None:
-        if stamp is not None and math.isfinite(stamp):
+        if stamp is not None:
             lag_s = received - stamp
             self.lag_s = min(lag_s, self.lag_s) if self.lag_s == self.lag_s else lag_s
 
@@ -91,14 +91,10 @@ class PayloadStatistics:
                     marks[str(payload[name])] = None
 
     @property
-    def of_quality(self) -> Iterator[str]:
+    def of_quality(self) -> list[str]:
         """Doubts about quality: a vocabulary that does not fit, a field that is not used."""
-        better = misfit(self._noting.of, list(self._noting.seen))
-        if better:
-            yield f"the vocabulary does not tell what all marks of quality mean: {better}"
-        for (column, name), marks in self._beside.items():
-            if said := unstated(column, name, list(marks)):
-                yield said
+        said = [unstated(*names, list(marks)) for names, marks in self._beside.items()]
+        return [one for one in (misfit(self._noting.of, list(self._noting.seen)), *said) if one]
 
     @property
     def rejected(self) -> str:

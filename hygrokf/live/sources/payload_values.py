@@ -15,8 +15,6 @@ from hygrokf.live.sources.payload_paths import LONGEST
 
 AHEAD_S = 900.0
 """[s] a stamp may be ahead of this machine's clock."""
-INFINITE = tuple(f"{sign}{word}" for sign in ("", "+", "-") for word in ("inf", "infinity"))
-"""A stamp before or after all times, as databases and floating-point numbers write it."""
 FLAGS = {"true": 1.0, "false": 0.0}
 UNIX_UNITS = ((1e11, 1.0), (1e14, 1e3), (1e17, 1e6), (math.inf, 1e9))
 """(below this number, units per second) of Unix times in s, ms, µs and ns.
@@ -99,14 +97,12 @@ STATED_OFFSETS = Clock()
 
 
 def seconds(stamp: Json, clock: Clock = STATED_OFFSETS, received: float = math.inf) -> float | None:
-    """Seconds since 1970 of a stamp, infinite for one without bounds; None if it is none.
+    """Seconds since 1970 of a stamp; None if it is none.
 
     ISO 8601, the clock's own form, or a Unix time in s, ms, µs or ns.  `received` [s] tells the two passes of
     the hour apart that comes twice at the end of summer time.  Raises Refused for a local time that does not
     exist, or that `received` does not tell apart.
     """
-    if str(stamp).strip().lower() in INFINITE:
-        return math.inf
     if not clock.form and not (isinstance(stamp, str) and ":" in stamp):
         unix = number(stamp)
         if unix is not None:

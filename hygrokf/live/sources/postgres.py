@@ -58,12 +58,12 @@ LOWEST = {
 }  # fmt: skip
 """Type of a watermark -> text of a value below all others."""
 TIMES = ("timestamptz", "timestamp", "date")
-EXTREMES: dict[str, tuple[date, date]] = {
+EDGES: dict[str, tuple[date, date]] = {
     "timestamptz": (datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)),
     "timestamp": (datetime.min, datetime.max),
     "date": (date.min, date.max),
 }
-"""Watermarks that stand for times before year 1 and after year 9999."""
+"""What stands for times before year 1 and after year 9999, and for infinity."""
 REMEMBERED = 200_000
 """Rows remembered as delivered; further ones that are read again are delivered again, and the store knows
 them."""
@@ -106,13 +106,9 @@ class Columns:
     kind: str
 
     def watermark(self, row: Row) -> Watermark:
-        """The watermark of a row.  Raises SourceFault where it has none.
-
-        One that cannot be passed is the highest: NaN, which a server sorts above all numbers, and infinity.
-        """
+        """The watermark of a row; infinity for NaN, which sorts above all others.  Raises SourceFault where
+        it has none."""
         found: Watermark | None = row[self.place]
-        if self.kind in TIMES and isinstance(found, float):
-            return EXTREMES[self.kind][found > 0.0]
         if found is not None and found != found:
             return type(found)("inf")  # type: ignore[call-arg, arg-type]
         if found is None:
@@ -334,27 +330,23 @@ def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Ge
 
 def _read_all_times(connection: psycopg.Connection[Row]) -> None:
     """Let a time that Python does not have cost its own value alone, not all rows that are fetched with it:
-    infinity and times before year 1 or after year 9999 become ± infinity, others (24:00) stay text."""
+    it is read as one of the `EDGES`, a time of day (24:00) and an interval as text."""
     from psycopg import DataError
     from psycopg.types import datetime as loaders
 
-    def passing(kind: type[Any], infinite: bool) -> type[Any]:
+    def passing(kind: type[Any], edges: tuple[date, date] | None) -> type[Any]:
         def load(self: Any, data: Any) -> Any:
             try:
                 return kind.load(self, data)
             except DataError:
                 text = bytes(data).decode("ascii", "replace")
-                low = text.startswith("-") or text.endswith("BC")
-                return text if not infinite else -math.inf if low else math.inf
+                return text if edges is None else edges[not text.startswith("-") and "BC" not in text]
 
         return type(kind.__name__, (kind,), {"load": load})
 
-    for name, kind in (
-        ("timestamptz", loaders.TimestamptzLoader), ("timestamp", loaders.TimestampLoader),
-        ("date", loaders.DateLoader), ("time", loaders.TimeLoader), ("timetz", loaders.TimetzLoader),
-        ("interval", loaders.IntervalLoader),
-    ):  # fmt: skip
-        connection.adapters.register_loader(name, passing(kind, name in TIMES))
+    for name in (*TIMES, "time", "timetz", "interval"):
+        kind = getattr(loaders, f"{name.capitalize()}Loader")
+        connection.adapters.register_loader(name, passing(kind, EDGES.get(name)))
 
 
 def text_of(mark: Watermark) -> str:
