@@ -13,7 +13,7 @@ from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_
 from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
-from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import SIGNALS, unit_named
 from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
@@ -58,7 +58,8 @@ def read_frames(
         periods).
     signals: {column: signal} for columns that are not named after their signal.
     units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
-        None: what the frames state in `attrs["units"]`, as those of `Record.to_frames` do.
+        Columns that are not named: what the frames state in `attrs["units"]`, as those of
+        `Record.to_frames` do, or in their types (pint).  Another unit than these is a fault.
     name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
@@ -86,7 +87,7 @@ def read_frames(
     for key, value in by_frame.items():
         if isinstance(value, Mapping):
             faults += _unknown_frames(key, value, named)
-    given = {**settings, "units": _stated_units(named) if units is None else units}
+    given = {**settings, "units": units}
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     prepared: dict[str, _Prepared] = {}
@@ -118,10 +119,12 @@ def read_frames(
     return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
 
 
-def _stated_units(named: Mapping[str, pandas.DataFrame]) -> Settings:
-    """The units that frames state themselves, by frame and column."""
-    stated = {name: frame.attrs.get("units") for name, frame in named.items()}
-    return {name: dict(units) for name, units in stated.items() if isinstance(units, Mapping)} or None
+def _own_units(frame: pandas.DataFrame) -> dict[str, str]:
+    """Column -> the unit that the frame itself states: in `attrs["units"]`, or in the type of pint."""
+    stated = frame.attrs.get("units")
+    own = {str(label): str(unit) for label, unit in stated.items()} if isinstance(stated, Mapping) else {}
+    units = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
+    return own | {label: f"{unit:~P}" or "1" for label, unit in units.items() if unit is not None}
 
 
 def _instead(key: str) -> str:
@@ -298,6 +301,14 @@ def _prepare(
                 faults.append(
                     f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
                     f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
+                )
+    for label, unit in _own_units(frame).items():
+        if label in used:
+            said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
+            if (unit_named(str(said)) or said) != (unit_named(unit) or unit):
+                faults.append(
+                    f'{name}: column "{label}" is in {unit} as the frame itself states, units says {said}: '
+                    "convert it, or correct one of the two"
                 )
     if not used:
         if len(faults) == before:

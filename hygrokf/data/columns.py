@@ -129,6 +129,8 @@ def table_of(
     warnings = [said for one in judged.values() for said in one.warnings]
     time = np.full(len(frame), np.nan)
     if stamps is not None:
+        if stamps.dtype == object:  # databases export a time without bounds as a word
+            stamps = stamps.mask(stamps.isin(("infinity", "-infinity")))
         time, said, wrong = _stamps_read(
             stamps, stamps_named, places, zone, timezone, time_format, ignore_offset
         )
@@ -184,11 +186,15 @@ def _stamps_read(
     warnings += read.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if beyond.any():
-        where = _where(np.flatnonzero(beyond), stamps, places)
-        faults.append(
-            f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after "
-            f"2200: {where}; correct or remove these rows"
+        found = (
+            f"{int(beyond.sum())} before 1850 or after 2200: {_where(np.flatnonzero(beyond), stamps, places)}"
         )
+        if beyond.sum() < 0.5 * len(time):
+            warnings.append(f"rows with an impossible stamp left out: {found}")
+            time = np.where(beyond, np.nan, time)
+        else:
+            remedy = "correct or remove these rows"
+            faults.append(f"{stamps_named}: expected stamps of our time, found {found}; {remedy}")
     return time, warnings, faults
 
 
