@@ -248,7 +248,7 @@ def test_the_doctor_says_which_vocabulary_would_fit(mapped, capsys: pytest.Captu
         mapped(lines)
         assert main(["doctor", "track.toml", "--try", "payloads.ndjson"]) == 0
         said = capsys.readouterr().out
-        assert ("doubt" in said) is (words is not None) and (words or "") in said
+        assert ("state " in said) is (words is not None) and (words or "") in said
         used = [line.split()[2] for line in said.splitlines() if "W01  cabinet_temperature" in line]
         if lines:
             assert used == ["2026-03-01T12:00Z", "2026-03-01T12:20Z", "2026-03-01T12:30Z"]

@@ -72,8 +72,6 @@ def payload_checks(about: str, statistics: PayloadStatistics, what: str = "paylo
         yield doubt(about, found, remedy)
     else:
         yield ok(about, found)
-    for said in statistics.of_quality:
-        yield doubt(about, said, "see docs/how_to/live_mapping.md")
 
 
 def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:

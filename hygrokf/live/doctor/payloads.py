@@ -81,15 +81,13 @@ class TriedPayload:
 
 @dataclass(frozen=True)
 class Trial:
-    """What the payloads gave by the mapping of some `sources`; `payloads` holds the first ones; `remarks`:
-    doubts about quality."""
+    """What the payloads gave by the mapping of some `sources`; `payloads` holds the first ones."""
 
     sources: tuple[str, ...]
     payloads: tuple[TriedPayload, ...]
     count: int
     used: int
     rejected: str
-    remarks: tuple[str, ...] = ()
 
 
 # -- where the payloads come from ----------------------------------------------------------------------------
@@ -205,8 +203,7 @@ def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[
             shown.append(TriedPayload(text, tuple(readings[:MOST_VALUES]), tuple(rejections[:MOST_VALUES])))
         if statistics.payloads == MOST_READ:
             break
-    remarks = tuple(statistics.of_quality)
-    return Trial(sources, tuple(shown), statistics.payloads, statistics.used, statistics.rejected, remarks)
+    return Trial(sources, tuple(shown), statistics.payloads, statistics.used, statistics.rejected)
 
 
 def _tried(turbine: str, one: Reading) -> TriedReading:
@@ -240,7 +237,6 @@ def as_text(trials: Sequence[Trial]) -> str:
             lines.append(f"  … and {one.count - len(one.payloads)} more")
         unused = f"; not used: {one.rejected}" if one.rejected else ""
         lines.append(f"  {one.used} of {one.count} payloads gave readings{unused}")
-        lines += [f"  doubt: {said}" for said in one.remarks]
     return "\n".join("".join(c if c.isprintable() else " " for c in line) for line in lines)
 
 

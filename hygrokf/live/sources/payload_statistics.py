@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, misfit, quality_columns, unstated
 from hygrokf.live.sources.payload import NOBODY, USED_THOUGH, PayloadMapping, Rejection, TurbineReadings
 from hygrokf.live.sources.payload_formats import Content, Refused, records
-
-MOST_MARKS = 1_000
-"""Different marks of quality that are noted."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +21,7 @@ class _Noting(QualityVocabulary):
     seen: dict[str, None] = field(default_factory=dict)
 
     def judge(self, mark: object) -> str:
-        if len(self.seen) < MOST_MARKS:
-            self.seen[str(mark)] = None
+        self.seen[str(mark)] = None
         return self.of.judge(mark)
 
 
@@ -79,24 +76,16 @@ class PayloadStatistics:
     def _look_for_quality(self, content: Content, topic: str) -> None:
         """Note the marks in fields that, by their names, hold the quality of others."""
         mapping = self.mapping
-        try:
-            scopes = [one.scopes for one in records(content, mapping.form, mapping.layout.steps, topic)]
-        except Refused:
-            return
-        for payload in (one[0] for one in scopes if one):
-            columns = [mapping.value] if mapping.tag else [one for one in payload if one in mapping.fields]
-            for column, name in quality_columns(list(payload), columns).items():
-                marks = self._beside.setdefault((column, name), {})
-                if name not in mapping.fields and len(marks) < MOST_MARKS:
-                    marks[str(payload[name])] = None
-
-    @property
-    def of_quality(self) -> list[str]:
-        """Doubts about quality: a vocabulary that does not fit, a field that is not used."""
-        said = [unstated(*names, list(marks)) for names, marks in self._beside.items()]
-        return [one for one in (misfit(self._noting.of, list(self._noting.seen)), *said) if one]
+        with suppress(Refused):
+            for one in records(content, mapping.form, mapping.layout.steps, topic):
+                payload = one.scopes[0] if one.scopes else {}
+                columns = [mapping.value] if mapping.tag else [n for n in payload if n in mapping.fields]
+                for names in quality_columns(list(payload), columns).items():
+                    self._beside.setdefault(names, {})[str(payload[names[1]])] = None
 
     @property
     def rejected(self) -> str:
-        """Text about the rejected items; empty if there are none."""
-        return ", ".join(f"{n} {kind} ({self.reasons[kind]})" for kind, n in self.counts.most_common())
+        """Text about the rejected items, and doubts about quality; empty if there are none."""
+        counted = [f"{n} {kind} ({self.reasons[kind]})" for kind, n in self.counts.most_common()]
+        beside = [unstated(*names, list(marks)) for names, marks in self._beside.items()]
+        return ", ".join(filter(None, (*counted, misfit(self._noting.of, list(self._noting.seen)), *beside)))
