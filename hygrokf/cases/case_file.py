@@ -268,10 +268,16 @@ def _source_series(
         warnings += summer_time_holes(np.sort(table.time))
     warnings += said
     faults: list[str] = []
-    step, regular = modal_step(time)
     found = []
+    given = {name: np.isfinite(one) for name, one in values.items()}
+    single = np.sum([*given.values()], axis=0) == 1
+    # where readings come one by one, each in a row of its own, an empty cell is no missing reading
+    apart = len(given) > 1 and all(np.sum(single & one) > 0.9 * np.sum(one) for one in given.values())
+    step, regular = modal_step(time)
     for one in source.columns:
-        raw = values[one.column]
+        rows = given[one.column] if apart else slice(None)
+        own, raw = time[rows], values[one.column][rows]
+        step, regular = modal_step(own)
         wrong = unit_mistaken(raw, one.unit, one.signal)
         if wrong is None and one.signal.name == "active_power" and rated_W is not None:
             wrong, hint = _power_mistaken(one, raw, rated_W)
@@ -290,7 +296,7 @@ def _source_series(
                 faults.append(_no_step(source, step, regular))
                 break
             length = step
-        moved, length = _end_of_interval(time + source.clock_correction_s, length or 0.0, source.stamp, hold)
+        moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
         settings = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)

@@ -14,6 +14,7 @@ from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS, unit_named
+from hygrokf.data.timestamps import EXCEL
 from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
@@ -34,7 +35,9 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset", "quality")
+_READING = (
+    "timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset", "quality",
+)  # fmt: skip
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -64,10 +67,10 @@ def read_frames(
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-        resolution, response_time, quality={"RH": "RH quality"}. Those of a source are one value for all
+        resolution, response_time, one, quality={"RH": "RH quality"}. Those of a source are one value for all
         frames or a mapping from their names: timezone, stamp, interval, hold, clock_uncertainty,
-        clock_correction, decimal, missing, time_format, ignore_offset, vocabulary, use_uncertain, compare,
-        and time, the column that holds the times where the index does not.
+        clock_correction, decimal, thousands, missing, time_format, ignore_offset, vocabulary, use_uncertain,
+        compare, and time, the column that holds the times where the index does not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
     frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
@@ -264,7 +267,7 @@ def _prepare(
     """
     time = None if stated.get("time") is None else str(stated["time"])
     labels = [str(label) for label in frame.columns]
-    stamps, stamps_named, length, wrong = _stamps(frame, labels, time)
+    stamps, stamps_named, length, wrong = _stamps(frame, labels, time, stated.get("time_format") == EXCEL)
     if length is not None:
         twice = [key for key in ("stamp", "interval") if stated.get(key) is not None]
         wrong += [f"{stamps_named} holds periods, which already give the averaging intervals: remove {key}"
@@ -341,9 +344,12 @@ def _prepare(
 
 
 def _stamps(
-    frame: pandas.DataFrame, labels: Sequence[str], time: str | None
+    frame: pandas.DataFrame, labels: Sequence[str], time: str | None, serial: bool
 ) -> tuple[pandas.Series | None, str, float | None, list[str]]:
-    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults."""
+    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults.
+
+    serial: whether numbers are Excel's days.
+    """
     import pandas as pd
 
     if time is None:
@@ -368,7 +374,7 @@ def _stamps(
         if len(lengths) <= 1:  # empty where no row has a stamp
             return starts, named, float(lengths[0]) if len(lengths) else None, []
         return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
-    if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
+    if (pd.api.types.is_numeric_dtype(kind) and not serial) or pd.api.types.is_timedelta64_dtype(kind):
         what = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"
         shown = ", ".join(str(one) for one in stamps.iloc[:3])
         where = ', or name the column of the times: time="…"' if time is None else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,15 +60,18 @@ UNITS: dict[str, Unit] = {
 }
 
 _OTHER_SPELLINGS = {
-    **dict.fromkeys(("°c", "c", "celsius", "deg c", "deg_c"), "degC"),
-    **dict.fromkeys(("°f", "f"), "degF"),
+    **dict.fromkeys(("°c", "c", "celsius", "degc", "gradc", "grdc", "ºc", "℃"), "degC"),
+    **dict.fromkeys(("°f", "f", "degf"), "degF"),
     **dict.fromkeys(("kelvin", "k"), "K"),
-    **dict.fromkeys(("percent", "pct", "%rh"), "%"),
-    **dict.fromkeys(("-", ""), "1"),
+    **dict.fromkeys(("percent", "pct", "prozent", "%rh", "%rf", "rh%", "%rel"), "%"),
+    **dict.fromkeys(("-", "", "frac"), "1"),
     **dict.fromkeys(("g/m³", "g/m^3"), "g/m3"),
     **dict.fromkeys(("kg/m³", "kg/m^3"), "kg/m3"),
-    **dict.fromkeys(("w/m²", "w/m^2"), "W/m2"),
-    **{"mbar": "hPa", "pa": "Pa", "kw": "kW", "mw": "MW", "w": "W", "°": "deg", "1/min": "rpm"},
+    **dict.fromkeys(("w/m²", "w/m^2", "wm2", "w/qm"), "W/m2"),
+    **dict.fromkeys(("mps", "ms", "ms-1", "m/sec"), "m/s"),
+    **dict.fromkeys(("1/min", "u/min", "rpm", "min-1", "umin"), "rpm"),
+    **dict.fromkeys(("°", "deg", "grad"), "deg"),
+    **{"mbar": "hPa", "hpa": "hPa", "pa": "Pa", "kw": "kW", "mw": "MW", "w": "W"},
 }
 """Other spellings found in exports -> the name that a case file takes; used only for suggestions."""
 
@@ -224,7 +228,7 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
         return None
     choice = ", ".join(fitting)
     if unit not in UNITS:
-        known = _OTHER_SPELLINGS.get(unit.lower().strip())
+        known = unit_named(unit)
         hint = f'; did you mean "{known}"?' if known in fitting else suggestion(unit, fitting)
         return f'unknown unit "{unit}" for {row.name}; units that fit: {choice}{hint}'
     return (
@@ -257,10 +261,7 @@ def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
 def unit_named(text: str) -> str | None:
     """The name in `UNITS` of a unit as it is written in exports ("°C", "% RH", "W/m²"); None if unknown."""
     name = text.strip()
-    if name in UNITS:
-        return name
-    spelled = name.lower()
-    return _OTHER_SPELLINGS.get(spelled) or _OTHER_SPELLINGS.get(spelled.replace(" ", ""))
+    return name if name in UNITS else _OTHER_SPELLINGS.get(re.sub(r"[\s_.]", "", name.lower()))
 
 
 def from_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:

@@ -10,7 +10,7 @@ import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.columns import MISSING, Places, Table, TableFault, column_fault, numbered, table_of
+from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
 from hygrokf.data.quality import NOTHING_STATED, StatedQuality
 from hygrokf.errors import suggestion
 
@@ -44,7 +45,9 @@ def read_table(
     *,
     timezone: str | None = None,
     separator: str = ",",
-    decimal: str = ".",
+    decimal: str | None = None,
+    thousands: str | None = None,
+    meanings: Mapping[str, Meaning] | None = None,
     comment: str | None = None,
     missing: Sequence[str] = (),
     time_format: str | None = None,
@@ -58,9 +61,11 @@ def read_table(
     time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
         above the one that holds this name are skipped.
     timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
-    separator, decimal: of a CSV file. comment: mark at the start of lines to skip.
+    separator: of a CSV file. comment: mark at the start of lines to skip.
+    decimal, thousands: marks of numbers in texts; by default a point, and none.
+    meanings: of the columns, by which units and flags are read.
     missing: texts that mean no reading, besides `MISSING`.
-    time_format: strptime format of the stamps.
+    time_format: strptime format of the stamps, or "excel".
     ignore_offset: read stamps without the offset that they carry, in `timezone`.
     quality: of the columns of numbers; columns of quality that are not stated are found by their names.
 
@@ -76,7 +81,9 @@ def read_table(
         frame, beside = _parquet_frame(content, wanted, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(content, file.name, separator, decimal, comment, tuple(missing))
+        source = _CsvSource(
+            content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
+        )
         frame, beside = source.frame(wanted, time_column, quality, faults)
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
@@ -89,6 +96,8 @@ def read_table(
         places,
         timezone=timezone,
         decimal=decimal,
+        thousands=thousands,
+        meanings=meanings,
         missing=missing,
         time_format=time_format,
         ignore_offset=ignore_offset,
@@ -123,7 +132,7 @@ class _CsvSource:
         content: bytes,
         name: str,
         separator: str,
-        decimal: str,
+        marks: Marks | None,
         comment: str | None,
         missing: tuple[str, ...],
     ) -> None:
@@ -139,7 +148,7 @@ class _CsvSource:
         if content[:4] == b"PAR1":
             raise TableFault("is a Parquet file; name it .parquet")
         self.content, self.encoding = decodable(content)
-        self.separator, self.decimal, self.comment = separator, decimal, comment
+        self.separator, self.marks, self.comment = separator, marks, comment
         self.missing = missing
         self.layout = _Layout(0, ())
 
@@ -231,27 +240,33 @@ class _CsvSource:
         faults += self._width_faults(len(layout.names))
         order = sorted(positions, key=positions.__getitem__)
         try:
-            with python_warnings.catch_warnings():
-                python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
-                found = pd.read_csv(
-                    io.BytesIO(self.content),
-                    encoding=self.encoding,
-                    sep=self.separator,
-                    decimal=self.decimal,
-                    comment=self.comment if self.comment and len(self.comment) == 1 else None,
-                    header=None,
-                    skiprows=layout.header_line,
-                    usecols=[positions[name] for name in order],
-                    names=order,
-                    index_col=False,
-                    dtype={time_column: object, **dict.fromkeys(marks, object)},
-                    keep_default_na=False,
-                    # a text that says that there is no reading may say so of the quality beside it too
-                    na_values={n: [""] if n in marks else [*MISSING, *self.missing] for n in order},
-                    skipinitialspace=True,
-                    low_memory=False,
-                )
-                return found, beside
+            texts = [time_column, *marks]
+            while True:
+                with python_warnings.catch_warnings():
+                    python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
+                    frame = pd.read_csv(
+                        io.BytesIO(self.content),
+                        encoding=self.encoding,
+                        sep=self.separator,
+                        decimal=(self.marks or POINT).decimal,
+                        comment=self.comment if self.comment and len(self.comment) == 1 else None,
+                        header=None,
+                        skiprows=layout.header_line,
+                        usecols=[positions[name] for name in order],
+                        names=order,
+                        index_col=False,
+                        dtype=dict.fromkeys(texts, object),
+                        keep_default_na=False,
+                        # a text that says that there is no reading may say so of its quality too
+                        na_values={n: [""] if n in marks else [*MISSING, *self.missing] for n in order},
+                        skipinitialspace=True,
+                        low_memory=False,
+                    )
+                floats = [one for one in frame if frame[one].dtype == float and self.marks is None]
+                doubtful = [one for one in floats if could_divide_thousands(frame[one].to_numpy())]
+                if not doubtful:
+                    return frame, beside
+                texts += doubtful  # only the texts tell what their points mean
         except pd.errors.EmptyDataError:
             return pd.DataFrame({name: [] for name in order}), beside
         except (pd.errors.ParserError, UnicodeDecodeError) as broken:

@@ -12,7 +12,6 @@ import numpy as np
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.readings import detect_resolution
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.drafting.layout import texts_in
 from hygrokf.drafting.mapping import Assigned, Source
 
 _WIDTH = 100
@@ -138,9 +137,11 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield f"separator = {_text(export.separator)}"
     if export.decimal != ".":
         yield f"decimal = {_text(export.decimal)}"
+    if export.thousands:
+        yield f"thousands = {_text(export.thousands)}"
     if export.comment is not None:
         yield f"comment = {_text(export.comment)}"
-    texts = set().union(*(texts_in(export, one.best.column) for one in lines))
+    texts = set().union(*(export.read(one.best.column)[1] for one in lines))
     if len(texts) > 8:
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:

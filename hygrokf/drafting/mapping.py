@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.data.numbers import POLES, flag_word
 from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
 from hygrokf.drafting.behaviour import (
     Hourly,
@@ -92,17 +93,13 @@ class Source:
 
 def numbers_of(export: Export, time: str) -> dict[str, np.ndarray]:
     """Columns of numbers: column -> readings (N,), NaN where a cell is no number."""
-    import pandas as pd
-
     found = {}
     for name in export.cells:
-        text = export.cells[name]
-        if name == time or text.notna().sum() < 2:
+        given = export.cells[name].notna().sum()
+        if name == time or given < 2:
             continue
-        if export.decimal == ",":
-            text = text.str.replace(",", ".", regex=False)
-        values = pd.to_numeric(text.replace({"true": "1", "false": "0"}), errors="coerce").to_numpy(float)
-        if np.isfinite(values).sum() > 0.5 * text.notna().sum():
+        values, _ = export.read(name)
+        if np.isfinite(values).sum() > 0.5 * given:
             found[name] = values
     return found
 
@@ -128,7 +125,7 @@ def source_of(export: Export, column: str) -> Source:
     empty = values.keys() - filled.keys()
     values = {name: one for name, one in filled.items() if name not in several or export.changes}
     units = dict(zip(export.cells.columns, export.units, strict=True))
-    named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
+    named = {name: _said(export, name, units[name]) for name in values}
     left = {
         name: "several columns have this name" if name in several else _no_numbers(export, name, empty)
         for name in export.cells
@@ -140,6 +137,13 @@ def source_of(export: Export, column: str) -> Source:
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
     return Source(export, clock, values, named, left, quality, vocabulary, doubts)
+
+
+def _said(export: Export, name: str, unit: str) -> NamedColumn:
+    """What a column's name says; that of a flag, with the word that its 1 means too."""
+    bare = name.replace(export.label, "", 1)
+    said, word = name_says(bare, unit), flag_word(export.cells[name])
+    return name_says(f"{bare} {word}", unit) if word and not said.signal else said
 
 
 def _is_filler(values: np.ndarray) -> bool:
@@ -333,6 +337,10 @@ def _settled(
         # among the many temperatures of a turbine, one without a name may be that of any part
         needed = needed and (one.score > 0.65 or not turbine)
         active = one.score >= (NEEDED if needed else USED)
+        poles = flag_word(sources[one.source].export.cells[one.column]) == POLES[0]
+        if poles and one.signal != "door_open":
+            active = False
+            doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
         found.append(Assigned(one, active, False, tuple(doubts), near))
         for second in seconds[:1]:
             found.append(Assigned(second, True, True, second.doubts, ()))

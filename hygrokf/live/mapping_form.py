@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
+from hygrokf.data.numbers import stated_marks
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, stated_vocabulary
 from hygrokf.data.signals import Signal
-from hygrokf.data.timestamps import duration, zone_named
+from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
 from hygrokf.live.sources.payload import PayloadMapping
@@ -37,9 +38,11 @@ def _zone(value: object) -> datetime.tzinfo:
 
 def _time_form(value: object) -> str:
     """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
-    if value == "":
-        return ""
+    if value in ("", EXCEL):
+        return str(value)
     if isinstance(value, str):
+        if fault := time_format_fault(value):
+            raise ValueError(fault)
         try:
             found = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)
             if found.replace(tzinfo=None) == SAMPLE:
@@ -73,7 +76,7 @@ class SignalForm(StatedSensor):
         """The field of a payload."""
         hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
         form = Form(hold, self.interval_s, **self.settings)
-        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset)
+        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ class MappingForm:
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")
     tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str = setting(".", "mark of numbers in texts", choices=(".", ","))
+    decimal: str | None = setting(None, "mark of numbers in texts", choices=(".", ","))
     signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
 
     @across("tag", "value")
@@ -140,6 +143,7 @@ class MappingForm:
     def to_mapping(self) -> PayloadMapping:
         """The mapping, without rows that cannot be used and without turbines yet."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
+        zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
             {name: one.to_field() for name, one in valid.items()},
             turbine=self.turbine,
@@ -152,8 +156,8 @@ class MappingForm:
             form=self.format,
             records=self.records,
             tag_pattern="" if pattern_fault(self.tag_pattern) else self.tag_pattern,
-            clock=Clock(self.timezone, self.time_format),
-            comma=self.decimal == ",",
+            clock=Clock(self.timezone if zone is None else zone_named(zone), self.time_format),
+            marks=stated_marks(self.decimal, None),
         )
 
 

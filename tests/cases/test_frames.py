@@ -133,6 +133,36 @@ MESSY_OPTIONS = {
 }
 
 
+def test_texts_and_serial_days_are_read_as_in_files() -> None:
+    """Thousands marks, units and flags in texts; Excel's days as numbers; a zone in the name of the index."""
+    plain = made(stamp=None, timezone={"scada": "UTC"})
+    power = scada().round(0)
+    texts = power.assign(
+        P=[f"{one:,.0f}".replace(",", ".") for one in power["P"]],
+        door=["open" if k % 50 == 0 else "closed" for k in range(COUNT)],
+        heater=["ON" if k % 7 else "off" for k in range(COUNT)],
+    )
+    days = (texts.index - pd.Timestamp("1899-12-30")) / pd.Timedelta("1D")
+    texts.index = pd.Index(days + 1.0 / 24.0, name="Zeit (MEZ)")
+    logger = cabinet().assign(T=lambda frame: [f"{one} °C" for one in frame["T"]])
+    told = {
+        "signals": {**SIGNALS, "door": "door_open", "heater": "heater_duty"},
+        "units": {**UNITS, "door": "1", "heater": "1"},
+        "timezone": None, "stamp": None, "time_format": {"scada": "excel"},
+    }  # fmt: skip
+    frames = {"cabinet": logger, "scada": texts}
+    with pytest.raises(CaseFault, match=r'may be 1\d{3} or 1\.\d+, as .*state thousands = "\."'):
+        made(frames, **told)
+    record = made(frames, **told, thousands={"scada": "."})
+    for signal in ("cabinet_temperature", "active_power"):
+        np.testing.assert_array_equal(record[signal].time, plain[signal].time)
+    np.testing.assert_array_equal(record["cabinet_temperature"].value, plain["cabinet_temperature"].value)
+    np.testing.assert_allclose(record["active_power"].value, 1e3 * power["P"].to_numpy())
+    np.testing.assert_array_equal(record["door_open"].value, np.arange(COUNT) % 50 == 0)
+    np.testing.assert_array_equal(record["heater_duty"].value, np.arange(COUNT) % 7 > 0)
+    assert any('read at "+01:00"' in said for said in record.warnings)
+
+
 def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     frames = messy()
     for name, frame in frames.items():

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, misfit, quality_columns, unstated
 from hygrokf.live.sources.payload import NOBODY, USED_THOUGH, PayloadMapping, Rejection, TurbineReadings
-from hygrokf.live.sources.payload_formats import Content, Refused, records
+from hygrokf.live.sources.payload_formats import Content, Order, Refused, records
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class PayloadStatistics:
         self.counts: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
         self.lag_s = math.nan
+        self._order: Order = {}
 
     def take(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
         """Count a payload received at a time [s], and return what it gave."""
@@ -49,7 +50,7 @@ class PayloadStatistics:
         if not self.mapping.quality:
             self._look_for_quality(content, topic)
         try:
-            found = self.mapping.read(content, received, topic)
+            found = self.mapping.read(content, received, topic, self._order)
         except Refused as fault:
             found = [TurbineReadings(NOBODY, [], [Rejection(fault.kind, str(fault))])]
             if fault.kind == "impossible time":
