@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap
+from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
@@ -106,6 +106,7 @@ def record_of(
     warnings: list[str] = []
     provenance: dict[str, str] = {}
     headers: dict[str, tuple[str, ...]] = {}
+    doubts: list[Doubt] = []
     whole = True
     for source in case.sources:
         try:
@@ -119,6 +120,9 @@ def record_of(
             provenance[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
+        for one in source.columns:
+            if one.column in read.judged and (doubt := read.judged[one.column].doubt):
+                doubts.append(Doubt(f"{source.file}: {doubt}", *told_by(one.signal.name)))
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
@@ -143,7 +147,7 @@ def record_of(
         case.rated_power_W,
         warnings=tuple(warnings),
         compared=tuple(second.values()),
-        doubts=tuple(_split_probes(case, headers)),
+        doubts=(*doubts, *_split_probes(case, headers)),
     )
     if whole and series:
         faults += _period_faults(record, case)

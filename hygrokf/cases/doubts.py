@@ -105,10 +105,10 @@ def _doubts_of_readings(record: Record) -> list[str]:
         if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
             said.append(f"{series.signal} {ON_CHANGE}")
         if mistaken is not None:
-            said.append(Doubt(mistaken, *_told_by(series.signal)))
+            said.append(Doubt(mistaken, *told_by(series.signal)))
         elif outside.any():
             words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
-            said.append(Doubt(words, *_told_by(series.signal)))
+            said.append(Doubt(words, *told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
             f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since "
@@ -117,7 +117,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
     return said + no_overlap(record.series)
 
 
-def _told_by(signal: str) -> tuple[str, ...]:
+def told_by(signal: str) -> tuple[str, ...]:
     """The time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return PARTS[1:]
@@ -276,7 +276,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
                         *PARTS,
                     )
                 )
-    said += [Doubt(words, *_told_by(outside.signal)) for outside, words in copies(record.series)]
+    said += [Doubt(words, *told_by(outside.signal)) for outside, words in copies(record.series)]
     pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
 from hygrokf.data.numbers import POLES, Meaning
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
@@ -88,6 +89,7 @@ class StatedColumn(StatedSensor):
 
     signal: Signal = entry_name(stated_signal)
     column: str = setting(help="its name in the table")
+    quality: str | None = setting(None, 'column of its quality, "" if it has none', empty=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +159,8 @@ class StatedSource:
     )
     time_format: str | None = setting(None, 'strptime format of stamps that are not ISO 8601, or "excel"')
     ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
+    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    use_uncertain: bool = setting(True, "use readings of uncertain quality")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
@@ -202,7 +206,9 @@ class StatedSource:
             "ignore_offset",
         )  # fmt: skip
         meanings = {one.column: one.meaning for one in self.columns}
-        return {"meanings": meanings} | {name: getattr(self, name) for name in names}
+        quality = {one.column: one.quality for one in self.columns}
+        stated = StatedQuality(quality, self.vocabulary, self.use_uncertain)
+        return {"meanings": meanings, "quality": stated} | {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
-from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import SIGNALS, unit_named
 from hygrokf.data.timestamps import EXCEL
 from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
@@ -34,7 +35,9 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = ("timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset")
+_READING = (
+    "timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset", "quality",
+)  # fmt: skip
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -58,15 +61,17 @@ def read_frames(
         periods).
     signals: {column: signal} for columns that are not named after their signal.
     units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
-        None: what the frames state in `attrs["units"]`, as those of `Record.to_frames` do.
+        Columns that are not named: what the frames state in `attrs["units"]`, as those of
+        `Record.to_frames` do, or in their types (pint).  Another unit than these is a fault.
     name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-        resolution, response_time, one. Those of a source are one value for all frames or a mapping from their
-        names: timezone, stamp, interval, hold, longest_hold, clock_uncertainty, clock_correction, decimal,
-        thousands, missing, time_format, ignore_offset, compare, and time, the column that holds the times
-        where the index does not.
+        resolution, response_time, one, quality={"RH": "RH quality"}. Those of a source are one value for all
+        frames or a mapping from their names: timezone, stamp, interval, hold, longest_hold,
+        clock_uncertainty, clock_correction, decimal, thousands, missing, time_format, ignore_offset,
+        vocabulary, use_uncertain, compare, and time, the column that holds the times where the index does
+        not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
     frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
@@ -86,7 +91,7 @@ def read_frames(
     for key, value in by_frame.items():
         if isinstance(value, Mapping):
             faults += _unknown_frames(key, value, named)
-    given = {**settings, "units": _stated_units(named) if units is None else units}
+    given = {**settings, "units": units}
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     prepared: dict[str, _Prepared] = {}
@@ -118,10 +123,12 @@ def read_frames(
     return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
 
 
-def _stated_units(named: Mapping[str, pandas.DataFrame]) -> Settings:
-    """The units that frames state themselves, by frame and column."""
-    stated = {name: frame.attrs.get("units") for name, frame in named.items()}
-    return {name: dict(units) for name, units in stated.items() if isinstance(units, Mapping)} or None
+def _own_units(frame: pandas.DataFrame) -> dict[str, str]:
+    """Column -> the unit that the frame itself states: in `attrs["units"]`, or in the type of pint."""
+    stated = frame.attrs.get("units")
+    own = {str(label): str(unit) for label, unit in stated.items()} if isinstance(stated, Mapping) else {}
+    units = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
+    return own | {label: f"{unit:~P}" or "1" for label, unit in units.items() if unit is not None}
 
 
 def _instead(key: str) -> str:
@@ -221,6 +228,7 @@ class _Prepared:
 
     source: in the form of a case file. frame: columns by name, rows counted from 0. stamps: (N,), or None
     where the faults explain why. stamps_named: name of the stamps in messages. faults: of the stamps.
+    beside: column -> column of its quality.
     """
 
     source: dict[str, Any]
@@ -228,6 +236,7 @@ class _Prepared:
     stamps: pandas.Series | None
     stamps_named: str
     faults: tuple[str, ...]
+    beside: Mapping[str, str]
 
     def table(self, source: StatedSource) -> Table:
         """Its readings; raises TableFault."""
@@ -240,6 +249,7 @@ class _Prepared:
             self.stamps_named,
             _PLACES,
             faults=self.faults,
+            beside=self.beside,
             **{key: source.reading[key] for key in _READING},
         )
 
@@ -296,6 +306,14 @@ def _prepare(
                     f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
                     f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
                 )
+    for label, unit in _own_units(frame).items():
+        if label in used:
+            said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
+            if (unit_named(str(said)) or said) != (unit_named(unit) or unit):
+                faults.append(
+                    f'{name}: column "{label}" is in {unit} as the frame itself states, units says {said}: '
+                    "convert it, or correct one of the two"
+                )
     if not used:
         if len(faults) == before:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
@@ -312,11 +330,19 @@ def _prepare(
         "separator": "\t",  # a frame has no separator: this one differs from any decimal mark
         "signals": entries,
     }
-    kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
-    kept.columns = list(used)
+    quality = StatedQuality({label: name for label, name in by_column["quality"].items() if label in used})
+    beside = quality.beside(labels, list(used))
+    faults += [
+        f"{name}: quality: {column_fault(one, labels, 'the frame has')}"
+        for one in beside.values()
+        if labels.count(one) != 1
+    ]
+    columns = [one for one in dict.fromkeys([*used, *beside.values()]) if one in labels]
+    kept = frame.iloc[:, [labels.index(label) for label in columns]].copy(deep=False)
+    kept.columns = columns
     kept.index = range(len(frame))
     kept.attrs = {HEADER: labels}
-    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong))
+    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong), beside)
 
 
 def _stamps(

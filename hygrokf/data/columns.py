@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, tzinfo
 from decimal import Decimal
 from numbers import Real
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
+from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
 from hygrokf.data.record import EARLIEST_S, LATEST_S
 from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 MISSING: tuple[str, ...] = (
     "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
     "-", "--", "---", "unavailable", "unknown",
+    "-nan", "-NaN", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF",
 )  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
@@ -51,6 +53,7 @@ class Table:
     warnings: rows that were left out, and why.
     sha256: of the file.
     header: names of all its columns, also of those that were not read.
+    judged: column name -> what the quality beside it says.
     """
 
     time: np.ndarray
@@ -58,6 +61,7 @@ class Table:
     warnings: tuple[str, ...]
     sha256: str
     header: tuple[str, ...] = ()
+    judged: Mapping[str, Judged] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,8 @@ def table_of(
     ignore_offset: bool = False,
     faults: Sequence[str] = (),
     sha256: str = "",
+    quality: StatedQuality = NOTHING_STATED,
+    beside: Mapping[str, str] | None = None,
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
@@ -99,6 +105,8 @@ def table_of(
         such as 'column "time"'.
     places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
     faults: found before, raised together with those found here. sha256: of the file, where there is one.
+    quality: as stated. beside: column of numbers -> column of the frame with its quality.  Readings that it
+        excludes are missing, whatever their cells hold.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -113,13 +121,21 @@ def table_of(
             zone = UTC
     wanted = list(dict.fromkeys(columns))
     values = {}
-    warnings: list[str] = []
+    judged = {
+        name: quality.judged(name, of, frame[of])
+        for name, of in (beside or {}).items()
+        if name in frame and of in frame
+    }
+    warnings = [said for one in judged.values() for said in one.warnings]
     stated = stated_marks(decimal, thousands)
     for name in wanted:
         if name not in frame:
             continue
         meaning = (meanings or {}).get(name, Meaning())
         numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
+        if name in judged:
+            wrong = wrong & judged[name].usable
+            numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
         points = evidence(frame[name], ".") if stated is None and frame[name].dtype.kind == "O" else "none"
         if points in ("thousands", "either"):
@@ -132,6 +148,8 @@ def table_of(
             faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
     if stamps is not None:
+        if stamps.dtype == object:  # databases export a time without bounds as a word
+            stamps = stamps.mask(stamps.isin(("infinity", "-infinity")))
         rows = np.array([*values.values()]).reshape(len(values), len(frame))
         same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
         repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
@@ -152,7 +170,7 @@ def table_of(
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
     kept = {name: array[keep] for name, array in values.items()}
-    return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())))
+    return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
 
 
 def _stamps_read(
@@ -196,11 +214,15 @@ def _stamps_read(
     warnings += found.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if beyond.any():
-        where = _where(np.flatnonzero(beyond), stamps, places)
-        faults.append(
-            f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after "
-            f"2200: {where}; correct or remove these rows"
+        odd = (
+            f"{int(beyond.sum())} before 1850 or after 2200: {_where(np.flatnonzero(beyond), stamps, places)}"
         )
+        if beyond.sum() < 0.5 * len(time):
+            warnings.append(f"rows with an impossible stamp left out: {odd}")
+            time = np.where(beyond, np.nan, time)
+        else:
+            remedy = "correct or remove these rows"
+            faults.append(f"{stamps_named}: expected stamps of our time, found {odd}; {remedy}")
     return time, warnings, faults
 
 

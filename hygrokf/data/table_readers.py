@@ -29,6 +29,7 @@ from hygrokf.data.columns import (
     table_of,
 )
 from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
+from hygrokf.data.quality import NOTHING_STATED, StatedQuality
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def read_table(
     missing: Sequence[str] = (),
     time_format: str | None = None,
     ignore_offset: bool = False,
+    quality: StatedQuality = NOTHING_STATED,
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
@@ -74,6 +76,7 @@ def read_table(
     missing: texts that mean no reading, besides `MISSING`.
     time_format: strptime format of the stamps, or "excel".
     ignore_offset: read stamps without the offset that they carry, in `timezone`.
+    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -84,13 +87,13 @@ def read_table(
     content = file_bytes(file)
     wanted = list(dict.fromkeys(columns))
     if file.name.lower().endswith(".parquet"):
-        frame = _parquet_frame(content, wanted, time_column, faults)
+        frame, beside = _parquet_frame(content, wanted, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
         source = _CsvSource(
             content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
         )
-        frame = source.frame(wanted, time_column, faults)
+        frame, beside = source.frame(wanted, time_column, quality, faults)
         frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
@@ -110,6 +113,8 @@ def read_table(
         ignore_offset=ignore_offset,
         faults=faults,
         sha256=hashlib.sha256(content).hexdigest(),
+        quality=quality,
+        beside=beside,
     )
 
 
@@ -218,16 +223,20 @@ class _CsvSource:
                     return other
         return None
 
-    def frame(self, wanted: list[str], time_column: str, faults: list[str]) -> pandas.DataFrame:
-        """The wanted columns as pandas reads them; missing columns become faults."""
+    def frame(
+        self, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+    ) -> tuple[pandas.DataFrame, dict[str, str]]:
+        """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
         import pandas as pd
 
         layout = self._layout(time_column, faults)
         if layout is None:
-            return pd.DataFrame()
+            return pd.DataFrame(), {}
         self.layout = layout
         positions = {}
-        for name in dict.fromkeys([time_column, *wanted]):
+        beside = quality.beside(layout.names, wanted)
+        marks = dict.fromkeys(beside.values())
+        for name in dict.fromkeys([time_column, *wanted, *marks]):
             count = layout.names.count(name)
             if count == 1:
                 positions[name] = layout.names.index(name)
@@ -237,11 +246,11 @@ class _CsvSource:
                 holder = f"line {layout.header_line} has"
                 faults.append(column_fault(name, layout.names, holder))
         if not positions:
-            return pd.DataFrame()
+            return pd.DataFrame(), beside
         faults += self._width_faults(len(layout.names))
         order = sorted(positions, key=positions.__getitem__)
         try:
-            texts = [time_column]
+            texts = [time_column, *marks]
             while True:
                 with python_warnings.catch_warnings():
                     python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -258,17 +267,18 @@ class _CsvSource:
                         index_col=False,
                         dtype=dict.fromkeys(texts, object),
                         keep_default_na=False,
-                        na_values=[*MISSING, *self.missing],
+                        # a text that says that there is no reading may say so of its quality too
+                        na_values={n: [""] if n in marks else [*MISSING, *self.missing] for n in order},
                         skipinitialspace=True,
                         low_memory=False,
                     )
                 floats = [one for one in frame if frame[one].dtype == float and self.marks is None]
                 doubtful = [one for one in floats if could_divide_thousands(frame[one].to_numpy())]
                 if not doubtful:
-                    return frame
+                    return frame, beside
                 texts += doubtful  # only the texts tell what their points mean
         except pd.errors.EmptyDataError:
-            return pd.DataFrame({name: [] for name in order})
+            return pd.DataFrame({name: [] for name in order}), beside
         except (pd.errors.ParserError, UnicodeDecodeError) as broken:
             open_quote = re.search(r"EOF inside string starting at row (\d+)", str(broken))
             if open_quote is not None:
@@ -276,7 +286,7 @@ class _CsvSource:
                 faults.append(f"line {line}: a quotation mark is opened and never closed")
             else:
                 faults.append(f"cannot be read as CSV: {broken}")
-            return pd.DataFrame()
+            return pd.DataFrame(), beside
 
     def _width_faults(self, width: int) -> list[str]:
         """Fault of rows with more cells than the header, whose values would otherwise shift silently."""
@@ -338,8 +348,8 @@ def decodable(content: bytes) -> tuple[bytes, str]:
 
 
 def _parquet_frame(
-    content: bytes, wanted: list[str], time_column: str, faults: list[str]
-) -> pandas.DataFrame:
+    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+) -> tuple[pandas.DataFrame, dict[str, str]]:
     import pandas as pd
 
     try:
@@ -352,15 +362,15 @@ def _parquet_frame(
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
         found = list(file.schema_arrow.names)
-        there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
-        for name in dict.fromkeys([time_column, *wanted]):
-            if name not in found:
-                faults.append(column_fault(name, found, "the file has"))
+        beside = quality.beside(found, wanted)
+        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
+        there = [name for name in columns if name in found]
+        faults += [column_fault(name, found, "the file has") for name in columns if name not in found]
         if not there:
-            return pd.DataFrame()
+            return pd.DataFrame(), beside
         frame = file.read(columns=there).to_pandas(ignore_metadata=True)
         frame.attrs[HEADER] = found
-        return frame
+        return frame, beside
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault(f"cannot be read as Parquet: {reason}") from None

@@ -152,6 +152,10 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:
         yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
+    for doubt in () if compare else source.quality_doubts:
+        yield from _doubt(doubt)
+    if source.vocabulary.name and any(one.best.column in source.quality for one in lines):
+        yield f"vocabulary = {_text(source.vocabulary.name)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
     for one in lines:
@@ -170,7 +174,8 @@ def _signal(source: Source, one: Assigned) -> Iterator[str]:
     if lines and resolution and on_change(source.clock.time, values, resolution):
         yield from _doubt(f"{best.signal} {ON_CHANGE}")
     note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)} }}"
+    quality = f", quality = {_text(source.quality.get(best.column, ''))}" * (best.column in source.quality)
+    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"
 
 

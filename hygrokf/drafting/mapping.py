@@ -10,6 +10,7 @@ import numpy as np
 
 from hygrokf.data.numbers import POLES, flag_word
 from hygrokf.data.probes import copies, probe_of
+from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
 from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.drafting.behaviour import (
@@ -78,8 +79,9 @@ class Assigned:
 class Source:
     """An export whose columns are numbers.
 
-    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no
-    signal.
+    values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
+    column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
+    quality_doubts: about them.
     """
 
     export: Export
@@ -87,6 +89,9 @@ class Source:
     values: dict[str, np.ndarray]
     named: dict[str, NamedColumn]
     left: dict[str, str] = field(default_factory=dict)
+    quality: dict[str, str] = field(default_factory=dict)
+    vocabulary: QualityVocabulary = UNSTATED
+    quality_doubts: tuple[str, ...] = ()
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
@@ -111,6 +116,12 @@ def source_of(export: Export, column: str) -> Source:
     Means over intervals are told by their names, or by what they are of.
     """
     values = numbers_of(export, column)
+    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
+    quality, vocabulary, doubts = drafted(marks, values)
+    values = {name: one for name, one in values.items() if name not in quality.values()}
+    for name, of in quality.items():
+        bad = export.cells[of].map(vocabulary.judge) == BAD
+        values[name] = np.where(bad, np.nan, values[name])
     several = {
         name
         for name, header in zip(export.cells, export.names, strict=False)
@@ -126,11 +137,12 @@ def source_of(export: Export, column: str) -> Source:
         for name in export.cells
         if name not in values and name != column
     }
+    left |= {of: f'quality of "{name}"' for name, of in quality.items()}
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
-    return Source(export, clock, values, named, left)
+    return Source(export, clock, values, named, left, quality, vocabulary, doubts)
 
 
 def _said(export: Export, name: str, unit: str) -> NamedColumn:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import TableFault
+from hygrokf.data.quality import quality_columns
 from hygrokf.drafting.layout import Export, is_value
 from hygrokf.drafting.stamps import as_text, time_columns, time_of_day
 from hygrokf.drafting.vocabulary import name_says, words_of
@@ -54,6 +55,10 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
             export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
         )
         column = "time"
+    header = dict(zip(export.cells, export.names, strict=False))
+    marks = quality_columns(list(export.cells), [one for one in export.cells if one != column]).values()
+    if not export.changes and any(export.names.count(header.get(one, one)) > 1 for one in marks):
+        export = _with(export, export.cells, "several columns of one name")
     export, labelled = _one_label(export, column, turbine, doubts)
     return export, column, chosen or labelled, tuple(doubts)
 
@@ -158,7 +163,8 @@ def _wide(export: Export, column: str) -> Export:
     )
     if not values:
         return export
-    tags = [one for one in rest if one not in (*numbers, unit) and 2 <= cells[one].nunique() <= 500]
+    quality = quality_columns(list(cells), values[:1]).get(values[0])
+    tags = [one for one in rest if one not in (*numbers, unit, quality) and 2 <= cells[one].nunique() <= 500]
     tags.sort(key=lambda one: _TAG.search(words_of(one)) is None)
     tagged = bool(tags) and (
         cells[column].duplicated().mean() >= 0.3
@@ -177,7 +183,10 @@ def _wide(export: Export, column: str) -> Export:
     rows = cells.dropna(subset=[tag, column])
     if rows[column].str.match(r"\d{4}-").all():
         rows = rows.sort_values(column, kind="stable")
-    table = rows.pivot_table(index=column, columns=tag, values=values[0], aggfunc="first", sort=False)
+    how = {"index": column, "columns": tag, "aggfunc": "first", "sort": False}
+    table = rows.pivot_table(values=values[0], **how)
+    if quality is not None:
+        table = table.join(rows.pivot_table(values=quality, **how).add_suffix(" quality"))
     units_of = {} if unit is None else rows.dropna(subset=[unit]).groupby(tag)[unit].first().to_dict()
     table = table.reset_index().rename_axis(columns=None)
     return _with(export, table.where(table.notna(), None), "one row a value", units_of)

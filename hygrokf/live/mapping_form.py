@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.numbers import stated_marks
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, stated_vocabulary
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import GOOD, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
@@ -97,7 +98,11 @@ class MappingForm:
     timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=_zone)
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
-    good: tuple[str, ...] = setting(GOOD, "marks of a reading that counts", read=texts)
+    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    good: QualityVocabulary | None = setting(
+        None, "good marks, in place of a vocabulary", read=stated_vocabulary
+    )
+    use_uncertain: bool = setting(True, "use readings of uncertain quality")
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")
     tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
@@ -154,7 +159,8 @@ class MappingForm:
             quality=self.quality,
             tag=self.tag,
             value=self.value,
-            good=tuple(one.strip().lower() for one in self.good),
+            vocabulary=self.good or self.vocabulary,
+            use_uncertain=self.use_uncertain,
             form=self.format,
             records=self.records,
             tag_pattern="" if pattern_fault(self.tag_pattern) else self.tag_pattern,

@@ -9,6 +9,7 @@ import pytest
 from hygrokf.cases.form import stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.numbers import Meaning
+from hygrokf.data.quality import StatedQuality
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0
@@ -74,6 +75,7 @@ def test_the_form_is_read():
         "missing": ("bad",),
         "time_format": None,
         "ignore_offset": False,
+        "quality": StatedQuality({"P": None}),
     }
 
 

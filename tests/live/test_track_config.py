@@ -87,7 +87,8 @@ def test_a_whole_file(folder: Path) -> None:
     assert (first.limit, first.stale_s) == (0.8, 7200.0)
     mapping = found.streams[0].mapping
     assert mapping.turbines == {"plant/7": "T07", "T-07": "T07", "T08": "T08"}
-    assert mapping.good == ("good", "192") and mapping.turbine == "{1}"
+    assert [mapping.vocabulary.judge(one) for one in ("GOOD", 192.0, 0)] == ["good", "good", "bad"]
+    assert mapping.turbine == "{1}"
     power = mapping.fields["P"]
     assert (power.form.hold, power.form.interval_s, power.shift_s) == ("mean", 600.0, 600.0)
     assert mapping.fields["Tcab"].form.accuracy == 0.3

@@ -14,11 +14,12 @@ or, with `tag` and `value`, one reading per record:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hygrokf.data.numbers import PARTED, POINT, Marks, Unread
+from hygrokf.data.quality import BAD, GOOD, UNCERTAIN, UNSTATED, QualityVocabulary
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.sources.payload_fields import Conversion, Field
@@ -55,12 +56,12 @@ EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
 NOBODY = ""
 """Turbine name of what is rejected before its turbine is known."""
-GOOD = ("good", "ok", "valid", "true", "0", "192")
-"""Default quality marks of a good reading; 192 is OPC's."""
+USED_THOUGH = f"{UNCERTAIN} quality"
+"""Kind under which values are counted that are used."""
 
 
 class Rejection(NamedTuple):
-    """Something in a payload that is not used: the `kind` under which it is counted, and why."""
+    """Something in a payload that is counted, not used unless it is `USED_THOUGH`: its `kind`, and why."""
 
     kind: str
     words: str
@@ -92,11 +93,12 @@ class PayloadMapping:
     """Describes the layout of payloads.
 
     `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: where these stand (`payload_paths`);
-    `good`: accepted quality marks; `turbines`: name in the payload → turbine.  If `turbine` is "", all
-    payloads belong to the only turbine.  With `weather` the payloads are weather forecasts, which apply to
-    all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
-    records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
-    `marks`: of numbers in texts, None where they are not stated; `names`: turbine → its own names of fields.
+    `vocabulary` of the quality, and whether to `use_uncertain` readings; `turbines`: name in the payload →
+    turbine.  If `turbine` is "", all payloads belong to the only turbine.  With `weather` the payloads are
+    weather forecasts, which apply to all turbines unless they name one.  `form`: one of
+    `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: of tags or, without `tag`, of
+    the names of values; `clock`: how times are written; `marks`: of numbers in texts, None where
+    they are not stated; `names`: turbine → its own names of fields.
     """
 
     fields: Mapping[str, Field]
@@ -105,7 +107,8 @@ class PayloadMapping:
     quality: str = ""
     tag: str = ""
     value: str = ""
-    good: Collection[str] = GOOD
+    vocabulary: QualityVocabulary = UNSTATED
+    use_uncertain: bool = True
     turbines: Mapping[str, str] = field(default_factory=dict)
     weather: bool = False
     form: str = JSON
@@ -120,11 +123,15 @@ class PayloadMapping:
     def __post_init__(self) -> None:
         object.__setattr__(self, "layout", _layout(self))
 
-    def of_own_payloads(self, good: Collection[str], turbines: Mapping[str, str]) -> PayloadMapping:
+    def of_own_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
         """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
-        `quality`, and the fields by their common names."""
+        `quality` as a word, and the fields by their common names."""
         return PayloadMapping(
-            self.fields, quality="quality", good=good, turbines=turbines, weather=self.weather
+            self.fields,
+            quality="quality",
+            use_uncertain=use_uncertain,
+            turbines=turbines,
+            weather=self.weather,
         )
 
     @property
@@ -188,8 +195,7 @@ class PayloadMapping:
         time, own = 0.0 if layout.own_time else self._time(record, turbine), layout.own
         of = found[turbine]
         _, readings, rejections = of
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            rejections.append(Rejection("bad quality", f"quality {quoted(mark)}"))
+        if layout.quality is not None and not self._has_quality(layout.quality(record), rejections):
             return
         before = len(readings) + len(rejections)
         scopes, table = record.scopes, layout.table(turbine)
@@ -208,8 +214,12 @@ class PayloadMapping:
         layout = self.layout
         spoken, own = layout.turbine(record), layout.own
         time = 0.0 if layout.own_time else self._time(record, str(spoken))
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            raise Refused("bad quality", f"quality {quoted(mark)}")
+        if layout.quality is not None:
+            marked: list[Rejection] = []
+            if not self._has_quality(layout.quality(record), marked):
+                raise Refused(marked[0].kind, marked[0].words)
+            if marked:
+                found[NOBODY if layout.only is None else layout.only].rejections.extend(marked)
         seen = False
         for name, raw in record.scopes[0].items():
             tag = split(name)
@@ -244,9 +254,10 @@ class PayloadMapping:
             name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
         turbine = self._turbine(spoken)
         time, of = self._time(record, turbine, name), found[turbine]
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            of.rejections.append(Rejection("bad quality", f"{quoted(stated)}: quality {quoted(mark)}"))
-            return
+        if layout.quality is not None:
+            mark = layout.quality(record)
+            if not self._has_quality(mark, of.rejections, f"{quoted(stated)}: "):
+                return
         conversion = layout.table(turbine).get(name)
         if conversion is None:
             of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
@@ -318,13 +329,17 @@ class PayloadMapping:
             rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return None
         quality = self.layout.own_quality
-        if quality is not None and not self._is_good(mark := quality(own)):
-            rejections.append(Rejection("bad quality", f"{name}: quality {quoted(mark)}"))
-            return None
-        return time
+        usable = quality is None or self._has_quality(quality(own), rejections, f"{name}: ")
+        return time if usable else None
 
-    def _is_good(self, mark: Json) -> bool:
-        return mark is None or str(mark).strip().lower() in self.good
+    def _has_quality(self, mark: Json, rejections: list[Rejection], what: str = "") -> bool:
+        """Whether what bears a mark of quality is used; adds its count where the mark is not good."""
+        outcome = GOOD if mark is None else self.vocabulary.judge(mark)
+        if outcome == UNCERTAIN and not self.use_uncertain:
+            outcome = BAD
+        if outcome != GOOD:
+            rejections.append(Rejection(f"{outcome} quality", f"{what}quality {quoted(mark)}"))
+        return outcome in (GOOD, UNCERTAIN)
 
 
 def _names(scopes: Scopes) -> str:

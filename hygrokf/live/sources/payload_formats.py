@@ -146,9 +146,31 @@ def _json(text: bytes) -> Json:
     if _depth(text) > DEEPEST:
         raise Refused("too deep", f"a payload nested deeper than {DEEPEST} levels")
     try:
-        found: Json = _DECODER.decode(text.decode(json.detect_encoding(text)))
+        return decoded(text)
     except (ValueError, RecursionError) as fault:
         raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
+
+
+_NOT_FINITE = re.compile(
+    r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)|(?P<one>[+-]?(?:nan|inf(?:inity)?|\d\.#\w+)\b(?:\(\w*\))?)',
+    re.IGNORECASE | re.DOTALL,
+)
+"""A text of JSON (to the end if it is open), or a number that is not finite: -nan, nan(ind), inf, 1.#QNAN."""
+
+
+def decoded(text: bytes) -> Json:
+    """What a JSON text holds; a bare nan or inf of any spelling is NaN, which no field takes for a number.
+
+    Raises ValueError and RecursionError.
+    """
+    plain = text.decode(json.detect_encoding(text))
+    try:
+        found: Json = _DECODER.decode(plain)
+    except ValueError as fault:
+        finite = _NOT_FINITE.sub(lambda one: "NaN" if one["one"] else one[0], plain)
+        if finite == plain:
+            raise fault
+        found = _DECODER.decode(finite)
     return found
 
 
