@@ -20,6 +20,7 @@ import numpy as np
 
 from hygrokf.cases.levels import Alternative, surprise, value_alternatives
 from hygrokf.data.clocks import Shift, in_america, shifted, source_of, sources
+from hygrokf.data.input_paths import centred
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
 from hygrokf.estimation.lag_model import (
@@ -115,7 +116,7 @@ class _Scan:
     logliks: Mapping[Move, np.ndarray]
 
     def move(self, source: str) -> tuple[frozenset[str], int]:
-        """The inputs that move with a source, and which way: against its own inputs if it is the cabinet's."""
+        """The inputs that move with a source; for the cabinet's source all others, the other way (−1)."""
         inputs = frozenset(s for s, clock in self.relation.sources.items() if clock == source)
         own = source == self.relation.source
         return (frozenset(self.relation.inputs) - inputs, -1) if own else (inputs, 1)
@@ -132,22 +133,20 @@ class _Scan:
         """ln L (count,) of each day with a shift, its parameters estimated anew."""
         inputs, sign = self.move(shift.source)
         move, quarters = (inputs, sign * shift.more), sign * shift.quarters
-        scanned = self.logliks.get(move, next(iter(self.logliks.values())))
-        lag_h = LAGS_H[int(scanned[REACH + (quarters if move in self.logliks else 0)].argmax())]
+        if move not in self.logliks:  # nothing of this relation moves
+            move, quarters = next(one for one in self.logliks if one[1] == 0), 0
+        lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
         each = fitted(self.relation, lag_h, move, quarters, self.summer).each
         return np.bincount(self.days, each, minlength=count)
 
 
-def alternative_readings(record: Record, sun_s: float | None = None) -> Readings:
-    """The clock and the other reading that a record prefers to what is declared, if any.
-
-    sun_s: [s] time from solar noon to the middle of the radiation by its stamps; None where unknown.
-    """
+def alternative_readings(record: Record) -> Readings:
+    """The clock and the other reading that a record prefers to what is declared, if any."""
     found = relations(record)
     if not found:
         return Readings(_values(record), ("clocks: fewer than 14 days in common to tell whether they agree",))
     scans = [_scanned(one, record) for one in found]
-    clocks, untold = _clocks(record, scans, sun_s)
+    clocks, untold = _clocks(record, scans, solar_lag(record))
     return Readings((*clocks, *_values(record)), untold)
 
 
@@ -157,10 +156,9 @@ def _scanned(relation: Relation, record: Record) -> _Scan:
     turns = min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
     extra = (0, -4, 4) if turns >= 3 * 96 else (0,)
     empty = _Scan(relation, summer, np.zeros(0), {})
-    moves: set[Move] = {(_POWER & frozenset(relation.inputs), 0)}
-    for source in {relation.source, *relation.sources.values()}:
-        moves |= {(empty.move(source)[0], more) for more in extra}
-    moves = {one for one in moves if one[0]}
+    names = {relation.source, *relation.sources.values()}
+    groups = {_POWER & frozenset(relation.inputs), *(empty.move(name)[0] for name in names)}
+    moves: set[Move] = {(group, more) for group in groups if group for more in extra}
     declared = max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: one.loglik)
     days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
     return _Scan(relation, summer, days, shift_logliks(relation, declared.phi, moves, summer))
@@ -174,8 +172,7 @@ def _clocks(
 ) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
     """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
     names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
-    light = "global_horizontal_irradiance"
-    lit = source_of(record[light]) if light in record and sun_s is not None else None
+    lit = source_of(record[_LIGHT]) if sun_s is not None else None
     profiles = {
         (name, more): np.sum([scan.gains(*scan.move(name), more) for scan in scans], axis=0)
         for name in names
@@ -263,10 +260,8 @@ def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tu
     found = []
     for scan in scans:
         inputs, sign = scan.move(shift.source)
-        at = REACH + shift.quarters
-        power = _POWER & inputs
-        for name, group, more in ((scan.relation.name, inputs, shift.more), ("power", power, 0)):
-            if group and scan.gains(group, sign, more)[at] > WITNESS:
+        for name, group in ((scan.relation.name, inputs), ("power", _POWER & inputs)):
+            if group and scan.gains(group, sign, shift.more)[REACH + shift.quarters] > WITNESS:
                 found.append(name)
     if sun_s is not None and abs(shift.quarters * QUARTER_S + sun_s) <= 2.0 * TOLERANCE_S:
         found.append("the sun")
@@ -285,10 +280,8 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
     else:
         name = f"the clock of {shift.source} seems {pace(winter)}"
         line = f'state clock_correction = "{signed(winter).replace(" ", "")}" in that source'
-    signals = sources(record).get(shift.source, ())
-    return Alternative(
-        "summer_time" if shift.more else "clock", name, line, signals, partial(_corrected, tuple(steps))
-    )
+    kind, signals = "summer_time" if shift.more else "clock", sources(record).get(shift.source, ())
+    return Alternative(kind, name, line, signals, partial(_corrected, tuple(steps)), tuple(steps))
 
 
 def _corrected(steps: Sequence[Shift], record: Record) -> Record:
@@ -332,3 +325,39 @@ def _information(record: Record) -> np.ndarray:
         days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
         found += np.bincount(days, best.each - alone.each, minlength=len(found))
     return found
+
+
+# -- the sun -------------------------------------------------------------------------------------------------
+_LIGHT = "global_horizontal_irradiance"
+
+
+def solar_lag(record: Record) -> float | None:
+    """Time from solar noon at the site to the middle of a day's radiation by its stamps [s]; None without
+    site or radiation, or with less than 20 days of it.
+
+    The equation of time is the usual three-term approximation, accurate to a minute.
+    """
+    if record.site is None or _LIGHT not in record:
+        return None
+    time, value = centred(record[_LIGHT]).known
+    step, _ = modal_step(record[_LIGHT].time)
+    if not (len(time) > 100 and step <= 3600.0):
+        return None
+    angle = 2.0 * math.pi * (np.mod(time / DAY_S, 365.2425) - 80.0) / 365.2425
+    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
+    solar = time + 240.0 * record.site.longitude_deg + 60.0 * equation_min
+    day = np.floor(solar / DAY_S).astype(int)
+    day -= day.min()
+    turn = 2.0 * math.pi * (solar / DAY_S - 0.5)
+    light = np.fmax(value, 0.0)
+    energy, east, north = (np.bincount(day, light * one) for one in (1.0, np.sin(turn), np.cos(turn)))
+    whole = (np.bincount(day) >= 0.95 * DAY_S / step) & (energy > 0.0)
+    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
+    if whole.sum() < 20:
+        return None
+    # circular within the day: a clock may be wrong by half a day
+    middle = math.atan2(east[whole].sum(), north[whole].sum())
+    apart = np.arctan2(east[whole], north[whole]) - middle
+    apart = np.mod(apart + math.pi, 2.0 * math.pi) - math.pi
+    lag = np.mod(middle + np.median(apart) + math.pi, 2.0 * math.pi) - math.pi
+    return float(lag / (2.0 * math.pi) * DAY_S)

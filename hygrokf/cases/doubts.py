@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from hygrokf.cases.alternatives import alternative_readings, solar_lag
 from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
@@ -15,11 +15,17 @@ from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_tex
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
-from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
+from hygrokf.weather.clocks import (
+    NOT_COMPARED,
+    TOLERANCE_S,
+    ClockError,
+    alignments,
+    clock_errors,
+    clock_sentences,
+)
 
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
-_SOLAR_LAG_MIN = 20.0
 _FEWEST_IN_COMMON = 20
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
@@ -327,41 +333,17 @@ def _doubts_of_clocks(record: Record) -> list[str]:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))
-    if record.site is not None and "global_horizontal_irradiance" in record:
-        lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
-        if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
-            direction = "after" if lag > 0 else "before"
-            said.append(
-                Doubt(
-                    f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
-                    "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude?",
-                    *PARTS,
-                )
+    said += [Doubt(one.sentence(), *PARTS) for one in alternative_readings(record).findings]
+    lag = solar_lag(record)
+    if lag is not None and abs(lag) > TOLERANCE_S:
+        direction = "after" if lag > 0 else "before"
+        correction = f"{-15 * round(lag / 900.0):+d}min"
+        said.append(
+            Doubt(
+                f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
+                "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude? If the clock is "
+                f'wrong, state clock_correction = "{correction}" in that source',
+                *PARTS,
             )
+        )
     return said
-
-
-def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
-    """Mean time from solar noon to the middle of a day's radiation [s]; None below 20 days.
-
-    The equation of time is the usual three-term approximation, accurate to a minute.
-    """
-    time, value = centred(irradiance).known
-    step, _ = modal_step(irradiance.time)
-    if not (len(time) > 100 and step <= 3600.0):
-        return None
-    day_of_year = np.mod(time / DAY_S, 365.2425)
-    angle = 2.0 * math.pi * (day_of_year - 80.0) / 365.2425
-    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
-    solar = time + 240.0 * longitude_deg + 60.0 * equation_min
-    day = np.floor(solar / DAY_S)
-    hour_angle = solar - (day + 0.5) * DAY_S
-    first = day - day.min()
-    number = np.bincount(first.astype(int))
-    energy = np.bincount(first.astype(int), weights=np.fmax(value, 0.0))
-    moment = np.bincount(first.astype(int), weights=np.fmax(value, 0.0) * hour_angle)
-    whole = (number >= 0.95 * DAY_S / step) & (energy > 0.0)
-    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
-    if whole.sum() < 20:
-        return None
-    return float(np.median(moment[whole] / energy[whole]))

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.lag_model import cabinet_vapour
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -23,7 +24,8 @@ class Alternative:
     """Another reading of a record's files.
 
     kind: "clock", "summer_time", "unit", "columns" or "decimal". name: what would be wrong, in words. line:
-    what corrects it in the case file. signals: those that it changes. reading: the record read so.
+    what corrects it in the case file. signals: those that it changes. reading: the record read so. shifts: of
+    the stamps, for a clock.
     """
 
     kind: str
@@ -31,6 +33,7 @@ class Alternative:
     line: str
     signals: tuple[str, ...]
     reading: Callable[[Record], Record]
+    shifts: tuple[Shift, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,12 +102,14 @@ def _from_shown(signal: str, value: np.ndarray) -> np.ndarray:
 
 
 def _scaled(signals: Sequence[str], scale: _Scale, record: Record) -> Record:
-    return record.replace_series(
-        *(
-            replace(record[s], value=_from_shown(s, scale.factor * _shown(record[s]) + scale.offset))
-            for s in signals
-        )
-    )
+    """Raises ValueError where readings cannot be so: a decimal mark that was lost leaves whole numbers."""
+    changed = []
+    for one in (record[signal] for signal in signals):
+        shown = _shown(one)
+        if scale.kind == "decimal" and np.nanmax(np.abs(shown - np.round(shown)), initial=0.0) > 1e-6:
+            raise ValueError(f"{one.signal} has fractions")
+        changed.append(replace(one, value=_from_shown(one.signal, scale.factor * shown + scale.offset)))
+    return record.replace_series(*changed)
 
 
 def _exchanged(pairs: Sequence[tuple[str, str]], record: Record) -> Record:

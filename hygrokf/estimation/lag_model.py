@@ -38,6 +38,8 @@ LONGEST = 120 * 96
 _FINE = 3
 _BRIDGE_H = 3.0
 _RIDGE = 1e-8
+_EXACT = 1e-9
+"""Share of the target's variance below which what is left is rounding."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ class Relation:
     """What the cabinet shows and what drives it, as means over quarters of an hour.
 
     name: "temperature" or "vapour". time: (N,) [s] middles of the quarters. target: (N,) less its mean; 0
-    where there is no reading. rows: (N,) whether a quarter, with the two before it `every` apart, is compared.
+    where there is no reading. rows: (N,) whether a quarter is compared, and the two before it, `every` apart,
+    are known.
     inputs: signal -> columns (N, c), standardised, the first of them direct where it is ambient.
     sources: clock of each input; source: that of the target.
     """
@@ -105,6 +108,8 @@ def relations(record: Record) -> tuple[Relation, ...]:
 def _heat_inputs(record: Record) -> dict[str, list[Series]]:
     found: dict[str, list[Series]] = {}
     for one in record.series:
+        if len(one.known[0]) < 2:
+            continue
         if one.signal == "active_power":
             top = float(np.nanmax(np.abs(one.value), initial=1.0))
             share = one.value / top
@@ -155,7 +160,7 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
     rows[: REACH + 2 * every] = rows[count - REACH :] = False
     for before in (every, 2 * every):
         rows[before:] &= there[:-before]
-    if rows.sum() * every < FEWEST // 2:
+    if rows.sum() * every < FEWEST // 2 or not columns or not np.ptp(value[there]) > 0.0:
         return None
     return Relation(
         name,
@@ -164,7 +169,7 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
         rows,
         every,
         columns,
-        {signal: source_of(group[0]) for signal, group in inputs.items()},
+        {signal: source_of(inputs[signal][0]) for signal in columns},
         source_of(target),
     )
 
@@ -233,9 +238,11 @@ def fitted(
         products[np.diag_indices_from(products)] *= 1.0 + _RIDGE
         residual = y - x @ np.linalg.solve(products, wx.T @ wy)
         past = np.column_stack([np.roll(residual, every)[rows], np.roll(residual, 2 * every)[rows]])
-        phi = np.linalg.lstsq(past, residual[rows], rcond=None)[0]
+        memory = past.T @ past
+        memory[np.diag_indices_from(memory)] *= 1.0 + _RIDGE
+        phi = np.linalg.solve(memory + 1e-300 * np.eye(2), past.T @ residual[rows])
     error = residual[rows] - past @ phi
-    variance = float(error @ error) / len(error)
+    variance = max(float(error @ error) / len(error), _EXACT * float(y[rows] @ y[rows]) / len(error))
     each = np.zeros(len(y))
     each[rows] = -0.5 * (math.log(variance) + error**2 / variance)
     return Fitted(lag_h, phi, float(each.sum()), each)
@@ -288,5 +295,6 @@ def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, going: n
     diagonal = np.einsum("kii->ki", products)
     diagonal *= 1.0 + _RIDGE
     explained = np.einsum("ki,ki->k", np.linalg.solve(products, aims[:, :, None])[:, :, 0], aims)
+    least = _EXACT * float(relation.target**2 @ rows)
     number = rows.sum()
-    return -0.5 * number * np.log(np.maximum(target @ target - explained, 1e-300) / number) - 0.5 * number
+    return -0.5 * number * np.log(np.maximum(target @ target - explained, least) / number) - 0.5 * number
