@@ -33,7 +33,7 @@ from hygrokf.estimation.lag_model import (
     relations,
     shift_logliks,
 )
-from hygrokf.weather.clocks import TOLERANCE_S, pace, season_remedy, signed
+from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, signed
 
 LEAST_S = 2700.0
 """[s] smaller shifts are no clock's: response times, or the sun on a sensor."""
@@ -94,12 +94,16 @@ class Readings:
 
 @dataclass(frozen=True)
 class _Shift:
-    """A correction of a source's stamps [quarters of an hour], `more` of them in summer, and its gain."""
+    """A correction of a source's stamps [quarters of an hour], `more` of them in summer, and its gain.
+
+    between: [quarters of an hour] from the best shift of the grid to the top of the parabola through it.
+    """
 
     source: str
     quarters: int
     more: int = 0
     gain: float = 0.0
+    between: float = 0.0
 
     @property
     def largest(self) -> int:
@@ -199,7 +203,10 @@ def _highest(profile: np.ndarray, name: str, more: int, apart_from: int | None =
     shifts = np.arange(-REACH, REACH + 1)
     open_ = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
     place = int(np.where(open_, profile, -np.inf).argmax())
-    return _Shift(name, int(shifts[place]), more, float(profile[place]))
+    before, at, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
+    bend = before - 2.0 * at + after
+    between = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
+    return _Shift(name, int(shifts[place]), more, float(at), between)
 
 
 def _judged(
@@ -270,7 +277,8 @@ def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tu
 
 def _clock(record: Record, shift: _Shift) -> Alternative:
     """The row of a shift, with the line that corrects it."""
-    winter, summer = (QUARTER_S * one for one in (shift.quarters, shift.quarters + shift.more))
+    winter = rounded(QUARTER_S * (shift.quarters + shift.between))
+    summer = winter + QUARTER_S * shift.more
     south = record.site is not None and record.site.latitude_deg < 0.0
     steps = [Shift(shift.source, winter)] * (winter != 0.0)
     steps += [Shift(shift.source, summer - winter, summer=True)] * (shift.more != 0)
