@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.cases.alternatives import alternative_readings, solar_lag
+from hygrokf.cases.alternatives import Readings, alternative_readings, solar_lag
 from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
@@ -56,16 +56,18 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
     }
 
 
-def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
+def all_doubts(
+    record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
+) -> tuple[str, ...]:
     """Doubts about the compared sources, followed by the `doubts` about the record.
 
-    clocks: clock errors, if already known.
+    clocks, read: clock errors and alternative readings, if already known.
     """
     if clocks is None:
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
     off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
-    return (*off, *_uncompared(record, clocks), *doubts(record))
+    return (*off, *_uncompared(record, clocks), *doubts(record, read))
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
@@ -83,9 +85,11 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     ]
 
 
-def doubts(record: Record) -> tuple[str, ...]:
+def doubts(record: Record, read: Readings | None = None) -> tuple[str, ...]:
     """Doubts about a record, one sentence each; a doubt is no fault."""
+    found = alternative_readings(record) if read is None else read
     return (
+        *(Doubt(one.sentence(), *PARTS) for one in found.findings),
         *_doubts_of_readings(record),
         *_doubts_of_periods(record),
         *_doubts_of_power(record),
@@ -333,7 +337,6 @@ def _doubts_of_clocks(record: Record) -> list[str]:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))
-    said += [Doubt(one.sentence(), *PARTS) for one in alternative_readings(record).findings]
     lag = solar_lag(record)
     if lag is not None and abs(lag) > TOLERANCE_S:
         direction = "after" if lag > 0 else "before"

@@ -262,6 +262,7 @@ def _results(
         not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
         own_causes={cause.name: found for cause in library if (found := origins_of(cause))},
         findings=tuple(findings(before)),
+        doubts=tuple(dict.fromkeys(line for lines in base.results.doubted.values() for line in lines)),
     )
 
 

@@ -23,6 +23,7 @@ from hygrokf.data.ambient import ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.clocks import source_of
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import HOUR_S, modal_step
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -131,9 +132,9 @@ def cabinet_vapour(record: Record) -> Series | None:
         return None
     humidity, temperature = centred(record["cabinet_relative_humidity"]), record["cabinet_temperature"]
     there = at_times(centred(temperature), humidity.time, bridge_h(temperature, _BRIDGE_H))
-    return replace(
-        humidity, signal="cabinet_absolute_humidity", value=absolute_humidity(humidity.value, there)
-    )
+    # a temperature in another unit makes vapour that no air holds, which the series would refuse
+    value = np.minimum(absolute_humidity(humidity.value, there), SIGNALS["cabinet_absolute_humidity"].high)
+    return replace(humidity, signal="cabinet_absolute_humidity", value=value)
 
 
 def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:

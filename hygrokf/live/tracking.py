@@ -58,6 +58,10 @@ def track(
 
         def begin() -> None:
             start_senders()
+            for name, turbine in config.turbines.items():
+                reasons = (reason for one in turbine.verdicts.values() for reason in one.reasons)
+                for said in dict.fromkeys(one.text for one in reasons if one.code == "record_doubted"):
+                    LOG.warning("its model is in doubt", extra={"turbine": name, "why": said})
             begun(service, page)
 
         service.run(until_ended, begin)
