@@ -191,7 +191,7 @@ def _clocks(
             untold.append(f"the record cannot tell whether the clock of {name} is right within an hour")
         if name != lit or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
             best += [_highest(profiles[row], *row) for row in rows]
-    for shift in sorted(best, key=lambda one: -one.gain)[:3]:
+    for shift in sorted(best, key=lambda one: (-round(one.gain, 3), one.source != lit))[:3]:
         finding = _judged(record, scans, profiles, shift, best, sun_s if shift.source == lit else None)
         if finding is not None:
             return (finding,), tuple(untold)

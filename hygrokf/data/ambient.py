@@ -21,11 +21,14 @@ import numpy as np
 
 from hygrokf.data.input_paths import centred, without_response
 from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 AMBIENT_BRIDGE_H = 6.0
 """[h] longest gap of the ambient series that is bridged linearly; readings in longer gaps are left out."""
+MOST_VAPOUR = SIGNALS["ambient_absolute_humidity"].high
+"""[kg/m³] a temperature in another unit makes more, which no air holds and a series refuses."""
 FEWEST_FOR_NOISE = 200
 """Number of readings below which no noise is estimated."""
 
@@ -107,7 +110,7 @@ def ambient_absolute_humidity(record: Record) -> Series | None:
             return Series(
                 signal="ambient_absolute_humidity",
                 time=series.time,
-                value=convert(series.value, temperature),
+                value=np.minimum(convert(series.value, temperature), MOST_VAPOUR),
                 hold=series.hold,
                 interval_s=series.interval_s,
                 clock_uncertainty_s=series.clock_uncertainty_s,

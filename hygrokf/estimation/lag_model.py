@@ -19,11 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.ambient import ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.ambient import MOST_VAPOUR, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.clocks import source_of
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import HOUR_S, modal_step
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -132,8 +131,7 @@ def cabinet_vapour(record: Record) -> Series | None:
         return None
     humidity, temperature = centred(record["cabinet_relative_humidity"]), record["cabinet_temperature"]
     there = at_times(centred(temperature), humidity.time, bridge_h(temperature, _BRIDGE_H))
-    # a temperature in another unit makes vapour that no air holds, which the series would refuse
-    value = np.minimum(absolute_humidity(humidity.value, there), SIGNALS["cabinet_absolute_humidity"].high)
+    value = np.minimum(absolute_humidity(humidity.value, there), MOST_VAPOUR)
     return replace(humidity, signal="cabinet_absolute_humidity", value=value)
 
 
