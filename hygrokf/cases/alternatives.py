@@ -106,8 +106,9 @@ class _Shift:
     between: float = 0.0
 
     @property
-    def largest(self) -> int:
-        return max(self.quarters, self.quarters + self.more, key=abs)
+    def seasons(self) -> tuple[int, int]:
+        """The corrections in winter and in summer."""
+        return self.quarters, self.quarters + self.more
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,15 @@ class _Scan:
         lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
         each = fitted(self.relation, lag_h, move, quarters, self.summer).each
         return np.bincount(self.days, each, minlength=count)
+
+    def days_apart(self, one: _Shift, other: _Shift, count: int) -> np.ndarray:
+        """Whether two shifts differ on a day (count,) that is compared."""
+        winter, summer = (
+            a != b or (a != 0 and one.source != other.source)
+            for a, b in zip(one.seasons, other.seasons, strict=True)
+        )
+        apart = np.where(self.summer, summer, winter) & self.relation.rows
+        return np.bincount(self.days, apart, minlength=count) > 0.0
 
 
 def alternative_readings(record: Record) -> Readings:
@@ -218,41 +228,43 @@ def _judged(
     sun_s: float | None,
 ) -> Finding | None:
     """The finding of a shift that wins beyond chance, or None."""
-    if abs(shift.largest) * QUARTER_S < _least_s(record, shift.source):
+    row = shift.source, shift.more
+    largest = max(shift.seasons, key=abs)
+    if abs(largest) * QUARTER_S < _least_s(record, shift.source):
         return None
-    count = 1 + max(int(scan.days.max()) for scan in scans)
-    there = _by_day(scans, shift, count)
-    rivals = [
-        _Shift(shift.source, 0),
-        _highest(profiles[shift.source, shift.more], shift.source, shift.more, shift.quarters),
-    ]
+    rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
     if shift.more:
         rivals.append(_highest(profiles[shift.source, 0], shift.source, 0))
-    lead = [_lead(there - _by_day(scans, rival, count)) for rival in rivals]
-    if min(lead) < SEPARATION:
+    separation = min(_lead(scans, shift, rival) for rival in rivals)
+    if separation < SEPARATION:
         return None
-    gain = float((there - _by_day(scans, rivals[0], count)).sum())
     witnesses = _witnesses(scans, shift, sun_s)
-    late = max(scan.move(shift.source)[1] * shift.largest for scan in scans if scan.move(shift.source)[0])
+    found = Finding(_clock(record, shift), shift.gain, separation, witnesses)
+    late = max(sign * largest for inputs, sign in (one.move(shift.source) for one in scans) if inputs)
     if late > 0 and not set(witnesses) - {"temperature"}:
-        return Finding(_clock(record, shift), gain, min(lead), witnesses, WALL)
-    others = [one for one in best if one.source != shift.source]
+        return replace(found, verdict=WALL)
+    others = [one for one in best if one.source != shift.source and "the sun" not in witnesses]
     other = max(others, key=lambda one: one.gain, default=None)
-    if other is not None and _lead(there - _by_day(scans, other, count)) < BEHIND:
-        return Finding(_clock(record, shift), gain, min(lead), witnesses, EITHER, _clock(record, other))
-    return Finding(_clock(record, shift), gain, min(lead), witnesses)
+    if other is not None and _lead(scans, shift, other) < BEHIND:
+        return replace(found, verdict=EITHER, rival=_clock(record, other))
+    return found
 
 
-def _by_day(scans: Sequence[_Scan], shift: _Shift, count: int) -> np.ndarray:
-    return np.sum([scan.by_day(shift, count) for scan in scans], axis=0)
-
-
-def _lead(each: np.ndarray) -> float:
-    """Sum of differences by day (D,) in standard errors; −inf unless each quarter of the days wins."""
-    each = each[np.abs(each) > 1e-9]
+def _lead(scans: Sequence[_Scan], shift: _Shift, rival: _Shift) -> float:
+    """By how many standard errors a shift beats another one over the days on which they differ; −inf unless
+    it wins in each quarter of these."""
+    count = 1 + max(int(scan.days.max()) for scan in scans)
+    apart = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
+    each = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[apart]
     if len(each) < FEWEST_D or min(part.sum() for part in np.array_split(each, 4)) <= 0.0:
         return -math.inf
-    return float(each.sum() / math.sqrt(len(each) * each.var()))
+    return _standard_errors(each)
+
+
+def _standard_errors(each: np.ndarray) -> float:
+    """Sum of differences by day (D,) in standard errors."""
+    spread = math.sqrt(len(each) * each.var()) if len(each) else 0.0
+    return float(each.sum()) / spread if spread > 0.0 else 0.0
 
 
 def _least_s(record: Record, source: str) -> float:
@@ -320,8 +332,7 @@ def _values(record: Record) -> tuple[Finding, ...]:
 def _told(record: Record, other: Record) -> float:
     """How much more the inputs tell of the cabinet in another reading, in standard errors by days."""
     each = _information(other) - _information(record)
-    each = each[np.abs(each) > 1e-9]
-    return float(each.sum() / math.sqrt(len(each) * each.var())) if len(each) > 1 else 0.0
+    return _standard_errors(each[np.abs(each) > 1e-9])
 
 
 def _information(record: Record) -> np.ndarray:
