@@ -29,6 +29,7 @@ from hygrokf.estimation.lag_model import (
     REACH,
     Move,
     Relation,
+    declared,
     fitted,
     relations,
     shift_logliks,
@@ -131,8 +132,7 @@ class _Scan:
         there = self.logliks.get((inputs, sign * more))
         if there is None:
             return np.zeros(2 * REACH + 1)
-        declared = self.logliks[inputs, 0][REACH].max()
-        return there.max(axis=1)[::sign] - declared
+        return there.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
 
     def by_day(self, shift: _Shift, count: int) -> np.ndarray:
         """ln L (count,) of each day with a shift, its parameters estimated anew."""
@@ -141,7 +141,7 @@ class _Scan:
         if move not in self.logliks:  # nothing of this relation moves
             move, quarters = next(one for one in self.logliks if one[1] == 0), 0
         lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
-        each = fitted(self.relation, lag_h, move, quarters, self.summer).each
+        each = fitted(self.relation, lag_h, move, quarters, self.summer)[1]
         return np.bincount(self.days, each, minlength=count)
 
     def days_apart(self, one: _Shift, other: _Shift, count: int) -> np.ndarray:
@@ -173,9 +173,8 @@ def _scanned(relation: Relation, record: Record) -> _Scan:
     names = {relation.source, *relation.sources.values()}
     groups = {_POWER & frozenset(relation.inputs), *(empty.move(name)[0] for name in names)}
     moves: set[Move] = {(group, more) for group in groups if group for more in extra}
-    declared = max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: one.loglik)
     days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
-    return _Scan(relation, summer, days, shift_logliks(relation, declared.phi, moves, summer))
+    return _Scan(relation, summer, days, shift_logliks(relation, declared(relation)[0], moves, summer))
 
 
 _POWER = frozenset({"active_power"})
@@ -313,13 +312,13 @@ def _values(record: Record) -> tuple[Finding, ...]:
     """The reading of other units, columns or decimal marks that is likelier by far, if any."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
-    declared, best = surprise(record), None
+    usual, best = surprise(record), None
     for row in value_alternatives(record):
         try:
             other = row.reading(record)
         except ValueError:  # readings that no such signal can have
             continue
-        levels = declared - surprise(other)
+        levels = usual - surprise(other)
         if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
             continue
         lead = _told(record, other)
@@ -339,10 +338,9 @@ def _information(record: Record) -> np.ndarray:
     """ln L by day (D,) that the inputs add to the cabinet's own past."""
     found = np.zeros(int((record.end_s - record.start_s) / DAY_S) + 2)
     for relation in relations(record):
-        best = max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: one.loglik)
-        alone = fitted(replace(relation, inputs={}), LAGS_H[0])
+        told = declared(relation)[1] - fitted(replace(relation, inputs={}), LAGS_H[0])[1]
         days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
-        found += np.bincount(days, best.each - alone.each, minlength=len(found))
+        found += np.bincount(days, told, minlength=len(found))
     return found
 
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hygrokf.cases.alternatives import Readings, alternative_readings, solar_lag
+from hygrokf.data.ambient import place_absolute_humidity
 from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
-from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import (
     NOT_COMPARED,
@@ -269,7 +269,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
                         *(PARTS if kind == "temperature" else PARTS[1:]),
                     )
                 )
-    pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
+    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    pair = _pair(*(None if one is None else centred(one).known for one in vapours))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
         if not 0.7 <= factor <= 1.3:
@@ -294,27 +295,6 @@ def _same_readings(one: Series, other: Series) -> bool:
 
 
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
-
-
-def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times [s] and absolute humidity [kg/m3] at a place, from any of its humidity signals."""
-    if f"{place}_absolute_humidity" in record:
-        return centred(record[f"{place}_absolute_humidity"]).known
-    if f"{place}_temperature" not in record:
-        return None
-    time, temperature = centred(record[f"{place}_temperature"]).known
-    for kind, convert in (
-        ("relative_humidity", absolute_humidity),
-        ("dew_point_temperature", absolute_humidity_from_dew_point),
-    ):
-        if f"{place}_{kind}" in record:
-            when, value = centred(record[f"{place}_{kind}"]).known
-            if not (len(time) and len(when)):
-                return None
-            density = convert(value, np.interp(when, time, temperature))
-            good = np.isfinite(density)
-            return when[good], density[good]
-    return None
 
 
 def _pair(

@@ -12,10 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.ambient import place_absolute_humidity
 from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
-from hygrokf.estimation.lag_model import cabinet_vapour
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
@@ -130,7 +129,7 @@ def surprise(record: Record) -> float:
     again), outside −5 … 25 °C (6 K) and 2 … 15 g/m³ (a factor of 1.5).
     """
     inside, outside = (_mean(record, f"{place}_temperature") for place in ("cabinet", "ambient"))
-    vapours = (cabinet_vapour(record), ambient_absolute_humidity(record))
+    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
     ln_inside, ln_outside = (
         np.nan if one is None or not len(one.known[1]) else np.log(max(one.known[1].mean(), 1e-9))
         for one in vapours

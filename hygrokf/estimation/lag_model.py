@@ -19,12 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.ambient import MOST_VAPOUR, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.ambient import at_times, bridge_h, place_absolute_humidity
 from hygrokf.data.clocks import source_of
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, modal_step
-from hygrokf.physics.psychrometrics import absolute_humidity
 
 QUARTER_S = 900.0
 """[s] the grid."""
@@ -84,22 +83,12 @@ class Relation:
         return result
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """The model at one lag: phi (2,), ln L of all rows, and of each row (N,), 0 where none is compared."""
-
-    lag_h: float
-    phi: np.ndarray
-    loglik: float
-    each: np.ndarray
-
-
 def relations(record: Record) -> tuple[Relation, ...]:
     """The relations of a record that span at least 14 days: of its temperature, of its vapour."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
     made = [_relation("temperature", record["cabinet_temperature"], _heat_inputs(record))]
-    inside, outside = cabinet_vapour(record), ambient_absolute_humidity(record)
+    inside, outside = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
     if inside is not None and outside is not None:
         made.append(_relation("vapour", inside, {"ambient_absolute_humidity": [outside]}))
     return tuple(one for one in made if one is not None)
@@ -123,18 +112,6 @@ def _heat_inputs(record: Record) -> dict[str, list[Series]]:
 _HEAT_INPUTS = ("ambient_temperature", "global_horizontal_irradiance", "wind_speed")
 
 
-def cabinet_vapour(record: Record) -> Series | None:
-    """Vapour concentration of the cabinet's air [kg/m³] at its humidity readings; None without them."""
-    if "cabinet_absolute_humidity" in record:
-        return record["cabinet_absolute_humidity"]
-    if not {"cabinet_relative_humidity", "cabinet_temperature"} <= set(record.signals):
-        return None
-    humidity, temperature = centred(record["cabinet_relative_humidity"]), record["cabinet_temperature"]
-    there = at_times(centred(temperature), humidity.time, bridge_h(temperature, _BRIDGE_H))
-    value = np.minimum(absolute_humidity(humidity.value, there), MOST_VAPOUR)
-    return replace(humidity, signal="cabinet_absolute_humidity", value=value)
-
-
 def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:
     from scipy.fft import next_fast_len
 
@@ -145,10 +122,14 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
     count = int((min(one[-1] for one in known) - first) // QUARTER_S)
     if count < FEWEST:
         return None
-    first, count = _judged(first, count)
+    # the middle of a long record
+    spare = max(count - LONGEST, 0)
+    first, count = first + spare // 2 * QUARTER_S, count - spare
     length = int(next_fast_len(count, real=True))
     every = max(1, round(modal_step(target.known[0])[0] / QUARTER_S))
-    value, there = (_means if every == 1 else _readings)(target, first, length)
+    value, there = _means(target, first, length)
+    if every > 1:  # once a reading
+        there &= np.isin(np.arange(length), (centred(target).known[0] - first) // QUARTER_S)
     rows, columns = there.copy(), {}
     for signal, group in inputs.items():
         means = [_means(one, first, length) for one in group]
@@ -173,27 +154,11 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
     )
 
 
-def _judged(first: float, count: int) -> tuple[float, int]:
-    """The stretch that is compared: all, or the middle of a long record."""
-    spare = max(count - LONGEST, 0)
-    return first + spare // 2 * QUARTER_S, count - spare
-
-
 def _means(series: Series, first: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Means over quarters of an hour (N,), and where they are known."""
     fine = first + QUARTER_S / _FINE * (np.arange(count * _FINE) + 0.5)
     value = at_times(input_path(series), fine, bridge_h(series, _BRIDGE_H)).reshape(count, _FINE).mean(axis=1)
     return value, np.isfinite(value)
-
-
-def _readings(series: Series, first: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Readings in their quarter of an hour (N,), and where there is one."""
-    time, value = centred(series).known
-    place = np.floor((time - first) / QUARTER_S).astype(int)
-    inside = (place >= 0) & (place < count)
-    result = np.full(count, np.nan)
-    result[place[inside]] = value[inside]
-    return result, np.isfinite(result)
 
 
 def _standardised(value: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -220,8 +185,11 @@ def fitted(
     move: Move = (frozenset(), 0),
     quarters: int = 0,
     summer: np.ndarray | None = None,
-) -> Fitted:
-    """The model at a lag [h], with some inputs shifted, by least squares and autoregression in turn."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """φ (2,) and ln L (N,) of each row, 0 where none is compared, at a lag [h] with some inputs shifted.
+
+    Least squares and the autoregression take turns.
+    """
     inputs, more = move
     season = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
     columns = relation.columns(lag_h)
@@ -244,7 +212,12 @@ def fitted(
     variance = max(float(error @ error) / len(error), _EXACT * float(y[rows] @ y[rows]) / len(error))
     each = np.zeros(len(y))
     each[rows] = -0.5 * (math.log(variance) + error**2 / variance)
-    return Fitted(lag_h, phi, float(each.sum()), each)
+    return phi, each
+
+
+def declared(relation: Relation) -> tuple[np.ndarray, np.ndarray]:
+    """`fitted` without a shift, at the lag of the largest likelihood."""
+    return max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: float(one[1].sum()))
 
 
 def shift_logliks(
