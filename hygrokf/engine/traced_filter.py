@@ -20,6 +20,7 @@ k outputs, d parameters, L = `LANES`.
 from __future__ import annotations
 
 import hashlib
+import math
 import weakref
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -38,6 +39,8 @@ from hygrokf.physics.expression import (
     dot,
     is_zero,
     jacobian,
+    maximum,
+    sqrt,
     where,
 )
 from hygrokf.physics.holds import LINEAR, REGIME
@@ -127,19 +130,47 @@ class Recursion:
         spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         inverse = 1.0 / spread
         error = self.reading - prediction
-        gain = [0.0 if is_zero(c) else c * inverse for c in cross]
+        quadratic = error * error * inverse
+        weight = self._weight(quadratic)
+        gain = [0.0 if is_zero(c) else c * (weight * inverse) for c in cross]
         mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
         covariance = [
             self.covariance[i][j]
             if is_zero(gain[i]) or is_zero(cross[j])
-            else self.covariance[i][j] - (cross[i] * cross[j]) * inverse
+            else self.covariance[i][j] - (cross[i] * cross[j]) * (weight * inverse)
             for i in range(self.n)
             for j in range(i + 1)
         ]
-        quadratic = error * error * inverse
         if not self.diffuse:
             return [*mean, *covariance, error, spread, quadratic]
         return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
+
+    def _weight(self, quadratic: Expression) -> Value:
+        """Weight of a reading with the squared innovation e²/S = `quadratic`.
+
+        Beyond b standard deviations it is b √S/|e| (Huber 1964, doi:10.1214/aoms/1177703732): the state moves
+        as by a reading at the bound, so that it follows readings that stay far off.
+        """
+        if math.isinf(self.system.bound):
+            return 1.0
+        ratio = maximum(quadratic * (1.0 / self.square), 1.0)  # never 0, where the root has no finite slope
+        # the condition stands directly before the quotient and keeps it out of the ordinary step
+        return where(quadratic > self.square, 1.0 / sqrt(ratio), 1.0)
+
+    @property
+    def square(self) -> float:
+        """b², from which the squared innovations count less."""
+        return self.system.bound**2
+
+    def term_slope(self, quadratic: Expression) -> Value:
+        """Slope of a reading's term in −2 ln L along e²/S = `quadratic`.
+
+        The term is e²/S, and beyond b² it is b² (1 + ln(e²/(b² S))): the tail of Student's distribution with
+        about b² degrees of freedom.  A few readings far off thus do not buy the variances of all others.
+        """
+        if math.isinf(self.square):
+            return 1.0
+        return where(quadratic > self.square, self.square / maximum(quadratic, self.square), 1.0)
 
     def _diffuse_update(
         self,
