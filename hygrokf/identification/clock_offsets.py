@@ -20,7 +20,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.data.clocks import source_of
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
@@ -80,7 +79,11 @@ def prior_s(series: Series, reference: Series) -> float:
     stated = [s.clock_uncertainty_s for s in (series, reference) if s.clock_uncertainty_s is not None]
     if stated:
         return float(np.hypot.reduce(stated))
-    return ONE_SYSTEM_S if source_of(series) == source_of(reference) else TWO_SYSTEMS_S
+    return ONE_SYSTEM_S if _system(series) == _system(reference) else TWO_SYSTEMS_S
+
+
+def _system(series: Series) -> str:
+    return series.source.split(",")[0]
 
 
 def clock_offsets(
@@ -99,7 +102,7 @@ def clock_offsets(
     groups: dict[str, list[Series]] = {}
     for series in early.series:
         if series.signal in DRIVERS and prior_s(series, reference) > 0:
-            groups.setdefault(source_of(series), []).append(series)
+            groups.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline, rate_step=rate_step)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
     moved, names = [], []
