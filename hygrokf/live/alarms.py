@@ -1,8 +1,9 @@
 """Alarms: when they begin and end, how severe they are, and what they say.
 
 A rule watches a level.  An alarm begins once the level has been at or above `on` for `hold_s` and ends once
-it has been below `off` for as long; between the two thresholds nothing changes.  Time is that of the
-readings, so that a replay gives the same alarms.  An alarm's id consists of turbine, kind and beginning, so
+it has been below `off` for as long; between the two thresholds nothing changes.  Alarms about the process
+follow from final estimates and their times alone, so that a replay gives the same ones; alarms about delivery
+(`DELIVERY_RULES`) follow from the wall clock.  An alarm's id consists of turbine, kind and beginning, so
 that no alarm is raised twice after a crash.
 """
 
@@ -68,9 +69,13 @@ CLOCK = Rule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
-ESTIMATE_RULES = (CONDENSATION, CHANGED, SUSPECT)
-"""Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
-RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
+ESTIMATE_RULES = (CONDENSATION,)
+"""Rules whose levels follow from each final estimate."""
+SHIFT_RULES = (CHANGED, SUSPECT)
+"""Rules whose levels follow from lasting shifts and their cause (`fault_isolation.ShiftStep`)."""
+DELIVERY_RULES = (STALE, MISSING, CLOCK, LOST)
+"""Rules that follow from the arrival of readings, by the wall clock; none of them begins in a replay."""
+RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, *SHIFT_RULES, CONTRADICTS, *DELIVERY_RULES)}
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
@@ -213,13 +218,10 @@ def _kind(key: str) -> str:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, and the
-    finding of fault isolation."""
+    """A turbine's estimates: the condition, of which instant `place` is judged."""
 
     condition: Condition
     place: int
-    shifts: Mapping[str, ParameterShift]
-    finding: Finding | None = None
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -238,13 +240,13 @@ def condensation_levels(now: Estimated) -> list[Level]:
     return [Level(CONDENSATION.kind, chance, statement)]
 
 
-def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) -> list[Level]:
+def shift_levels(shifts: Iterable[ParameterShift], finding: Finding | None) -> list[Level]:
     """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
 
     There is no level before fault isolation has a finding; a finding without a cause gives one level for each
     property.
     """
-    lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
+    lasting = {shift.name: shift for shift in shifts if shift.lasting}
     if not lasting or finding is None:
         return []
     if finding.cause in SENSORS:
@@ -296,10 +298,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     ]
 
 
-ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
-    condensation_levels,
-    lambda now: shift_levels(now.shifts, now.finding),
-)
+ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_levels,)
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""
 
 

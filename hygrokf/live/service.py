@@ -345,13 +345,14 @@ class Service:
     def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""
         if self._isolation is None:
-            name = self._open_fleet.isolation_due()
-            if name is None:
+            due = self._open_fleet.isolation_due()
+            if due is None:
                 return
-            lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
+            name, step = due
             reference = self._open_fleet.reference_points.get(name)
-            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
-            self._isolation = (name, steps)
+            self._isolation = (
+                name, isolation_steps(name, self.turbines[name], step, self._open_store, reference),
+            )  # fmt: skip
         name, steps = self._isolation
         try:
             found = next(steps)

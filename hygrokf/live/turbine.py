@@ -15,10 +15,10 @@ from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Plan
-from hygrokf.live.tracker import Course
+from hygrokf.live.tracker import SAME_S, Course
 
 THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet without sensors."""
+"""[s] between two stored estimates of a cabinet without readings."""
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another one."""
 
@@ -84,12 +84,16 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 
 def instants_kept(course: Course) -> np.ndarray:
-    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
-    always the last one."""
+    """Indices of the instants that the store keeps: those with cabinet readings and, where none came for
+    `THIN_S`, one per `THIN_S`; always the last one.
+
+    Apart from that one they do not depend on how readings are grouped into courses.
+    """
+    outputs = course.run.timeline.outputs
+    heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
+    slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
     kept = np.isfinite(course.run.timeline.y).any(axis=1)
-    if not kept.any():
-        slot = np.floor(course.seconds / THIN_S)
-        kept = np.append(True, np.diff(slot) > 0)
+    kept |= (np.diff(slot) > 0) & (course.seconds - heard >= THIN_S - SAME_S)
     kept[-1] = True
     return np.flatnonzero(kept)
 

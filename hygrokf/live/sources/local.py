@@ -25,7 +25,7 @@ from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreada
 from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
-    WEATHER_HELP,
+    SourceKeys,
     Delivery,
     SourceFault,
     SourceState,
@@ -296,7 +296,6 @@ class FileForm:
     late_s: float = setting(0.0, "by which a row may be delayed", read=duration)
     repeated: float = setting(0.0, "share of rows that come twice", least=0.0, most=1.0)
     seed: int = setting(0, "of what is delayed and repeated", least=0)
-    weather: bool = setting(False, WEATHER_HELP)
 
     @across("repeated", "late", "speed")
     def of_playback(self) -> str | None:

@@ -58,6 +58,10 @@ GOOD = ("good", "ok", "valid", "true", "0", "192")
 """Default quality marks of a good reading; 192 is OPC's."""
 
 
+LAST = "last"
+"""Of several versions of a value the last one counts: by the source's own mark, else by arrival."""
+
+
 class Rejection(NamedTuple):
     """Something in a payload that is not used: the `kind` under which it is counted, and why."""
 
@@ -95,7 +99,8 @@ class PayloadMapping:
     payloads belong to the only turbine.  With `weather` the payloads are weather forecasts, which apply to
     all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
     records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
-    `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields.
+    `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields; `revision`: which
+    version of a value counts, `LAST` or "neither".
     """
 
     fields: Mapping[str, Field]
@@ -113,6 +118,7 @@ class PayloadMapping:
     clock: Clock = STATED_OFFSETS
     comma: bool = False
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    revision: str = LAST
     layout: Layout = field(init=False, repr=False, compare=False)
     """The same, prepared for reading."""
 
@@ -123,8 +129,9 @@ class PayloadMapping:
         """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
         `quality`, and the fields by their common names."""
         return PayloadMapping(
-            self.fields, quality="quality", good=good, turbines=turbines, weather=self.weather
-        )
+            self.fields, quality="quality", good=good, turbines=turbines, weather=self.weather,
+            revision=self.revision,
+        )  # fmt: skip
 
     @property
     def needs_topic(self) -> bool:

@@ -25,7 +25,7 @@ from hygrokf.live.sources.endpoint import password_of
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Payload
 from hygrokf.live.sources.stream import (
-    WEATHER_HELP,
+    SourceKeys,
     BackOff,
     Delivery,
     SourceFault,
@@ -360,7 +360,6 @@ class PostgresForm:
     name: str = setting("", "of this query, where a database has several")
     password_file: str = setting("", "file with the password")
     password_env: str = setting("", "environment variable with the password")
-    weather: bool = setting(False, WEATHER_HELP)
 
     @across("url")
     def no_secret(self) -> str | None:

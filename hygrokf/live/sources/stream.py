@@ -7,6 +7,7 @@ store has committed.
 from __future__ import annotations
 
 import logging
+import math
 import random
 import threading
 import time
@@ -15,14 +16,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import MINUTE_S, duration
+from hygrokf.data.toml_form import setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload import LAST, PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
 
 LOG = logging.getLogger("hygrokf.track")
-WEATHER_HELP = "whether it brings weather forecasts, not readings"
-"""Help of the key `weather`, which every source has."""
 PAUSE_S = 0.2
 """[s] between two looks at a source that has nothing new."""
 BACK_OFF_S = (1.0, 60.0)
@@ -44,7 +45,7 @@ class Delivery:
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
     after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
     delivery and gives back by `Stream.recall`; `token`: the source's receipt, None if there is nothing to
-    acknowledge.
+    acknowledge; `mark`: the source's own number of this version of its values (`Reading.mark`).
     """
 
     content: Content
@@ -53,6 +54,7 @@ class Delivery:
     place: str = ""
     memories: JsonObject = field(default_factory=dict)
     token: Receipt | None = field(default=None, compare=False)
+    mark: float = field(default=math.nan, compare=False)
 
 
 class BackOff:
@@ -138,6 +140,20 @@ class Stream(Protocol):
     def signals(self, turbine: str) -> set[str]: ...
 
     def left(self) -> dict[str, str]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceKeys:
+    """The keys of every [[source]] table."""
+
+    weather: bool = setting(False, "whether it brings weather forecasts, not readings")
+    revision: str = setting(
+        LAST, "which of several values of one stamp counts: the last one, or neither", choices=(LAST, "neither")
+    )
+    reach_limit_s: float | None = setting(
+        None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
+        expected="longer than nothing",
+    )  # fmt: skip
 
 
 class Threaded:

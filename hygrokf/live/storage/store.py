@@ -31,7 +31,7 @@ from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite
-from hygrokf.live.tracker import Point, Reading
+from hygrokf.live.tracker import Point, Reading, used_value
 
 ESTIMATE_COLUMNS = (
     "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
@@ -45,7 +45,7 @@ WITH RECURSIVE known (signal) AS (
     FROM known WHERE known.signal IS NOT NULL)
 """
 _READINGS = f"""{_SIGNALS}
-SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
+SELECT o.signal, o.time, o.value, o.mark, o.contradicted FROM known CROSS JOIN observation o
 WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
     (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
     AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
@@ -55,8 +55,11 @@ ORDER BY o.signal, o.time
 """Query of `Store.readings`: one index lookup per signal, however long the history is."""
 FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
+ASKED = 500
+"""Stamps asked for in one query."""
 FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
 READING_COLUMNS = ("turbine", "signal", "time", "value", "received")
+MARKED_COLUMNS = (*READING_COLUMNS, "mark")
 PROPERTY_COLUMNS = (
     "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
 )  # fmt: skip
@@ -111,20 +114,21 @@ class Store:
             self._write_forecasts(cursor, batch)
 
     def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
-        """Write readings and filter points; a reading that differs from a stored one marks that as
-        contradicted."""
+        """Write readings and filter points; of a stamp with several values the one that counts is written,
+        and every version is kept beside it."""
+        first = [one for one in batch.observations if not one.revision]
         self._many(
             cursor,
-            inserting("observation", (*READING_COLUMNS, "late", "contradicted"))
-            + " ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
-            "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted "
-            "ELSE 1 END",
-            [(*_reading_row(one), int(one.late), 0) for one in batch.observations],
+            inserting("observation", (*MARKED_COLUMNS, "late", "contradicted")) + " ON CONFLICT DO NOTHING",
+            [(*_marked_row(one), int(one.late), 0) for one in first],
         )
+        for one in batch.observations:
+            if one.revision:
+                self._write_revision(cursor, one)
         self._many(
             cursor,
-            replacing("held", READING_COLUMNS, key=READING_COLUMNS[:3]),
-            [_reading_row(one) for one in batch.held],
+            inserting("held", MARKED_COLUMNS) + " ON CONFLICT DO NOTHING",
+            [_marked_row(one) for one in batch.held],
         )
         self._many(
             cursor,
@@ -136,6 +140,43 @@ class Store:
             replacing("point", ("turbine", "time", "state"), key=("turbine",)),
             [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
         )
+
+    def _write_revision(self, cursor: Cursor, one: Observation) -> None:
+        """Add another version of a value to those of its stamp, and use it if it counts and comes in
+        time."""
+        known = self.versions(one.turbine, [(one.reading.signal, one.reading.time)])
+        versions = known[one.reading.signal, one.reading.time]
+        if any(one.reading.value == before.value for before in versions):  # committed already
+            return
+        columns = (*MARKED_COLUMNS, "late", "number")
+        names = ", ".join(columns[:-1])
+        cursor.execute(
+            self._text(
+                f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
+                "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
+            ),
+            _reading_row(one)[:3],
+        )
+        row = (*_marked_row(one), int(one.late), len(versions))
+        cursor.execute(self._text(inserting("revision", columns)), row)
+        if not one.late:
+            self.use(cursor, one.turbine, [*versions, one.reading])
+
+    def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
+        """Let the version of a stamp that counts be the observation."""
+        value, last = used_value(versions), versions[-1]
+        cursor.execute(
+            self._text(
+                "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, "
+                "r.received, r.mark FROM revision r WHERE r.turbine = observation.turbine "
+                "AND r.signal = observation.signal AND r.time = observation.time AND r.value = ?) "
+                "WHERE turbine = ? AND signal = ? AND time = ?"
+            ),
+            (
+                int(math.isnan(value)), versions[0].value if math.isnan(value) else value,
+                turbine, last.signal, last.time,
+            ),
+        )  # fmt: skip
 
     def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
         """Write estimates in place of the provisional ones."""
@@ -311,18 +352,62 @@ class Store:
         The value is NaN where two readings contradict each other.
         """
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
-        return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
+        return [
+            Reading(signal, at, math.nan if wrong else value, _mark(mark))
+            for signal, at, value, mark, wrong in found
+        ]
+
+    def versions(
+        self, turbine: str, stamps: Iterable[tuple[str, float]]
+    ) -> dict[tuple[str, float], list[Reading]]:
+        """The versions of the values of some stamps (signal, time [s]), in the order of their arrival; a
+        stamp that is not known is left out."""
+        found: dict[tuple[str, float], list[Reading]] = {}
+        by_signal: dict[str, list[float]] = {}
+        for signal, at in stamps:
+            by_signal.setdefault(signal, []).append(at)
+        for signal, times in by_signal.items():
+            for first in range(0, len(times), ASKED):
+                part = times[first : first + ASKED]
+                marks = ", ".join(["TIME(?)"] * len(part))
+                where = f"WHERE turbine = ? AND signal = ? AND time IN ({marks})"
+                values: list[SqlValue] = [turbine, signal, *part]
+                first_ones = self.rows(f"SELECT time, value, mark FROM observation {where}", values)
+                for at, value, mark in first_ones:
+                    found[signal, at] = [Reading(signal, at, value, _mark(mark))]
+                revisions = self.rows(
+                    f"SELECT time, value, mark, number FROM revision {where} ORDER BY number", values
+                )
+                for at, value, mark, number in revisions:
+                    one = Reading(signal, at, value, _mark(mark))
+                    found[signal, at] = [*(found[signal, at] if number else ()), one]
+        return found
+
+    def revised(self, turbine: str, since: float = -math.inf) -> dict[tuple[str, float], list[Reading]]:
+        """The versions of all stamps (signal, time [s]) from `since` [s] on that had several values."""
+        found: dict[tuple[str, float], list[Reading]] = {}
+        rows = self.rows(
+            "SELECT signal, time, value, mark FROM revision WHERE turbine = ? AND time >= ? "
+            "ORDER BY signal, time, number",
+            (turbine, since),
+        )
+        for signal, at, value, mark in rows:
+            found.setdefault((signal, at), []).append(Reading(signal, at, value, _mark(mark)))
+        return found
 
     def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
         """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
         `until` [s], by time."""
         where = "" if turbine is None else " AND turbine = ?"
         found = self.rows(
-            f"SELECT {', '.join(READING_COLUMNS)} FROM held WHERE time <= ?{where} "
-            "ORDER BY time, turbine, signal",
+            f"SELECT {', '.join(MARKED_COLUMNS)} FROM held WHERE time <= ?{where} "
+            "ORDER BY time, turbine, signal, received",
             (until,) if turbine is None else (until, turbine),
         )
-        return [Observation(name, Reading(s, at, value), received) for name, s, at, value, received in found]
+        return [
+            Observation(name, Reading(s, at, value, _mark(mark)), received)
+            for name, s, at, value, received, mark in found
+        ]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
         """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
@@ -379,12 +464,12 @@ class Store:
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of some signals from `since` to `until` [s], sorted by signal and
-        time."""
+        """(signal, time [s], value) of some signals from `since` to `until` [s] that the filter used, sorted
+        by signal and time."""
         return self.rows(
             "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
-            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY "
-            "signal, time",
+            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 AND late = 0 "
+            "ORDER BY signal, time",
             (turbine, *signals, since, until),
         )
 
@@ -447,6 +532,16 @@ def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequ
 def _reading_row(one: Observation) -> Row:
     """The row of a reading, in the order of `READING_COLUMNS`."""
     return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
+
+
+def _marked_row(one: Observation) -> Row:
+    """The row of a reading, in the order of `MARKED_COLUMNS`."""
+    mark = one.reading.mark
+    return (*_reading_row(one), None if math.isnan(mark) else mark)
+
+
+def _mark(stored: float | None) -> float:
+    return math.nan if stored is None else stored
 
 
 def state_text(state: Gaussian) -> str:
