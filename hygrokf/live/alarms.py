@@ -22,7 +22,7 @@ from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.sources.stream import Reach
 from hygrokf.modelling.design import PARTS
 
 
@@ -53,7 +53,7 @@ STALE = Rule(
     "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
 LOST = Rule(
-    "source lost", 1.0, 0.5, MINUTE_S, "alarm", 1.0,
+    "source lost", 1.0, 0.5, 0.0, "alarm", 1.0,
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
@@ -240,13 +240,13 @@ def condensation_levels(now: Estimated) -> list[Level]:
     return [Level(CONDENSATION.kind, chance, statement)]
 
 
-def shift_levels(shifts: Iterable[ParameterShift], finding: Finding | None) -> list[Level]:
+def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) -> list[Level]:
     """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
 
     There is no level before fault isolation has a finding; a finding without a cause gives one level for each
     property.
     """
-    lasting = {shift.name: shift for shift in shifts if shift.lasting}
+    lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
     if not lasting or finding is None:
         return []
     if finding.cause in SENSORS:
@@ -340,10 +340,16 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
     ]
 
 
-def source_levels(states: Mapping[str, SourceState]) -> list[Level]:
-    """One level for each lost source."""
+def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
+    """One level for each source that is not reached: for how long at `now` [s], as a multiple of its
+    limit."""
     return [
-        Level(LOST.kind, 1.0, f"{url} cannot be reached: {words}", subject=url)
-        for url, (word, words) in states.items()
-        if word == "lost"
+        Level(
+            LOST.kind,
+            one.share(now),
+            f"{url} has not been reached since {stamp_text(one.since)}: {one.words}",
+            subject=url,
+        )
+        for url, one in reaches.items()
+        if one.since is not None
     ]

@@ -83,13 +83,14 @@ class Course:
     """Estimates after the point: the run, and the filter's moments at its instants.
 
     `after_s`: time [s] of the point, −∞ without one; `before`: time [s] of each cabinet signal's newest
-    reading up to it.
+    reading up to it; `final`: number of instants, the first ones, whose estimates are final.
     """
 
     run: Run
     trace: Trace
     after_s: float = -math.inf
     before: Mapping[str, float] = field(default_factory=dict)
+    final: int = 0
 
     @property
     def seconds(self) -> np.ndarray:
@@ -287,7 +288,7 @@ class Tracker:
         if last > 0:
             self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
             self._forget()
-        return course
+        return replace(course, final=last)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging

@@ -85,16 +85,16 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 def instants_kept(course: Course) -> np.ndarray:
     """Indices of the instants that the store keeps: those with cabinet readings and, where none came for
-    `THIN_S`, one per `THIN_S`; always the last one.
+    `THIN_S`, one per `THIN_S`; the last one while it is provisional.
 
-    Apart from that one they do not depend on how readings are grouped into courses.
+    Those that are final do not depend on how readings are grouped into courses.
     """
     outputs = course.run.timeline.outputs
     heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
     kept = np.isfinite(course.run.timeline.y).any(axis=1)
     kept |= (np.diff(slot) > 0) & (course.seconds - heard >= THIN_S - SAME_S)
-    kept[-1] = True
+    kept[-1] |= course.final < len(kept)
     return np.flatnonzero(kept)
 
 

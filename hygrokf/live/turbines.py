@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import (
     CLOCK,
     CONTRADICTS,
+    DELIVERY_RULES,
     ESTIMATE_RULES,
     LOST,
     MISSING,
@@ -55,7 +56,7 @@ from hygrokf.live.properties import (
 from hygrokf.live.sources.payload import LAST, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
@@ -303,7 +304,8 @@ class Fleet:
         steps, finding = self.steps[name], self.findings.get(name)
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
             step = steps.pop(0)
-            levels = with_doubts(shift_levels(step.lasting, finding), self.turbines[name].verdicts)
+            shifts = {one.name: one for one in step.lasting}
+            levels = with_doubts(shift_levels(shifts, finding), self.turbines[name].verdicts)
             self._judge(name, step.time, levels, SHIFT_RULES, batch)
         batch.memories[name, "shift_steps"] = [asdict(step) for step in steps]
 
@@ -352,24 +354,32 @@ class Fleet:
         return batch
 
     def tick(
-        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+        self,
+        now: float,
+        sources: Mapping[str, Reach],
+        left: Mapping[str, str] | None = None,
+        replayed: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about missing data and wrong clocks at `now` [s], and about lost sources; release
-        readings that were ahead, and assess every turbine.
+        """Judge alarms about missing data and wrong clocks at `now` [s], and about sources that are not
+        reached; release readings that were ahead, and assess every turbine.
 
-        left: turbine -> text about a sender that has left.
+        left: turbine -> text about a sender that has left. replayed: turbines of which only records are
+            played back, whose arrival says nothing.
         """
         batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()
         self._began, self._now = min(self._began, now), now
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
-        for name in self.turbines:
+        live = [name for name in self.turbines if name not in replayed]
+        for name in live:
             self._judge_missing(name, now, left.get(name, ""), batch)
-        clocks = clock_levels(self.clocks.ahead())
-        for name in (*self.turbines, SOURCE):
+        for name in replayed:
+            self._judge(name, now, [], DELIVERY_RULES, batch)
+        clocks = clock_levels({name: one for name, one in self.clocks.ahead().items() if name in live})
+        for name in (*live, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
-        self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
+        self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
         for name in self.turbines:
             self._assess(name, batch)
         batch.counters = {key: count for key, count in counts.items() if count}

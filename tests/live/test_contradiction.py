@@ -41,7 +41,7 @@ def test_a_humidity_sensor_at_its_ceiling_reads_at_least_its_reading() -> None:
 
 def test_ordinary_data_and_steps_of_a_sensor(record: Record, turbine: Turbine) -> None:
     """Of 1,200 ordinary readings none is flagged, of those with a step of 15 % or 3 K 99 % and more."""
-    found = innovations(offline_course(turbine.plan, record), {})
+    found = innovations(offline_course(turbine.plan, record))
     assert len(found) > 600
     assert all(abs(one.deviations) < BEYOND for one in found)
     for signal, step in ((HUMIDITY, 0.15), ("cabinet_temperature", 3.0)):
@@ -51,7 +51,7 @@ def test_ordinary_data_and_steps_of_a_sensor(record: Record, turbine: Turbine) -
             assert np.mean(beyond) > 0.98
 
 
-def test_a_reading_that_contradicts_is_flagged_at_once(
+def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
     tmp_path: Path, record: Record, turbine: Turbine
 ) -> None:
     mapping = record_mapping(record, "T1")
@@ -71,7 +71,7 @@ def test_a_reading_that_contradicts_is_flagged_at_once(
         alarms += batch.alarms
         if alarms:
             break
-    assert stamp - at <= 600.0  # as soon as the ambient, on another clock, is known at its time
+    assert 1800.0 <= stamp - at <= 2700.0  # the lateness, and the ambient, on another clock, at its time
     (alarm,) = alarms
     assert (alarm.kind, alarm.began) == ("reading contradicts", at)
     assert f"reads {100.0 * wrong:.1f} %, where the estimate expects" in alarm.statement

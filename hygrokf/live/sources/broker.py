@@ -199,7 +199,7 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class BrokerForm:
+class BrokerForm(SourceKeys):
     """A [[source]] that is an MQTT broker."""
 
     REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}

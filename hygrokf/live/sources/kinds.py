@@ -23,6 +23,12 @@ class SourceForm(Protocol):
     @property
     def weather(self) -> bool: ...
 
+    @property
+    def revision(self) -> str: ...
+
+    @property
+    def reach_limit_s(self) -> float | None: ...
+
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None: ...
 
 
@@ -56,6 +62,8 @@ def stream_of(
         return None
     own = replace(place, faults=[])
     form = read_form(kind, table, own)
-    made = form.stream(folder, replace(mapping, weather=True) if form.weather else mapping, own)
+    made = form.stream(folder, replace(mapping, weather=form.weather, revision=form.revision), own)
+    if made is not None and form.reach_limit_s is not None:
+        made.reach_limit_s = form.reach_limit_s
     place.faults.extend(own.faults)
     return None if own.faults else made

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,14 +26,16 @@ from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreada
 from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
-    SourceKeys,
     Delivery,
     SourceFault,
+    SourceKeys,
     SourceState,
     Stream,
     Threaded,
 )
 
+GROWTHS = 16
+"""Growths of a file that tell its usual interval."""
 LONGEST_LINE = LARGEST
 """[bytes] of the longest line that is read."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
@@ -118,6 +121,8 @@ class TailedFile(Threaded):
     without a line end is incomplete and waits.
     """
 
+    ordered_by = "position in the file"
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -129,6 +134,14 @@ class TailedFile(Threaded):
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
+        # clock [s] at which more had come to the file
+        self._grew: deque[float] = deque(maxlen=GROWTHS)
+
+    @property
+    def usual_interval_s(self) -> float:
+        """Median time [s] between two looks at which more had come to the file; 0 before two of these."""
+        gaps = np.diff(tuple(self._grew))
+        return float(np.median(gaps)) if len(gaps) else 0.0
 
     def end_when_read(self) -> None:
         """End at the file's present end instead of following it."""
@@ -157,10 +170,14 @@ class TailedFile(Threaded):
         if offset:
             lines.read_header(file)
         file.seek(offset)
+        waited = False
         while not self._ended.is_set():
             line = next_line(file)
             whole = is_whole(line)
             if whole or not self.follow:
+                if waited:
+                    self._grew.append(time.monotonic())
+                waited = False
                 offset += len(line)
                 content = lines.content(line)
                 if content is not None:
@@ -169,6 +186,7 @@ class TailedFile(Threaded):
                     continue
                 return True
             file.seek(offset)
+            waited = True
             self._ended.wait(PAUSE_S)
             try:
                 now = self.path.stat()
@@ -283,7 +301,7 @@ def delay_and_repeat(
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class FileForm:
+class FileForm(SourceKeys):
     """A [[source]] of `file:PATH`, which is followed as it grows or, with `speed`, played back.
 
     Playback runs at `speed` times real time, with rows delayed up to `late` and a share `repeated` of

@@ -90,7 +90,7 @@ class NodeForm:
 
 
 @dataclass(frozen=True)
-class ServerForm:
+class ServerForm(SourceKeys):
     """A server and its nodes."""
 
     url: str = setting(help="opc.tcp://HOST:PORT/PATH")

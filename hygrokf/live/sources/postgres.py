@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
@@ -25,10 +26,10 @@ from hygrokf.live.sources.endpoint import password_of
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Payload
 from hygrokf.live.sources.stream import (
-    SourceKeys,
     BackOff,
     Delivery,
     SourceFault,
+    SourceKeys,
     SourceState,
     Stream,
     Threaded,
@@ -119,6 +120,8 @@ class PostgresQuery(Threaded):
     The place is type and text of a watermark below which every row is committed.
     """
 
+    ordered_by = "watermark"
+
     def __init__(self, query: Query, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.query = query
@@ -132,6 +135,10 @@ class PostgresQuery(Threaded):
         self._polled = -math.inf
         self._seen: dict[int, Watermark] = {}
         """Rows above `_after` that were delivered, by their hash."""
+
+    @property
+    def usual_interval_s(self) -> float:
+        return self.query.poll_s
 
     def end_when_read(self) -> None:
         """End when all present rows are read."""
@@ -294,7 +301,8 @@ class PostgresQuery(Threaded):
         identity = hash(repr(row))
         if identity in self._seen:
             return
-        put(Delivery(columns.payload(row), time.time(), place=f"{columns.kind} {self._after}"))
+        place = f"{columns.kind} {self._after}"
+        put(Delivery(columns.payload(row), time.time(), place=place, mark=number_of(mark)))
         if len(self._seen) < REMEMBERED:
             self._seen[identity] = mark
 
@@ -323,6 +331,14 @@ def text_of(mark: Watermark) -> str:
     return mark.isoformat() if isinstance(mark, date) else str(mark)
 
 
+def number_of(mark: Watermark) -> float:
+    """A watermark as a number that grows with it; −∞ and ∞ are finite, as ∞ has another meaning for marks."""
+    if isinstance(mark, datetime):
+        return mark.replace(tzinfo=mark.tzinfo or UTC).timestamp()
+    number = float(mark.toordinal() if isinstance(mark, date) else mark)
+    return max(min(number, sys.float_info.max), -sys.float_info.max)
+
+
 def _plain(value: Any) -> Json:
     """A value of a row as it stands in a payload: times in ISO 8601, exact numbers as floating point."""
     if isinstance(value, date):
@@ -346,7 +362,7 @@ def reason_of(fault: Exception) -> str:
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class PostgresForm:
+class PostgresForm(SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`."""
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")

@@ -101,6 +101,27 @@ class SourceState(NamedTuple):
     words: str
 
 
+REACHED = ("connected", "ended", "stopped")
+"""Words of the states in which a source is reached."""
+REACH_LIMIT_S = MINUTE_S
+"""Shortest time [s] not reached after which a source is an alarm, unless it states another one."""
+INTERVALS = 3.0
+"""Usual intervals of a source after which it is one."""
+
+
+class Reach(NamedTuple):
+    """Since when [s, this machine's clock] a source is not reached, None while it is; the time [s] after
+    which that is an alarm; and why."""
+
+    since: float | None
+    limit_s: float
+    words: str = ""
+
+    def share(self, now: float) -> float:
+        """The time that it has not been reached at `now` [s] as a multiple of the limit."""
+        return 0.0 if self.since is None else (now - self.since) / self.limit_s
+
+
 class Stream(Protocol):
     """A source of deliveries.
 
@@ -110,7 +131,9 @@ class Stream(Protocol):
     its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
     position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
     `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time
-    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor;
+    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor; `reach`
+    tells since when it is not reached; `reach_limit_s`: the limit [s] that it states; `ordered_by`: what
+    orders the versions of a value;
     `signals` are those of a turbine that the source can deliver; `left` says of turbines that their sender
     has left (turbine -> text).
     """
@@ -119,6 +142,8 @@ class Stream(Protocol):
     mapping: PayloadMapping
     played_back: bool
     label: str
+    ordered_by: str
+    reach_limit_s: float | None
 
     def recall(self, memories: JsonObject) -> None: ...
 
@@ -134,6 +159,8 @@ class Stream(Protocol):
 
     def now(self) -> float: ...
 
+    def reach(self) -> Reach: ...
+
     @property
     def state(self) -> SourceState: ...
 
@@ -148,7 +175,7 @@ class SourceKeys:
 
     weather: bool = setting(False, "whether it brings weather forecasts, not readings")
     revision: str = setting(
-        LAST, "which of several values of one stamp counts: the last one, or neither", choices=(LAST, "neither")
+        LAST, "which of several values of one stamp counts", choices=(LAST, "neither")
     )
     reach_limit_s: float | None = setting(
         None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
@@ -167,6 +194,9 @@ class Threaded:
     url = ""
     played_back = False
     label = ""
+    ordered_by = "arrival"
+    reach_limit_s: float | None = None
+    _unreached: float | None = None
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
@@ -226,6 +256,22 @@ class Threaded:
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
         return self.clock()
+
+    @property
+    def usual_interval_s(self) -> float:
+        """Time [s] after which more comes from the source as a rule, if that is known; else 0."""
+        return 0.0
+
+    def reach(self) -> Reach:
+        """Since when the source is not reached, whatever its state is called: seen whenever it is asked."""
+        word, words = self.state
+        if word in REACHED:
+            self._unreached = None
+        elif self._unreached is None:
+            self._unreached = self.clock()
+        limit_s = max(REACH_LIMIT_S, INTERVALS * self.usual_interval_s)
+        stated = self.reach_limit_s
+        return Reach(self._unreached, limit_s if stated is None else stated, words)
 
     def stop(self) -> None:
         self._ended.set()

@@ -468,8 +468,8 @@ class Store:
         by signal and time."""
         return self.rows(
             "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
-            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 AND late = 0 "
-            "ORDER BY signal, time",
+            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 "
+            "AND late = 0 ORDER BY signal, time",
             (turbine, *signals, since, until),
         )
 
