@@ -1,5 +1,5 @@
-"""Alarms about the process, and the causes of shifts, follow from the times of the readings alone, not from when
-these came or in which portions."""
+"""Alarms about the process, and the causes of shifts, follow from the times of the readings alone, not from
+when these came or in which portions."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def tracked(
     folder: Path, turbine: Turbine, record: Record, messages: Messages, count: int, at_once: bool = True,
     restarts: int = 0,
 ) -> tuple[dict[str, object], list[float]]:  # fmt: skip
-    """What a store holds after rounds of `count` messages, and for which times causes were isolated: after each
-    round, or only at the end.  The tracker begins anew after every so many rounds."""
+    """What a store holds after rounds of `count` messages, and for which times causes were isolated: after
+    each round, or only at the end.  The tracker begins anew after every so many rounds."""
     mapping, store = record_mapping(record, "T1"), open_store(f"sqlite:{folder / 'live.db'}")
     fleet, times = Fleet.from_store({"T1": turbine}, store), []
     for number, first in enumerate(range(0, len(messages), count), 1):

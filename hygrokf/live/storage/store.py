@@ -107,11 +107,15 @@ class Store:
     def commit(self, batch: Batch) -> None:
         """Write a batch completely or not at all."""
         with self.transaction() as cursor:
-            self._write_observations(cursor, batch)
-            self._write_estimates(cursor, batch)
-            self._write_findings(cursor, batch)
-            self._write_memories(cursor, batch)
-            self._write_forecasts(cursor, batch)
+            self.write(cursor, batch)
+
+    def write(self, cursor: Cursor, batch: Batch) -> None:
+        """Write a batch within a transaction."""
+        self._write_observations(cursor, batch)
+        self._write_estimates(cursor, batch)
+        self._write_findings(cursor, batch)
+        self._write_memories(cursor, batch)
+        self._write_forecasts(cursor, batch)
 
     def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
         """Write readings and filter points; of a stamp with several values the one that counts is written,

@@ -9,11 +9,11 @@ import logging
 import math
 import os
 import time
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
@@ -221,21 +221,24 @@ class Page:
     async def healthz(self, request: Request) -> Response:
         """200 while the tracker's loop and store work, else 503: then restarting it may help.
 
-        The body has the reason and each source's kind and state, but no location and no turbine.  It waits
-        neither for other requests nor for the threads that answer them.
+        It waits neither for other requests nor for the threads that answer them.
         """
-        fault = await self._fault()
-        return self._said(fault, {"ok": True} if not fault else {"fault": fault})
+        return self._said(await self._fault())
 
     async def readyz(self, request: Request) -> Response:
         """200 while readings can become estimates, else 503: also while a source has not been reached for
         longer than its limit."""
-        fault = await self._fault()
         now = self.service.now
         beyond = sum(one.share(now) >= 1.0 for one in self.service.reaches().values())
-        if not fault and beyond:
-            fault = f"{beyond} of {len(self.service.streams)} sources are not reached"
-        return self._said(fault, {"ok": True} if not fault else {"fault": fault})
+        sources = f"{beyond} of {len(self.service.streams)} sources are not reached" if beyond else ""
+        return self._said(await self._fault() or sources)
+
+    def _said(self, fault: str) -> Response:
+        """The answer to a machine, with the number of sources in each state; it reveals no location and no
+        turbine."""
+        states = Counter(one.state.word for one in self.service.streams.values())
+        body = {"fault": fault} if fault else {"ok": True}
+        return reply({**body, "sources": states}, status=503 if fault else 200)
 
     async def _fault(self) -> str:
         """Why loop or store do not work; empty if they do."""
@@ -246,20 +249,6 @@ class Page:
         if time.monotonic() - self.service.health.looped > LOOP_S:
             return f"the tracker's loop has not gone round for {LOOP_S:g} s"
         return await self.answers.fault()
-
-    def _said(self, fault: str, body: JsonObject) -> Response:
-        """The answer to a machine, with the state of each source."""
-        reaches, now = self.service.reaches(), self.service.now
-        sources: list[Json] = [
-            {
-                "kind": url.partition(":")[0],
-                "state": one.state.word,
-                "not_reached_s": None if (reach := reaches.get(url)) is None or reach.since is None
-                else round(now - reach.since, 1),
-            }
-            for url, one in self.service.streams.items()
-        ]  # fmt: skip
-        return reply({**body, "sources": sources}, status=503 if fault else 200)
 
 
 def open_alarms(store: Store) -> int:
