@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.data.ambient import middle
+from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, judge
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
@@ -28,6 +29,11 @@ from hygrokf.live.changes import changed_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
+Column = Sequence[float] | np.ndarray
+Readings = tuple[np.ndarray, np.ndarray]
+"""Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
+KEPT_OUT = {DEPARTED: "departed", FROZEN: "frozen"}
+"""Verdicts of the gate, and the counts of the readings that it keeps out."""
 AHEAD_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
@@ -117,7 +123,8 @@ class Tracker:
     the time [s] of the newest reading, −∞ without any.  `counts` counts distinct readings: "late" (the first
     value of its stamp, received after the estimate at that time was final), "revised" (another value of a
     stamp before that, of which `used_value` counts), "revised late" (after it: not used), "contradicting"
-    (values of which none counts); and "repeated", values that their stamp has had before.
+    (values of which none counts), and, once final, "departed" and "frozen" (kept out by `data.gate`); and
+    "repeated", values that their stamp has had before.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
@@ -145,6 +152,7 @@ class Tracker:
         self._values: dict[str, array[float]] = {}
         self._marks: dict[str, array[float]] = {}
         self._versions = dict(versions or {})
+        self._accepted: dict[str, Readings] = {}
         for one in readings:
             self._insert(one)
 
@@ -256,7 +264,7 @@ class Tracker:
         return first + longest if last - first <= longest else None
 
     def record(self) -> Record:
-        """The stored readings as a record."""
+        """The stored readings as a record, without those that the gate keeps out."""
         return record_of(self.plan, self._times, self._values)
 
     def awaited(self) -> tuple[str, ...]:
@@ -275,18 +283,27 @@ class Tracker:
         """
         if self.awaited() or not self._inputs_overlap():
             return None
+        judged = {
+            signal: judged_readings(self.plan, signal, times, self._values[signal], self._limit)
+            for signal, times in self._times.items()
+        }
+        self._accepted = {signal: one.accepted for signal, one in judged.items()}
         made = prepare_run(self.plan.design, self._record_with_ended_gaps())
         course = self._course(made)
         if course is None:
             return None
         seconds = course.seconds
         # a mean that ends after the run may have an interval that begins within it
-        final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
+        settled = min((one.judgement.settled_s for one in judged.values()), default=math.inf)
+        final = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
         last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
         self.running = bool(made.operating[-1])
         if last > 0:
+            before = -math.inf if self.point is None else self.point.time
             self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
+            for one in judged.values():
+                self.counts.update(one.kept_out(before + SAME_S, self.point.time + SAME_S))
             self._forget()
         return replace(course, final=last)
 
@@ -325,12 +342,10 @@ class Tracker:
         return Course(piece, self._filter(part, self._start()), after - SAME_S, before)
 
     def _heard_until(self, signal: str, time: float) -> float:
-        """Time [s] of the newest reading of a signal up to a time [s]; −∞ without one."""
-        times, values = self._times.get(signal, array("d")), self._values.get(signal, array("d"))
-        place = bisect.bisect_right(times, time)
-        while place and math.isnan(values[place - 1]):
-            place -= 1
-        return times[place - 1] if place else -math.inf
+        """Time [s] of the newest accepted reading of a signal up to a time [s]; −∞ without one."""
+        times, _ = self._accepted.get(signal, (np.empty(0), None))
+        place = int(times.searchsorted(time, side="right"))
+        return float(times[place - 1]) if place else -math.inf
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -361,8 +376,8 @@ class Tracker:
         long.
         """
         final = self._limit
-        for signal, times in self._times.items():
-            place = bisect.bisect_right(times, self._limit)
+        for signal, (times, _) in self._accepted.items():
+            place = int(times.searchsorted(self._limit, side="right"))
             if place and not signal.startswith("cabinet_") and not self._stale(signal):
                 last = place - 1 - self.plan.readings_ahead(signal)
                 final = (
@@ -373,26 +388,29 @@ class Tracker:
 
     def _stale(self, signal: str) -> bool:
         """Whether a driver's last reading is so old that the gap after it will not be bridged."""
-        times = self._times[signal]
-        place = bisect.bisect_right(times, self._limit)
+        times, _ = self._accepted[signal]
+        place = int(times.searchsorted(self._limit, side="right"))
         if place < len(times) or not place:
             return False
         age, bridge_s = self._limit - times[-1], HOUR_S * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:
             return age > bridge_s
-        usual = middle(np.sort(np.diff(np.array(times))))
+        usual = middle(np.sort(np.diff(times)))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
     def _record_with_ended_gaps(self) -> Record:
         """The readings, with one far ahead for each stale driver, so that its gap is recognised as too
         long."""
-        stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}
+        known = {signal for signal, (times, _) in self._accepted.items() if len(times)}
+        stale = {s for s in known if not s.startswith("cabinet_") and self._stale(s)}
         if any(s.startswith("ambient_") for s in stale):
-            stale |= {s for s in self._times if s.startswith("ambient_")}
+            stale |= {s for s in known if s.startswith("ambient_")}
         ahead = self.newest + AHEAD_S
-        times = {s: array("d", [*times, ahead]) if s in stale else times for s, times in self._times.items()}
-        values = {s: array("d", [*v, _last_of(v)]) if s in stale else v for s, v in self._values.items()}
-        return record_of(self.plan, times, values)
+        readings = {
+            s: (np.append(times, ahead), np.append(values, values[-1])) if s in stale else (times, values)
+            for s, (times, values) in self._accepted.items()
+        }
+        return _record(self.plan, readings)
 
     def _forget(self) -> None:
         """Drop readings that no later instant needs, but keep `BEFORE` older ones to delimit gaps."""
@@ -410,24 +428,52 @@ class Tracker:
         }
 
 
-def _last_of(values: Sequence[float]) -> float:
-    return next((v for v in reversed(values) if not math.isnan(v)), math.nan)
+@dataclass(frozen=True)
+class Judged:
+    """The readings of a signal (time [s], value [SI unit]) and the gate's judgement of them."""
+
+    readings: Readings
+    judgement: Judgement
+
+    @property
+    def accepted(self) -> Readings:
+        time, value = self.readings
+        there = self.judgement.verdict == ACCEPTED
+        return (time, value) if there.all() else (time[there], value[there])
+
+    def kept_out(self, after_s: float, until_s: float) -> dict[str, int]:
+        """Numbers of readings that were kept out within a time (after_s, until_s] [s], by the verdict."""
+        time, verdict = self.readings[0], self.judgement.verdict
+        within = verdict[(time > after_s) & (time <= until_s)]
+        return {name: n for code, name in KEPT_OUT.items() if (n := int(np.sum(within == code)))}
 
 
-def record_of(
-    plan: Plan, times: Mapping[str, Iterable[float]], values: Mapping[str, Iterable[float]]
-) -> Record:
-    """A record of the plan's turbine from times and values by signal."""
-    series = []
-    for signal in sorted(times):
-        form = plan.form(signal)
-        time, value = np.array(times[signal], dtype=float), np.array(values[signal], dtype=float)
-        there = np.isfinite(value)
-        if not there.all():
-            time, value = time[there], value[there]
-        if not len(time):
-            continue
-        series.append(Series(signal=signal, time=time, value=value, **vars(form)))
+def judged_readings(
+    plan: Plan, signal: str, times: Column, values: Column, known_until_s: float = math.inf
+) -> Judged:
+    """The readings of a signal of the plan's turbine that are not missing, judged by the gate."""
+    time, value = np.array(times, dtype=float), np.array(values, dtype=float)
+    there = np.isfinite(value)
+    if not there.all():
+        time, value = time[there], value[there]
+    scale = plan.scale(signal)
+    if scale is None:
+        return Judged((time, value), Judgement(np.zeros(len(time), dtype=np.int8), known_until_s))
+    return Judged((time, value), judge(signal, time, value, scale, known_until_s))
+
+
+def record_of(plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column]) -> Record:
+    """A record of the plan's turbine from times [s] and values [SI unit] by signal, judged by the gate."""
+    judged = {signal: judged_readings(plan, signal, times[signal], values[signal]) for signal in times}
+    return _record(plan, {signal: one.accepted for signal, one in judged.items()})
+
+
+def _record(plan: Plan, readings: Mapping[str, Readings]) -> Record:
+    series = [
+        Series(signal=signal, time=time, value=value, **vars(plan.form(signal)))
+        for signal, (time, value) in sorted(readings.items())
+        if len(time)
+    ]
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 

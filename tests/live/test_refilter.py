@@ -1,5 +1,5 @@
-"""Corrected values: every version is kept, the last one counts until its instant is final, and after that once
-the store is filtered anew."""
+"""Corrected values: every version is kept, the last one counts until its instant is final, and after that
+once the store is filtered anew."""
 
 from __future__ import annotations
 
