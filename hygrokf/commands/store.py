@@ -19,7 +19,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("file", type=Path, metavar="TRACK.toml", help="the tracker's file")
     parser.add_argument("--turbine", metavar="NAME", help="only this turbine (default: all)")
-    parser.add_argument("--dry-run", action="store_true", help="only say which alarms would differ")
     add_json(parser)
     add_library(parser)
 
@@ -39,16 +38,12 @@ def _run(options: argparse.Namespace) -> int:
     open_store(config.store, read_only=True).close()  # it must be there
     store = open_store(config.store)
     try:
-        found = refilter(store, turbines, not options.dry_run)
+        found = refilter(store, turbines)
     finally:
         store.close()
-    done = "would be" if options.dry_run else "are"
-    lines = [
-        "\n".join(
-            [f"{one.turbine}: {one.late} readings that had come too late {done} used", *one.differences]
-        )
-        for one in found
-    ]
+    lines = []
+    for one in found:
+        lines += [f"{one.turbine}: {one.late} readings that had come too late are used", *one.differences]
     show({"turbines": [asdict(one) for one in found]}, "\n".join(lines), options.json)
     return 0
 

@@ -68,12 +68,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class ShiftStep:
-    """A time [s] of final estimates at which the set of `lasting` shifts changed, or at which fault isolation
-    is `due` for them.
-
-    Isolation runs, and alarms about shifts are judged, step after step, so that both follow from final
-    estimates alone, however fast they came.
-    """
+    """A time [s] of final estimates at which the `lasting` shifts became others, or at which fault isolation
+    is `due` for them; their alarms are judged step after step, however fast the estimates came."""
 
     time: float
     lasting: tuple[ParameterShift, ...]
@@ -83,11 +79,8 @@ class ShiftStep:
 def shift_step(
     time: float, before: Mapping[str, ParameterShift], after: Mapping[str, ParameterShift], last_s: float
 ) -> ShiftStep | None:
-    """The step at a time [s] at which the shifts changed from `before` to `after`; None if nothing is to be
-    done.
-
-    Isolation is due when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s].
-    """
+    """The step at a time [s] at which shifts went from `before` to `after`, if there is one.  Isolation is due
+    when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s]."""
     lasting = tuple(one for one in after.values() if one.lasting)
     newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
     due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -34,24 +33,15 @@ class Refiltered:
     differences: tuple[str, ...]
 
 
-class _Undone(Exception):
-    """Ends a transaction whose changes are not wanted."""
-
-
-def refilter(store: Store, turbines: Mapping[str, Turbine], write: bool = True) -> list[Refiltered]:
-    """Filter turbines anew, all in one transaction; without `write` only find out what would differ.
+def refilter(store: Store, turbines: Mapping[str, Turbine]) -> list[Refiltered]:
+    """Filter turbines anew, all in one transaction.
 
     Estimates, properties and the tracker's state are replaced; alarms stay as they were told.  Raises
     StoreFault if a tracker is running.
     """
     store.claim("turbine", turbines)
-    found: list[Refiltered] = []
-    with suppress(_Undone), store.transaction() as cursor:
-        for name, one in turbines.items():
-            found.append(_refiltered(store, cursor, name, one))
-        if not write:
-            raise _Undone
-    return found
+    with store.transaction() as cursor:
+        return [_refiltered(store, cursor, name, one) for name, one in turbines.items()]
 
 
 def _refiltered(store: Store, cursor: Cursor, name: str, one: Turbine) -> Refiltered:

@@ -15,6 +15,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class Reading:
     """One reading of a signal: time [s since 1970, UTC], which for a mean is the end of its interval, and
     value [SI unit].
 
-    `mark`: the source's own number of this version of the value, by which versions of one stamp are ordered;
-    NaN: they are ordered by arrival; `NEITHER`: the source states that none of them counts.
+    `mark`: the source's own number of this version of the value, by which those of one stamp are ordered;
+    NaN: by arrival; `NEITHER`: none of them counts.
     """
 
     signal: str
@@ -60,6 +61,8 @@ class Reading:
 
 NEITHER = math.inf
 """Mark of a source whose versions of a value are all unused once there are two."""
+Versions = dict[tuple[str, float], list[Reading]]
+"""Versions of values by signal and time [s], in the order of their arrival."""
 REVISIONS = ("revised", "revised late", "contradicting")
 """Counts of values that their stamp has not had before, while it had others (`Tracker.counts`)."""
 
@@ -69,11 +72,7 @@ def used_value(versions: Sequence[Reading]) -> float:
     greatest mark, else the last one; NaN if none counts."""
     if any(one.mark == NEITHER for one in versions):
         return math.nan
-    used = versions[0]
-    for one in versions[1:]:
-        if not one.mark < used.mark:
-            used = one
-    return used.value
+    return reduce(lambda used, one: used if one.mark < used.mark else one, versions).value
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ class Tracker:
     point: the final estimate to begin from, or None.
     readings: stored readings after it, in SI units.
     changes: [s] times of stated changes of the cabinet.
-    versions: of stamps that had several values, all of them in the order of their arrival.
+    versions: of stamps that had several values.
     """
 
     def __init__(
@@ -139,7 +138,7 @@ class Tracker:
         point: Point | None = None,
         readings: Iterable[Reading] = (),
         changes: Iterable[float] = (),
-        versions: Mapping[tuple[str, float], list[Reading]] | None = None,
+        versions: Versions | None = None,
     ) -> None:
         self.plan = plan
         self.changes = tuple(changes)
@@ -157,16 +156,11 @@ class Tracker:
             self._insert(one)
 
     # -- readings --------------------------------------------------------------------------------------------
-    def take(
-        self,
-        readings: Iterable[Reading],
-        stored: dict[tuple[str, float], list[Reading]] | None = None,
-    ) -> list[str]:
+    def take(self, readings: Iterable[Reading], stored: Versions | None = None) -> list[str]:
         """Add readings in any order; values must be finite.  Returns for each the count that it belongs to,
         "" for a first value in time.
 
-        stored: versions that are known of stamps whose estimates are final, by signal and time; what comes is
-            added to them.
+        stored: versions that are known of stamps whose estimates are final; what comes is added to them.
         """
         stored, outcomes = {} if stored is None else stored, []
         for one in readings:

@@ -19,7 +19,6 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import (
     CLOCK,
     CONTRADICTS,
-    DELIVERY_RULES,
     ESTIMATE_RULES,
     LOST,
     MISSING,
@@ -138,7 +137,7 @@ class Fleet:
                 fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
-            fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps", []))
+            fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps") or [])
             (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
             fleet._slots[name] = -math.inf if point is None or last is None else last // PROPERTY_S
         fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
@@ -203,14 +202,12 @@ class Fleet:
         if not observations:
             return
         tracker = self.trackers[name]
-        late = [tracker.is_late(one.reading) for one in observations]
-        final = [one.reading for one, is_late in zip(observations, late, strict=True) if is_late]
-        stamps = {(one.signal, one.time) for one in final}
-        stored = {} if self._store is None else self._store.versions(name, stamps)
-        outcomes = tracker.take((one.reading for one in observations), stored)
+        readings = [one.reading for one in observations]
+        final = {(one.signal, one.time) for one in readings if tracker.is_late(one)}
+        outcomes = tracker.take(readings, self._store.versions(name, final) if self._store else None)
         batch.observations += [
-            replace(one, late=is_late, revision=outcome in REVISIONS)
-            for one, is_late, outcome in zip(observations, late, outcomes, strict=True)
+            replace(one, late="late" in outcome, revision=outcome in REVISIONS)
+            for one, outcome in zip(observations, outcomes, strict=True)
         ]
         self.waiting.setdefault(name)
         counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
@@ -270,13 +267,12 @@ class Fleet:
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
         once."""
-        seconds = course.seconds
-        slots = np.floor(seconds / PROPERTY_S)
+        slots = np.floor(course.seconds / PROPERTY_S)
         before = self._slots.get(name, -math.inf)
-        begins = (slots > np.append(before, slots[:-1])) & (seconds <= final_s + SAME_S)
+        begins = (slots > np.append(before, slots[:-1])) & (course.seconds <= final_s + SAME_S)
         heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
         for i in np.flatnonzero(begins):
-            at, errors = float(seconds[i]), self.turbines[name].errors
+            at, errors = float(course.seconds[i]), self.turbines[name].errors
             mean, covariance = course.trace.mean[i], course.trace.covariance[i]
             newest = {signal: float(times[i]) for signal, times in heard.items()}
             states = states_of(plan.model, mean, covariance, at, newest)
@@ -342,11 +338,9 @@ class Fleet:
             self.reference_points.pop(name, None)
             self.steps[name].clear()
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
-            for key, nothing in (
-                ("parameter_shifts", {}), ("references", {}), ("finding", None), ("shift_steps", []),
-            ):  # fmt: skip
+            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
                 batch.memories[name, key] = nothing
-            batch.memories[name, "reference_point"] = None
+            batch.memories[name, "reference_point"] = batch.memories[name, "shift_steps"] = None
             if tracker.point is not None:
                 self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
             self.waiting[name] = None
@@ -371,13 +365,13 @@ class Fleet:
         self._began, self._now = min(self._began, now), now
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
-        live = [name for name in self.turbines if name not in replayed]
-        for name in live:
-            self._judge_missing(name, now, left.get(name, ""), batch)
-        for name in replayed:
-            self._judge(name, now, [], DELIVERY_RULES, batch)
-        clocks = clock_levels({name: one for name, one in self.clocks.ahead().items() if name in live})
-        for name in (*live, SOURCE):
+        for name in self.turbines:
+            if name in replayed:
+                self._judge(name, now, [], (STALE, MISSING), batch)
+            else:
+                self._judge_missing(name, now, left.get(name, ""), batch)
+        clocks = clock_levels(self.clocks.ahead())
+        for name in (*self.turbines, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
         self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
         for name in self.turbines:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.sources.local import FileForm
@@ -14,25 +13,9 @@ from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.standard_input import InputForm
-from hygrokf.live.sources.stream import Stream
+from hygrokf.live.sources.stream import SourceKeys, Stream
 
-
-class SourceForm(Protocol):
-    """The form of a [[source]] table, which makes its stream or gives None with faults in `place`."""
-
-    @property
-    def weather(self) -> bool: ...
-
-    @property
-    def revision(self) -> str: ...
-
-    @property
-    def reach_limit_s(self) -> float | None: ...
-
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None: ...
-
-
-KINDS: Mapping[str, type[SourceForm]] = {
+KINDS: Mapping[str, type[SourceKeys]] = {
     "file": FileForm,
     "stdin": InputForm,
     "mqtt": MqttForm,

@@ -35,7 +35,7 @@ from hygrokf.live.sources.stream import (
 )
 
 GROWTHS = 16
-"""Growths of a file that tell its usual interval."""
+"""Growths of a file whose times tell its usual interval."""
 LONGEST_LINE = LARGEST
 """[bytes] of the longest line that is read."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
@@ -134,14 +134,7 @@ class TailedFile(Threaded):
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
-        # clock [s] at which more had come to the file
         self._grew: deque[float] = deque(maxlen=GROWTHS)
-
-    @property
-    def usual_interval_s(self) -> float:
-        """Median time [s] between two looks at which more had come to the file; 0 before two of these."""
-        gaps = np.diff(tuple(self._grew))
-        return float(np.median(gaps)) if len(gaps) else 0.0
 
     def end_when_read(self) -> None:
         """End at the file's present end instead of following it."""
@@ -170,14 +163,11 @@ class TailedFile(Threaded):
         if offset:
             lines.read_header(file)
         file.seek(offset)
-        waited = False
+        read_until = offset
         while not self._ended.is_set():
             line = next_line(file)
             whole = is_whole(line)
             if whole or not self.follow:
-                if waited:
-                    self._grew.append(time.monotonic())
-                waited = False
                 offset += len(line)
                 content = lines.content(line)
                 if content is not None:
@@ -186,7 +176,11 @@ class TailedFile(Threaded):
                     continue
                 return True
             file.seek(offset)
-            waited = True
+            if offset > read_until:
+                read_until = offset
+                self._grew.append(time.monotonic())
+                if len(self._grew) > 1:
+                    self.usual_interval_s = float(np.median(np.diff(self._grew)))
             self._ended.wait(PAUSE_S)
             try:
                 now = self.path.stat()

@@ -125,6 +125,7 @@ class PostgresQuery(Threaded):
     def __init__(self, query: Query, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.query = query
+        self.usual_interval_s = query.poll_s
         self.url = query.url
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
@@ -135,10 +136,6 @@ class PostgresQuery(Threaded):
         self._polled = -math.inf
         self._seen: dict[int, Watermark] = {}
         """Rows above `_after` that were delivered, by their hash."""
-
-    @property
-    def usual_interval_s(self) -> float:
-        return self.query.poll_s
 
     def end_when_read(self) -> None:
         """End when all present rows are read."""
@@ -332,11 +329,10 @@ def text_of(mark: Watermark) -> str:
 
 
 def number_of(mark: Watermark) -> float:
-    """A watermark as a number that grows with it; −∞ and ∞ are finite, as ∞ has another meaning for marks."""
+    """A watermark as a finite number that grows with it."""
     if isinstance(mark, datetime):
         return mark.replace(tzinfo=mark.tzinfo or UTC).timestamp()
-    number = float(mark.toordinal() if isinstance(mark, date) else mark)
-    return max(min(number, sys.float_info.max), -sys.float_info.max)
+    return min(float(mark.toordinal() if isinstance(mark, date) else mark), sys.float_info.max)
 
 
 def _plain(value: Any) -> Json:

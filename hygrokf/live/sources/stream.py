@@ -13,11 +13,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
-from hygrokf.data.toml_form import setting
+from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import LAST, PayloadMapping
@@ -103,10 +104,8 @@ class SourceState(NamedTuple):
 
 REACHED = ("connected", "ended", "stopped")
 """Words of the states in which a source is reached."""
-REACH_LIMIT_S = MINUTE_S
-"""Shortest time [s] not reached after which a source is an alarm, unless it states another one."""
 INTERVALS = 3.0
-"""Usual intervals of a source after which it is one."""
+"""Usual intervals of a source, but at least a minute, after which one that is not reached is an alarm."""
 
 
 class Reach(NamedTuple):
@@ -171,16 +170,18 @@ class Stream(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SourceKeys:
-    """The keys of every [[source]] table."""
+    """The keys of every [[source]] table, whose form makes its stream."""
 
     weather: bool = setting(False, "whether it brings weather forecasts, not readings")
-    revision: str = setting(
-        LAST, "which of several values of one stamp counts", choices=(LAST, "neither")
-    )
+    revision: str = setting(LAST, "which of several values of a stamp counts", choices=(LAST, "neither"))
     reach_limit_s: float | None = setting(
         None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
         expected="longer than nothing",
     )  # fmt: skip
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
+        """The stream; None with faults in `place`."""
+        raise NotImplementedError
 
 
 class Threaded:
@@ -196,6 +197,8 @@ class Threaded:
     label = ""
     ordered_by = "arrival"
     reach_limit_s: float | None = None
+    usual_interval_s = 0.0
+    """[s] after which more comes from the source as a rule, if that is known."""
     _unreached: float | None = None
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
@@ -257,11 +260,6 @@ class Threaded:
         """The time [s] against which the age of the data is judged."""
         return self.clock()
 
-    @property
-    def usual_interval_s(self) -> float:
-        """Time [s] after which more comes from the source as a rule, if that is known; else 0."""
-        return 0.0
-
     def reach(self) -> Reach:
         """Since when the source is not reached, whatever its state is called: seen whenever it is asked."""
         word, words = self.state
@@ -269,9 +267,8 @@ class Threaded:
             self._unreached = None
         elif self._unreached is None:
             self._unreached = self.clock()
-        limit_s = max(REACH_LIMIT_S, INTERVALS * self.usual_interval_s)
-        stated = self.reach_limit_s
-        return Reach(self._unreached, limit_s if stated is None else stated, words)
+        limit_s = self.reach_limit_s or max(MINUTE_S, INTERVALS * self.usual_interval_s)
+        return Reach(self._unreached, limit_s, words)
 
     def stop(self) -> None:
         self._ended.set()

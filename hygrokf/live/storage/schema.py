@@ -256,7 +256,7 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
         """CREATE TABLE revision AS
             SELECT turbine, signal, time, value, received, mark, late, 0 AS number
             FROM observation WHERE 1 = 0""",
-        "CREATE UNIQUE INDEX revision_by_number ON revision (turbine, signal, time, number)",
+        "CREATE UNIQUE INDEX revision_by_value ON revision (turbine, signal, time, value)",
         "CREATE INDEX revision_by_time ON revision (turbine, time)",
     ),
 )

@@ -31,7 +31,7 @@ from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite
-from hygrokf.live.tracker import Point, Reading, used_value
+from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
 ESTIMATE_COLUMNS = (
     "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
@@ -148,39 +148,29 @@ class Store:
     def _write_revision(self, cursor: Cursor, one: Observation) -> None:
         """Add another version of a value to those of its stamp, and use it if it counts and comes in
         time."""
-        known = self.versions(one.turbine, [(one.reading.signal, one.reading.time)])
-        versions = known[one.reading.signal, one.reading.time]
-        if any(one.reading.value == before.value for before in versions):  # committed already
-            return
+        stamp = (one.reading.signal, one.reading.time)
+        versions = self.versions(one.turbine, [stamp])[stamp]
         columns = (*MARKED_COLUMNS, "late", "number")
         names = ", ".join(columns[:-1])
-        cursor.execute(
-            self._text(
-                f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
-                "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
-            ),
-            _reading_row(one)[:3],
-        )
-        row = (*_marked_row(one), int(one.late), len(versions))
-        cursor.execute(self._text(inserting("revision", columns)), row)
+        first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
+        first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
+        cursor.execute(self._text(first), (one.turbine, *stamp))
+        added = inserting("revision", columns) + " ON CONFLICT DO NOTHING"
+        cursor.execute(self._text(added), (*_marked_row(one), int(one.late), len(versions)))
         if not one.late:
             self.use(cursor, one.turbine, [*versions, one.reading])
 
     def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
         """Let the version of a stamp that counts be the observation."""
-        value, last = used_value(versions), versions[-1]
-        cursor.execute(
-            self._text(
-                "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, "
-                "r.received, r.mark FROM revision r WHERE r.turbine = observation.turbine "
-                "AND r.signal = observation.signal AND r.time = observation.time AND r.value = ?) "
-                "WHERE turbine = ? AND signal = ? AND time = ?"
-            ),
-            (
-                int(math.isnan(value)), versions[0].value if math.isnan(value) else value,
-                turbine, last.signal, last.time,
-            ),
-        )  # fmt: skip
+        value, first = used_value(versions), versions[0]
+        statement = self._text(
+            "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, r.received, "
+            "r.mark FROM revision r WHERE r.turbine = observation.turbine AND r.signal = observation.signal "
+            "AND r.time = observation.time AND r.value = ?) WHERE turbine = ? AND signal = ? AND time = ?"
+        )
+        none = math.isnan(value)
+        used = first.value if none else value
+        cursor.execute(statement, (int(none), used, turbine, first.signal, first.time))
 
     def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
         """Write estimates in place of the provisional ones."""
@@ -356,47 +346,33 @@ class Store:
         The value is NaN where two readings contradict each other.
         """
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
-        return [
-            Reading(signal, at, math.nan if wrong else value, _mark(mark))
-            for signal, at, value, mark, wrong in found
-        ]
+        return [_reading(s, at, math.nan if wrong else value, mark) for s, at, value, mark, wrong in found]
 
-    def versions(
-        self, turbine: str, stamps: Iterable[tuple[str, float]]
-    ) -> dict[tuple[str, float], list[Reading]]:
-        """The versions of the values of some stamps (signal, time [s]), in the order of their arrival; a
-        stamp that is not known is left out."""
-        found: dict[tuple[str, float], list[Reading]] = {}
-        by_signal: dict[str, list[float]] = {}
-        for signal, at in stamps:
-            by_signal.setdefault(signal, []).append(at)
-        for signal, times in by_signal.items():
-            for first in range(0, len(times), ASKED):
-                part = times[first : first + ASKED]
-                marks = ", ".join(["TIME(?)"] * len(part))
-                where = f"WHERE turbine = ? AND signal = ? AND time IN ({marks})"
-                values: list[SqlValue] = [turbine, signal, *part]
-                first_ones = self.rows(f"SELECT time, value, mark FROM observation {where}", values)
-                for at, value, mark in first_ones:
-                    found[signal, at] = [Reading(signal, at, value, _mark(mark))]
-                revisions = self.rows(
-                    f"SELECT time, value, mark, number FROM revision {where} ORDER BY number", values
-                )
-                for at, value, mark, number in revisions:
-                    one = Reading(signal, at, value, _mark(mark))
-                    found[signal, at] = [*(found[signal, at] if number else ()), one]
-        return found
+    def versions(self, turbine: str, stamps: Iterable[tuple[str, float]]) -> Versions:
+        """The versions of the values of some stamps (signal, time [s]), but for those that are not known."""
+        found: Versions = {}
+        ordered = sorted(stamps, key=lambda stamp: stamp[1])
+        for first in range(0, len(ordered), ASKED):
+            part = ordered[first : first + ASKED]
+            rows = self.rows(
+                "SELECT signal, time, value, mark FROM observation WHERE turbine = ? AND (signal, time) IN "
+                f"(VALUES {', '.join(['(?, TIME(?))'] * len(part))})",
+                [turbine, *(one for stamp in part for one in stamp)],
+            )
+            found |= {(one[0], one[1]): [_reading(*one)] for one in rows}
+        revised = self.revised(turbine, ordered[0][1]) if found else {}
+        return found | {stamp: known for stamp, known in revised.items() if stamp in found}
 
-    def revised(self, turbine: str, since: float = -math.inf) -> dict[tuple[str, float], list[Reading]]:
-        """The versions of all stamps (signal, time [s]) from `since` [s] on that had several values."""
-        found: dict[tuple[str, float], list[Reading]] = {}
+    def revised(self, turbine: str, since: float = -math.inf) -> Versions:
+        """The versions of all stamps from `since` [s] on that had several values."""
+        found: Versions = {}
         rows = self.rows(
             "SELECT signal, time, value, mark FROM revision WHERE turbine = ? AND time >= ? "
             "ORDER BY signal, time, number",
             (turbine, since),
         )
         for signal, at, value, mark in rows:
-            found.setdefault((signal, at), []).append(Reading(signal, at, value, _mark(mark)))
+            found.setdefault((signal, at), []).append(_reading(signal, at, value, mark))
         return found
 
     def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
@@ -409,7 +385,7 @@ class Store:
             (until,) if turbine is None else (until, turbine),
         )
         return [
-            Observation(name, Reading(s, at, value, _mark(mark)), received)
+            Observation(name, _reading(s, at, value, mark), received)
             for name, s, at, value, received, mark in found
         ]
 
@@ -544,8 +520,8 @@ def _marked_row(one: Observation) -> Row:
     return (*_reading_row(one), None if math.isnan(mark) else mark)
 
 
-def _mark(stored: float | None) -> float:
-    return math.nan if stored is None else stored
+def _reading(signal: str, time: float, value: float, mark: float | None) -> Reading:
+    return Reading(signal, time, value, math.nan if mark is None else mark)
 
 
 def state_text(state: Gaussian) -> str:

@@ -117,14 +117,12 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
         labels=["source"],
     )
     silent = GaugeMetricFamily(
-        "hygrokf_source_not_reached_seconds", "Time that a source has not been reached", labels=["source"]
-    )
-    limit = GaugeMetricFamily(
-        "hygrokf_source_reach_limit_seconds", "The same from which it is an alarm", labels=["source"]
+        "hygrokf_source_not_reached_ratio",
+        "Time that a source has not been reached, as a multiple of its limit",
+        labels=["source"],
     )
     for url, reach in found.reaches.items():
-        silent.add_metric([url], 0.0 if reach.since is None else found.now - reach.since)
-        limit.add_metric([url], reach.limit_s)
+        silent.add_metric([url], reach.share(found.now))
     for url, (word, _) in found.sources.items():
         for one in dict.fromkeys((*SOURCE_STATES, word)):
             state.add_metric([url, one], int(one == word))
@@ -133,7 +131,7 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
             last.add_metric([url], times.committed)
             if times.lag_s is not None:
                 lag.add_metric([url], times.lag_s)
-    yield from (state, last, lag, silent, limit)
+    yield from (state, last, lag, silent)
 
 
 def _notices(waiting: Mapping[str, int]) -> Metric:
