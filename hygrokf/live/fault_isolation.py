@@ -79,8 +79,8 @@ class ShiftStep:
 def shift_step(
     time: float, before: Mapping[str, ParameterShift], after: Mapping[str, ParameterShift], last_s: float
 ) -> ShiftStep | None:
-    """The step at a time [s] at which shifts went from `before` to `after`, if there is one.  Isolation is due
-    when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s]."""
+    """The step at a time [s] at which shifts went from `before` to `after`, if there is one.  Isolation is
+    due when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s]."""
     lasting = tuple(one for one in after.values() if one.lasting)
     newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
     due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)

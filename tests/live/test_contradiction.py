@@ -63,9 +63,15 @@ def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
     at = rows[place][0]
     store.commit(fleet.round([Delivery(json.dumps(c), at) for _, c in rows[:place]], mapping, "file"))
     assert fleet.open_alarms() == []
-    wrong = rows[place][1][HUMIDITY] + (0.3 if rows[place][1][HUMIDITY] < 0.5 else -0.3)
+    step = 0.3 if rows[place][1][HUMIDITY] < 0.5 else -0.3
+    wrong = rows[place][1][HUMIDITY] + step
+    # for an hour: what returns within half an hour, the gate keeps out
+    stepped = [
+        (t, {**c, HUMIDITY: c[HUMIDITY] + step} if HUMIDITY in c and t < at + 3600.0 else c)
+        for t, c in rows[place:]
+    ]
     alarms = []
-    for stamp, content in [(at, {**rows[place][1], HUMIDITY: wrong}), *rows[place + 1 :]]:
+    for stamp, content in stepped:
         batch = fleet.round([Delivery(json.dumps(content), stamp + 2.0)], mapping, "file")
         store.commit(batch)
         alarms += batch.alarms
@@ -83,7 +89,8 @@ def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
     store.commit(again.filter_waiting(Batch()))
     assert [one.kind for one in again.open_alarms()] == ["reading contradicts"]
     # the estimate follows the ordinary readings that come later, and the alarm ends
-    later = [Delivery(json.dumps(c), t + 2.0) for t, c in rows[place + 1 : place + 200]]
+    done = next(i for i, (t, _) in enumerate(stepped) if t > stamp)
+    later = [Delivery(json.dumps(c), t + 2.0) for t, c in stepped[done:300]]
     store.commit(again.round(later, mapping, "file"))
     assert again.open_alarms() == []
     store.close()
