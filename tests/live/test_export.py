@@ -56,7 +56,8 @@ def frame(folder: Path, name: str) -> pd.DataFrame:
 def test_csv_says_times_units_and_flags(filled: str, tmp_path: Path) -> None:
     said = run(f"export --store {filled} --out {tmp_path / 'out'} --json")
     assert (said.status, said.err) == (0, "")
-    assert json.loads(said.out) == {"rows": {"observation": 4, "revision": 0, "estimate": 2, "property": 1, "alarm": 2}}
+    rows = {"observation": 4, "revision": 0, "estimate": 2, "property": 1, "alarm": 2}
+    assert json.loads(said.out) == {"rows": rows}
     rows = frame(tmp_path / "out", "observation")
     assert list(rows) == [
         "turbine", "signal", "time_utc", "value_si", "unit", "received_utc", "late", "contradicted"
