@@ -92,7 +92,7 @@ def test_csv_says_times_units_and_flags(filled: str, tmp_path: Path) -> None:
 def test_parquet_holds_the_same_as_csv(filled: str, tmp_path: Path) -> None:
     for form in module.FORMATS:
         said = run(f"export --store {filled} --out {tmp_path / form} --format {form}")
-        assert said.status == 0 and said.out.count(" rows written: ") == 4
+        assert said.status == 0 and said.out.count(" rows written: ") == 5
     for table in module.TABLES:
         typed = pd.read_parquet(tmp_path / "parquet" / f"{table.name}.parquet")
         text = frame(tmp_path / "csv", table.name)
@@ -158,7 +158,7 @@ def test_a_store_that_fails_on_the_way_leaves_the_old_files(
     monkeypatch.setattr(module, "CHUNK", 1)
     run(f"export --store {filled} --out {tmp_path}")
     before = {one.name: one.read_bytes() for one in tmp_path.iterdir() if one.suffix == ".csv"}
-    assert len(before) == 4
+    assert len(before) == 5
     store = open_store(filled)
     with store.transaction() as cursor:
         cursor.execute("DELETE FROM observation")
