@@ -14,8 +14,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "action",
         choices=("refilter",),
-        help="refilter: filter the readings anew, with those that came too late and the values that were "
-        "revised since",
+        help="refilter: filter the readings anew, with those that came too late or were corrected since",
     )
     parser.add_argument("file", type=Path, metavar="TRACK.toml", help="the tracker's file")
     parser.add_argument("--turbine", metavar="NAME", help="only this turbine (default: all)")

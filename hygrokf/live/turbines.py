@@ -52,7 +52,7 @@ from hygrokf.live.properties import (
     properties,
     states_of,
 )
-from hygrokf.live.sources.payload import LAST, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
@@ -166,7 +166,7 @@ class Fleet:
                 counts[SOURCE, fault.kind] += 1
                 continue
             for turbine, stated, rejections in found:
-                mark = one.mark if mapping.revision == LAST else NEITHER
+                mark = NEITHER if mapping.revision == "neither" else one.mark
                 readings = [reading.as_stored(mark) for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
                 observations = [Observation(turbine, reading, one.received) for reading in readings]
@@ -354,11 +354,9 @@ class Fleet:
         left: Mapping[str, str] | None = None,
         replayed: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about missing data and wrong clocks at `now` [s], and about sources that are not
-        reached; release readings that were ahead, and assess every turbine.
+        """Judge alarms about delivery at `now` [s], release readings that were ahead, and assess every turbine.
 
-        left: turbine -> text about a sender that has left. replayed: turbines of which only records are
-            played back, whose arrival says nothing.
+        left: turbine -> text about a sender that has left. replayed: turbines whose readings are played back.
         """
         batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()

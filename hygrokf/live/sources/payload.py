@@ -58,10 +58,6 @@ GOOD = ("good", "ok", "valid", "true", "0", "192")
 """Default quality marks of a good reading; 192 is OPC's."""
 
 
-LAST = "last"
-"""Of several versions of a value the last one counts: by the source's own mark, else by arrival."""
-
-
 class Rejection(NamedTuple):
     """Something in a payload that is not used: the `kind` under which it is counted, and why."""
 
@@ -100,7 +96,7 @@ class PayloadMapping:
     all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
     records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
     `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields; `revision`: which
-    version of a value counts, `LAST` or "neither".
+    of several values of a stamp counts, "last" or "neither".
     """
 
     fields: Mapping[str, Field]
@@ -118,7 +114,7 @@ class PayloadMapping:
     clock: Clock = STATED_OFFSETS
     comma: bool = False
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    revision: str = LAST
+    revision: str = "last"
     layout: Layout = field(init=False, repr=False, compare=False)
     """The same, prepared for reading."""
 

@@ -21,7 +21,7 @@ from hygrokf.data.timestamps import MINUTE_S, duration
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.payload import LAST, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
 
 LOG = logging.getLogger("hygrokf.track")
@@ -173,7 +173,7 @@ class SourceKeys:
     """The keys of every [[source]] table, whose form makes its stream."""
 
     weather: bool = setting(False, "whether it brings weather forecasts, not readings")
-    revision: str = setting(LAST, "which of several values of a stamp counts", choices=(LAST, "neither"))
+    revision: str = setting("last", "which of several values of a stamp counts", choices=("last", "neither"))
     reach_limit_s: float | None = setting(
         None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
         expected="longer than nothing",

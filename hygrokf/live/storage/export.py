@@ -80,14 +80,6 @@ TABLES = (
         ("turbine", "signal", "time"),
     ),
     Table(
-        "revision", "revision",
-        _columns(
-            "turbine text", "signal text", "time_utc time time", "number number", "value_si value number",
-            "unit signal unit", "received_utc received time", "mark number", "late flag",
-        ),
-        ("turbine", "signal", "time", "number"),
-    ),
-    Table(
         "estimate", "estimate_readable",
         _columns("turbine text", "time_utc time time", "final flag",
             *(f"{name} number" for name in READABLE_COLUMNS)),
@@ -114,7 +106,7 @@ TABLES = (
         ("(ended IS NULL OR ended >= ?)", "began < ?"),
     ),
 )  # fmt: skip
-"""The exported files: observations are the values that count, revisions all values of stamps with several."""
+"""The exported files."""
 
 
 def export(

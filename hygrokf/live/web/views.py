@@ -24,7 +24,6 @@ from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health, SourceTimes
-from hygrokf.live.sources.payload import LAST
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import ALARM_COLUMNS, Store
@@ -569,7 +568,7 @@ def _source(one: Stream, times: SourceTimes | None) -> SourceRow:
         "heard": None if times is None else times.committed,
         "lag": None if times is None else times.lag_s,
         "not_reached": None if one.played_back else one.reach().since,
-        "ordered_by": "nothing: neither counts" if one.mapping.revision != LAST else one.ordered_by,
+        "ordered_by": "nothing: neither counts" if one.mapping.revision == "neither" else one.ordered_by,
     }
 
 
