@@ -327,8 +327,9 @@ class Service:
             states = {url: stream.state for url, stream in self.streams.items()}
             self._log_states(states)
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
-            now, reaches, replayed = self.now, self.reaches(), self._replayed()
-            self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, replayed)))
+            now, reaches = self.now, self.reaches()
+            quiet = self._quiet(reaches, now)
+            self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))
             self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
@@ -346,10 +347,11 @@ class Service:
         """Since when each source is not reached, by its URL; a record that is played back always is."""
         return {url: one.reach() for url, one in self.streams.items() if not one.played_back}
 
-    def _replayed(self) -> list[str]:
-        """Turbines of which only played-back records bring readings."""
-        kinds = {n: {s.played_back for s in self.streams.values() if s.signals(n)} for n in self.turbines}
-        return [name for name, played_back in kinds.items() if played_back == {True}]
+    def _quiet(self, reaches: Mapping[str, Reach], now: float) -> list[str]:
+        """Turbines whose silence is no news of its own: their sources are played back, or are an alarm."""
+        news = [one for url, one in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
+        known = [name for name in self.turbines if any(one.signals(name) for one in self.streams.values())]
+        return [name for name in known if not any(one.signals(name) for one in news)]
 
     def _log_states(self, states: Mapping[str, SourceState]) -> None:
         """Log sources whose state has changed."""

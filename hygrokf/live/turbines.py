@@ -352,11 +352,11 @@ class Fleet:
         now: float,
         sources: Mapping[str, Reach],
         left: Mapping[str, str] | None = None,
-        replayed: Collection[str] = (),
+        quiet: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about delivery at `now` [s], release readings that were ahead, and assess every turbine.
+        """Judge alarms about delivery at `now` [s], release readings that were ahead, assess every turbine.
 
-        left: turbine -> text about a sender that has left. replayed: turbines whose readings are played back.
+        left: turbine -> text about a sender that has left. quiet: turbines whose silence is no news.
         """
         batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()
@@ -364,9 +364,7 @@ class Fleet:
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
         for name in self.turbines:
-            if name in replayed:
-                self._judge(name, now, [], (STALE, MISSING), batch)
-            else:
+            if name in left or name not in quiet:
                 self._judge_missing(name, now, left.get(name, ""), batch)
         clocks = clock_levels(self.clocks.ahead())
         for name in (*self.turbines, SOURCE):

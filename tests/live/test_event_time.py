@@ -136,10 +136,10 @@ def test_a_replay_gives_the_same_at_any_speed(
 
 def test_alarms_about_delivery_do_not_begin_in_a_replay(cold: Turbine) -> None:
     """The same turbine, silent for a day: live it is stale, played back nothing is said."""
-    for replayed, kinds in (((), ["data stale"]), (("T1",), [])):
+    for quiet, kinds in (((), ["data stale"]), (("T1",), [])):
         fleet = Fleet({"T1": cold})
         for hour in range(25):
-            fleet.tick(1.6e9 + 3600.0 * hour, {}, None, replayed)
+            fleet.tick(1.6e9 + 3600.0 * hour, {}, None, quiet)
         assert [one.kind for one in fleet.open_alarms()] == kinds
 
 

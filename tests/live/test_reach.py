@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -100,6 +101,17 @@ def test_the_limit_of_a_file_is_three_of_its_usual_intervals(tmp_path: Path) -> 
         path.unlink()
         eventually(lambda: stream.reach().since is not None)
         assert stream.reach().limit_s == 3.0 * 3600.0
+
+
+def test_turbines_are_not_silent_for_themselves_while_their_source_is_an_alarm(
+    tmp_path: Path, turbine: Turbine
+) -> None:
+    stream, names = source(tmp_path, url="file:none.csv"), ("T1", "T2")
+    stream.mapping = replace(MAPPING, turbines={name: name for name in names})
+    service = Service(dict.fromkeys(names, turbine), [stream], f"sqlite:{tmp_path / 'live.db'}")
+    began = stream.reach().since
+    assert service._quiet(service.reaches(), began + 59.0) == []
+    assert service._quiet(service.reaches(), began + 61.0) == list(names)
 
 
 def test_liveness_and_readiness(tmp_path: Path, turbine: Turbine) -> None:
