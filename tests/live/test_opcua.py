@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import re
 import sys
 import threading
@@ -281,7 +282,8 @@ def test_samples_of_data_values() -> None:
 
     both = sample(SourceTimestamp=then, ServerTimestamp=then + timedelta(seconds=5))
     assert (both.time, both.quality, both.word, both.overflowed) == (T0, "good", "Good", False)
-    assert sample(ServerTimestamp=then).time == T0
+    assert both.served == T0 + 5.0  # by which corrected values are ordered
+    assert sample(ServerTimestamp=then).time == T0 and math.isnan(sample(SourceTimestamp=then).served)
     assert sample().time is None
     never = datetime(1601, 1, 1, tzinfo=UTC)
     assert sample(SourceTimestamp=never).time is None
