@@ -368,9 +368,8 @@ class Service:
                 return
             name, step = due
             reference = self._open_fleet.reference_points.get(name)
-            self._isolation = (
-                name, isolation_steps(name, self.turbines[name], step, self._open_store, reference),
-            )  # fmt: skip
+            steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference)
+            self._isolation = (name, steps)
         name, steps = self._isolation
         try:
             found = next(steps)

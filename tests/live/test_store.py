@@ -101,7 +101,7 @@ def test_repeated_contradicting_and_late_observations(store: Store) -> None:
         (4.0, 1.0, 7.0, 0, 0), (4.0, 2.0, 8.0, 0, 1), (4.0, 3.0, 9.0, 0, 2), (5.0, 1.0, 8.0, 0, 0),
         (5.0, 2.0, 9.0, 0, 1),
     ]  # fmt: skip
-    assert store.rows("SELECT received, mark FROM observation WHERE time = 4") == [(8.0, 9.0)]
+    assert store.rows("SELECT received, mark FROM observation WHERE time = ?", (4.0,)) == [(8.0, 9.0)]
     assert store.revised("T1", 4.5) == {
         ("rain", 5.0): [Reading("rain", 5.0, 1.0), Reading("rain", 5.0, 2.0)]
     }

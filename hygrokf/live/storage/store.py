@@ -120,15 +120,12 @@ class Store:
     def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
         """Write readings and filter points; of a stamp with several values the one that counts is written,
         and every version is kept beside it."""
-        first = [one for one in batch.observations if not one.revision]
         self._many(
             cursor,
             inserting("observation", (*MARKED_COLUMNS, "late", "contradicted")) + " ON CONFLICT DO NOTHING",
-            [(*_marked_row(one), int(one.late), 0) for one in first],
+            [(*_marked_row(one), int(one.late), 0) for one in batch.observations if not one.revision],
         )
-        for one in batch.observations:
-            if one.revision:
-                self._write_revision(cursor, one)
+        self._write_revisions(cursor, [one for one in batch.observations if one.revision])
         self._many(
             cursor,
             inserting("held", MARKED_COLUMNS) + " ON CONFLICT DO NOTHING",
@@ -145,20 +142,24 @@ class Store:
             [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
         )
 
-    def _write_revision(self, cursor: Cursor, one: Observation) -> None:
-        """Add another version of a value to those of its stamp, and use it if it counts and comes in
-        time."""
-        stamp = (one.reading.signal, one.reading.time)
-        versions = self.versions(one.turbine, [stamp])[stamp]
+    def _write_revisions(self, cursor: Cursor, revisions: Sequence[Observation]) -> None:
+        """Add versions of values to those of their stamps, and use those that count and come in time."""
+        stamps: dict[str, list[tuple[str, float]]] = {}
+        for one in revisions:
+            stamps.setdefault(one.turbine, []).append((one.reading.signal, one.reading.time))
+        known = {turbine: self.versions(turbine, own) for turbine, own in stamps.items()}
         columns = (*MARKED_COLUMNS, "late", "number")
         names = ", ".join(columns[:-1])
         first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
         first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
-        cursor.execute(self._text(first), (one.turbine, *stamp))
-        added = inserting("revision", columns) + " ON CONFLICT DO NOTHING"
-        cursor.execute(self._text(added), (*_marked_row(one), int(one.late), len(versions)))
-        if not one.late:
-            self.use(cursor, one.turbine, [*versions, one.reading])
+        self._many(cursor, first, [_reading_row(one)[:3] for one in revisions])
+        added = self._text(inserting("revision", columns) + " ON CONFLICT DO NOTHING")
+        for one in revisions:
+            versions = known[one.turbine][one.reading.signal, one.reading.time]
+            cursor.execute(added, (*_marked_row(one), int(one.late), len(versions)))
+            versions.append(one.reading)
+            if not one.late:
+                self.use(cursor, one.turbine, versions)
 
     def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
         """Let the version of a stamp that counts be the observation."""
