@@ -415,11 +415,8 @@ class Tracker:
             if place > 0:
                 for columns in (self._times, self._values, self._marks):
                     del columns[signal][:place]
-        self._versions = {
-            (signal, time): known
-            for (signal, time), known in self._versions.items()
-            if time >= self._times[signal][0]
-        }
+        kept = {signal: times[0] for signal, times in self._times.items() if times}
+        self._versions = {at: known for at, known in self._versions.items() if at[1] >= kept[at[0]]}
 
 
 @dataclass(frozen=True)
