@@ -1,8 +1,9 @@
 """Alarms: when they begin and end, how severe they are, and what they say.
 
 A rule watches a level.  An alarm begins once the level has been at or above `on` for `hold_s` and ends once
-it has been below `off` for as long; between the two thresholds nothing changes.  Time is that of the
-readings, so that a replay gives the same alarms.  An alarm's id consists of turbine, kind and beginning, so
+it has been below `off` for as long; between the two thresholds nothing changes.  Alarms about the process
+follow from final estimates and their times alone, so that a replay gives the same ones; alarms about delivery
+(`DELIVERY_RULES`) follow from the wall clock.  An alarm's id consists of turbine, kind and beginning, so
 that no alarm is raised twice after a crash.
 """
 
@@ -21,7 +22,7 @@ from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.sources.stream import Reach
 from hygrokf.modelling.design import PARTS
 
 
@@ -52,7 +53,7 @@ STALE = Rule(
     "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
 LOST = Rule(
-    "source lost", 1.0, 0.5, MINUTE_S, "alarm", 1.0,
+    "source lost", 1.0, 0.5, 0.0, "alarm", 1.0,
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
@@ -68,9 +69,13 @@ CLOCK = Rule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
-ESTIMATE_RULES = (CONDENSATION, CHANGED, SUSPECT)
-"""Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
-RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
+ESTIMATE_RULES = (CONDENSATION,)
+"""Rules whose levels follow from each final estimate."""
+SHIFT_RULES = (CHANGED, SUSPECT)
+"""Rules whose levels follow from lasting shifts and their cause (`fault_isolation.ShiftStep`)."""
+DELIVERY_RULES = (STALE, MISSING, CLOCK, LOST)
+"""Rules that follow from the arrival of readings, by the wall clock; none of them begins in a replay."""
+RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, *SHIFT_RULES, CONTRADICTS, *DELIVERY_RULES)}
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
@@ -213,13 +218,10 @@ def _kind(key: str) -> str:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, and the
-    finding of fault isolation."""
+    """A turbine's estimates: the condition, of which instant `place` is judged."""
 
     condition: Condition
     place: int
-    shifts: Mapping[str, ParameterShift]
-    finding: Finding | None = None
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -296,10 +298,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     ]
 
 
-ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
-    condensation_levels,
-    lambda now: shift_levels(now.shifts, now.finding),
-)
+ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_levels,)
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""
 
 
@@ -341,10 +340,16 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
     ]
 
 
-def source_levels(states: Mapping[str, SourceState]) -> list[Level]:
-    """One level for each lost source."""
+def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
+    """One level for each source that is not reached: for how long at `now` [s], as a multiple of its
+    limit."""
     return [
-        Level(LOST.kind, 1.0, f"{url} cannot be reached: {words}", subject=url)
-        for url, (word, words) in states.items()
-        if word == "lost"
+        Level(
+            LOST.kind,
+            one.share(now),
+            f"{url} has not been reached since {stamp_text(one.since)}: {one.words}",
+            subject=url,
+        )
+        for url, one in reaches.items()
+        if one.since is not None
     ]

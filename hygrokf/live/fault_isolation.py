@@ -19,6 +19,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
+from hygrokf.live.properties import LASTING_S, ParameterShift
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import prepare_run
 
@@ -63,6 +64,29 @@ class Finding:
     gain: float = 0.0
     lead: float | None = None
     alike: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ShiftStep:
+    """A time [s] of final estimates at which the `lasting` shifts became others, or at which fault isolation
+    is `due` for them; their alarms are judged step after step, however fast the estimates came."""
+
+    time: float
+    lasting: tuple[ParameterShift, ...]
+    due: bool
+
+
+def shift_step(
+    time: float, before: Mapping[str, ParameterShift], after: Mapping[str, ParameterShift], last_s: float
+) -> ShiftStep | None:
+    """The step at a time [s] at which shifts went from `before` to `after`, if there is one.  Isolation is
+    due when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s]."""
+    lasting = tuple(one for one in after.values() if one.lasting)
+    newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
+    due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)
+    if due or {one.name for one in lasting} != {one.name for one in before.values() if one.lasting}:
+        return ShiftStep(time, lasting, due)
+    return None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ import math
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
@@ -41,16 +42,37 @@ AHEAD_S = 30 * DAY_S
 @dataclass(frozen=True)
 class Reading:
     """One reading of a signal: time [s since 1970, UTC], which for a mean is the end of its interval, and
-    value [SI unit]."""
+    value [SI unit].
+
+    `mark`: the source's own number of this version of the value, by which those of one stamp are ordered;
+    NaN: by arrival; `NEITHER`: none of them counts.
+    """
 
     signal: str
     time: float
     value: float
+    mark: float = field(default=math.nan, compare=False)
 
-    def at_whole_microsecond(self) -> Reading:
-        """The reading with its time rounded to microseconds, as every store gives it back."""
+    def as_stored(self, mark: float = math.nan) -> Reading:
+        """The reading with its time rounded to microseconds, as every store gives it back, and a mark."""
         time = whole_microseconds(self.time)
-        return self if time == self.time else Reading(self.signal, time, self.value)
+        return self if time == self.time and math.isnan(mark) else replace(self, time=time, mark=mark)
+
+
+NEITHER = math.inf
+"""Mark of a source whose versions of a value are all unused once there are two."""
+Versions = dict[tuple[str, float], list[Reading]]
+"""Versions of values by signal and time [s], in the order of their arrival."""
+REVISIONS = ("revised", "revised late", "contradicting")
+"""Counts of values that their stamp has not had before, while it had others (`Tracker.counts`)."""
+
+
+def used_value(versions: Sequence[Reading]) -> float:
+    """The value that counts of the versions of one stamp, in the order of their arrival: the one with the
+    greatest mark, else the last one; NaN if none counts."""
+    if any(one.mark == NEITHER for one in versions):
+        return math.nan
+    return reduce(lambda used, one: used if one.mark < used.mark else one, versions).value
 
 
 @dataclass(frozen=True)
@@ -63,19 +85,33 @@ class Point:
 
 @dataclass(frozen=True)
 class Course:
-    """Estimates after the point: the run, and the filter's moments at its instants."""
+    """Estimates after the point: the run, and the filter's moments at its instants.
+
+    `after_s`: time [s] of the point, −∞ without one; `before`: time [s] of each cabinet signal's newest
+    reading up to it; `final`: number of instants, the first ones, whose estimates are final.
+    """
 
     run: Run
     trace: Trace
+    after_s: float = -math.inf
+    before: Mapping[str, float] = field(default_factory=dict)
+    final: int = 0
 
     @property
     def seconds(self) -> np.ndarray:
-        return self.run.timeline.seconds
+        """The instants (T,) [s since 1970], in whole microseconds whatever the run begins with."""
+        return np.round(self.run.timeline.seconds * 1e6) / 1e6
 
     def state(self, place: int) -> Gaussian:
         """The state after an instant; the accumulator of a mean that begins there is not reset."""
         time_h = float(self.run.timeline.time[place])
         return Gaussian(self.trace.mean[place].copy(), self.trace.covariance[place].copy(), time_h)
+
+    def heard(self, signal: str) -> np.ndarray:
+        """Time (T,) [s] of the newest reading of a cabinet signal up to each instant, −∞ before the first."""
+        there = np.isfinite(self.run.timeline.reading(signal))
+        times = np.where(there, self.seconds, self.before.get(signal, -math.inf))
+        return np.maximum.accumulate(times)
 
 
 class Tracker:
@@ -83,15 +119,17 @@ class Tracker:
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
     newest instant, which may still change, and `running` tells whether the turbine operates then; `newest` is
-    the time [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used:
-    "repeated" (already present), "contradicting" (several values with one stamp, of which none is used),
-    "late" (received after the estimate at their time was final), and, once final, "departed" and "frozen"
-    (kept out by `data.gate`).
+    the time [s] of the newest reading, −∞ without any.  `counts` counts distinct readings: "late" (the first
+    value of its stamp, received after the estimate at that time was final), "revised" (another value of a
+    stamp before that, of which `used_value` counts), "revised late" (after it: not used), "contradicting"
+    (values of which none counts), and, once final, "departed" and "frozen" (kept out by `data.gate`); and
+    "repeated", values that their stamp has had before.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
     readings: stored readings after it, in SI units.
     changes: [s] times of stated changes of the cabinet.
+    versions: of stamps that had several values.
     """
 
     def __init__(
@@ -100,6 +138,7 @@ class Tracker:
         point: Point | None = None,
         readings: Iterable[Reading] = (),
         changes: Iterable[float] = (),
+        versions: Versions | None = None,
     ) -> None:
         self.plan = plan
         self.changes = tuple(changes)
@@ -110,22 +149,36 @@ class Tracker:
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
         self._values: dict[str, array[float]] = {}
+        self._marks: dict[str, array[float]] = {}
+        self._versions = dict(versions or {})
         self._accepted: dict[str, Readings] = {}
         for one in readings:
             self._insert(one)
 
     # -- readings --------------------------------------------------------------------------------------------
-    def take(self, readings: Iterable[Reading]) -> None:
-        """Add readings in any order; values must be finite."""
+    def take(self, readings: Iterable[Reading], stored: Versions | None = None) -> list[str]:
+        """Add readings in any order; values must be finite.  Returns for each the count that it belongs to,
+        "" for a first value in time.
+
+        stored: versions that are known of stamps whose estimates are final; what comes is added to them.
+        """
+        stored, outcomes = {} if stored is None else stored, []
         for one in readings:
             if not math.isfinite(one.value):
                 raise ValueError(
                     f"{one.signal}: expected a number, found {one.value}; a missing reading is none"
                 )
-            if self.is_late(one):
-                self.counts["repeated" if self._has(one) else "late"] += 1
+            if not self.is_late(one):
+                outcomes.append(self._insert(one))
+                continue
+            known = stored.setdefault((one.signal, one.time), self._versions_at(one.signal, one.time))
+            if any(one.value == before.value for before in known):
+                outcomes.append("repeated")
             else:
-                self._insert(one)
+                outcomes.append("revised late" if known else "late")
+                known.append(one)
+        self.counts.update(filter(None, outcomes))
+        return outcomes
 
     def note_change(self, time: float) -> float:
         """Take a stated change at `time` [s] into account; returns the time from which it is, which is not
@@ -139,35 +192,45 @@ class Tracker:
         """Whether the estimate at a reading's time is already final."""
         return self.point is not None and one.time <= self.point.time + SAME_S
 
-    def _has(self, one: Reading) -> bool:
-        times = self._times.get(one.signal, array("d"))
-        place = bisect.bisect_left(times, one.time)
-        return place < len(times) and times[place] == one.time
+    def _versions_at(self, signal: str, time: float) -> list[Reading]:
+        """The versions of a stamp that are kept, in the order of their arrival."""
+        times = self._times.get(signal, array("d"))
+        place = bisect.bisect_left(times, time)
+        if place == len(times) or times[place] != time:
+            return []
+        alone = Reading(signal, time, self._values[signal][place], self._marks[signal][place])
+        return list(self._versions.get((signal, time), [alone]))
 
-    def _insert(self, one: Reading) -> None:
+    def _insert(self, one: Reading) -> str:
+        """Insert a reading; returns the count that it belongs to, "" for the first value of its stamp."""
         if one.signal not in self._times:
-            self._times[one.signal], self._values[one.signal] = array("d"), array("d")
-        times, values = self._times[one.signal], self._values[one.signal]
+            for columns in (self._times, self._values, self._marks):
+                columns[one.signal] = array("d")
+        times, values, marks = (c[one.signal] for c in (self._times, self._values, self._marks))
         if not times or one.time > times[-1]:  # most readings come in order
             times.append(one.time)
             values.append(one.value)
+            marks.append(one.mark)
             self.newest = max(self.newest, one.time)
-            return
+            return ""
         place = bisect.bisect_left(times, one.time)
-        if times[place] == one.time:
-            if values[place] == one.value:
-                self.counts["repeated"] += 1
-            elif math.isnan(values[place]):  # at least the third value with this stamp
-                self.counts["contradicting"] += 1
-            else:
-                self.counts["contradicting"] += 2
-                values[place] = math.nan
-            return
-        times.insert(place, one.time)
-        values.insert(place, one.value)
+        if times[place] != one.time:
+            times.insert(place, one.time)
+            values.insert(place, one.value)
+            marks.insert(place, one.mark)
+            return ""
+        known = self._versions_at(one.signal, one.time)
+        if any(one.value == before.value for before in known):
+            return "repeated"
+        self._versions[one.signal, one.time] = known = [*known, one]
+        values[place] = used_value(known)
+        if not math.isnan(values[place]):
+            return "revised"
+        self.counts["contradicting"] += len(known) == 2  # the first one is not used either
+        return "contradicting"
 
     def readings(self) -> list[Reading]:
-        """All stored readings, sorted by signal and time; NaN where readings contradict each other."""
+        """All stored readings, sorted by signal and time; NaN where no version of a value counts."""
         return [
             Reading(signal, time, value)
             for signal in sorted(self._times)
@@ -236,7 +299,7 @@ class Tracker:
             for one in judged.values():
                 self.counts.update(one.kept_out(before + SAME_S, self.point.time + SAME_S))
             self._forget()
-        return course
+        return replace(course, final=last)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
@@ -269,7 +332,14 @@ class Tracker:
             return None
         part = t.window(first, len(t))
         piece = Run(part, made.operating[first:], made.scored[first:])
-        return Course(piece, self._filter(part, self._start()))
+        before = {signal: self._heard_until(signal, after) for signal in t.outputs}
+        return Course(piece, self._filter(part, self._start()), after - SAME_S, before)
+
+    def _heard_until(self, signal: str, time: float) -> float:
+        """Time [s] of the newest accepted reading of a signal up to a time [s]; −∞ without one."""
+        times, _ = self._accepted.get(signal, (np.empty(0), None))
+        place = int(times.searchsorted(time, side="right"))
+        return float(times[place - 1]) if place else -math.inf
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -344,8 +414,10 @@ class Tracker:
         for signal, times in self._times.items():
             place = bisect.bisect_left(times, oldest) - BEFORE
             if place > 0:
-                del times[:place]
-                del self._values[signal][:place]
+                for columns in (self._times, self._values, self._marks):
+                    del columns[signal][:place]
+        kept = {signal: times[0] for signal, times in self._times.items() if times}
+        self._versions = {at: known for at, known in self._versions.items() if at[1] >= kept[at[0]]}
 
 
 @dataclass(frozen=True)

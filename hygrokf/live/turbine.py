@@ -18,7 +18,9 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Course
 
 THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet without sensors."""
+"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
+none."""
+SILENT_S = HOUR_S
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another one."""
 
@@ -84,13 +86,14 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 
 def instants_kept(course: Course) -> np.ndarray:
-    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
-    always the last one."""
+    """Indices of the instants that the store keeps: those with cabinet readings, while these are silent one
+    per `THIN_S`, and the last one while it is provisional; final ones whatever the courses are."""
+    outputs = course.run.timeline.outputs
+    heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
+    slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
     kept = np.isfinite(course.run.timeline.y).any(axis=1)
-    if not kept.any():
-        slot = np.floor(course.seconds / THIN_S)
-        kept = np.append(True, np.diff(slot) > 0)
-    kept[-1] = True
+    kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
+    kept[-1] |= course.final < len(kept)
     return np.flatnonzero(kept)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -17,14 +17,13 @@ import numpy as np
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import (
-    CHANGED,
     CLOCK,
     CONTRADICTS,
     ESTIMATE_RULES,
     LOST,
     MISSING,
+    SHIFT_RULES,
     STALE,
-    SUSPECT,
     Estimated,
     Level,
     Rule,
@@ -43,12 +42,10 @@ from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.contradiction import contradiction_level, innovations
-from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
-from hygrokf.live.fault_isolation import Finding
+from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import Forecast, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
-    LASTING_S,
     ParameterShift,
     TrackedState,
     parameter_shifts,
@@ -58,10 +55,10 @@ from hygrokf.live.properties import (
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
-from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
+from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
@@ -100,15 +97,15 @@ class Fleet:
         self.references: dict[str, dict[str, TrackedState]] = {}
         self.reference_points: dict[str, Point] = {}
         self.states = States(turbines)
+        self._store = store
         self.held = HeldReadings(store)
         self.backlogs = Backlogs()
         self.clocks = Clocks(() if store is None else store.held_ahead())
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
+        # at which lasting shifts have still to be judged, the first one as soon as its cause is isolated
+        self.steps: dict[str, list[ShiftStep]] = defaultdict(list)
         self._slots: dict[str, float] = {}
-        self._warned: dict[str, float] = {}
-        self._judged: dict[str, dict[str, float]] = defaultdict(dict)
-        self._contradictions: dict[str, dict[str, Level]] = defaultdict(dict)
         self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
@@ -126,7 +123,8 @@ class Fleet:
             known = store.memories(name)
             fleet.changes[name] = structured(list[Change], known.get("changes", []))
             times = [change.time for change in fleet.changes[name]]
-            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since), times)
+            readings, versions = store.readings(name, since), store.revised(name, since)
+            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions)
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
             fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
@@ -140,8 +138,9 @@ class Fleet:
                 fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
-            newest = fleet.states.estimate_s(name)  # the readings up to it have been judged
-            fleet._judged[name] = {} if newest is None else dict.fromkeys(one.plan.model.outputs, newest)
+            fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps") or [])
+            (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
+            fleet._slots[name] = -math.inf if point is None or last is None else last // PROPERTY_S
         fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
         return fleet
 
@@ -168,7 +167,8 @@ class Fleet:
                 counts[SOURCE, fault.kind] += 1
                 continue
             for turbine, stated, rejections in found:
-                readings = [reading.at_whole_microsecond() for reading in stated]
+                mark = NEITHER if mapping.revision == "neither" else one.mark
+                readings = [reading.as_stored(mark) for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
                 observations = [Observation(turbine, reading, one.received) for reading in readings]
                 if mapping.weather:
@@ -203,8 +203,13 @@ class Fleet:
         if not observations:
             return
         tracker = self.trackers[name]
-        batch.observations += [replace(one, late=tracker.is_late(one.reading)) for one in observations]
-        tracker.take(one.reading for one in observations)
+        readings = [one.reading for one in observations]
+        final = {(one.signal, one.time) for one in readings if tracker.is_late(one)}
+        outcomes = tracker.take(readings, self._store.versions(name, final) if self._store else None)
+        batch.observations += [
+            replace(one, late="late" in outcome, revision=outcome in REVISIONS)
+            for one, outcome in zip(observations, outcomes, strict=True)
+        ]
         self.waiting.setdefault(name)
         counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
         self._counted[name] = Counter(tracker.counts)
@@ -251,8 +256,14 @@ class Fleet:
             return
         batch.points[name] = point
         self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
-        self._judge_readings(name, course, point.time, batch)
-        self._judge_estimates(name, found, batch)
+        for one in innovations(course, point.time):
+            # between the two thresholds a level says nothing: that of the other signals
+            others = [s for s in course.run.timeline.outputs if s != one.signal]
+            silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, "", subject=s) for s in others]
+            self._judge(name, one.time_s, [*silent, contradiction_level(one)], (CONTRADICTS,), batch)
+        for i in np.flatnonzero(found.time_s <= point.time + SAME_S):
+            levels = estimate_levels(Estimated(found, int(i)), self.turbines[name].verdicts)
+            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
 
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
@@ -260,17 +271,40 @@ class Fleet:
         slots = np.floor(course.seconds / PROPERTY_S)
         before = self._slots.get(name, -math.inf)
         begins = (slots > np.append(before, slots[:-1])) & (course.seconds <= final_s + SAME_S)
+        heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
         for i in np.flatnonzero(begins):
             at, errors = float(course.seconds[i]), self.turbines[name].errors
             mean, covariance = course.trace.mean[i], course.trace.covariance[i]
-            states = states_of(plan.model, mean, covariance, at, self.trackers[name].heard())
+            newest = {signal: float(times[i]) for signal, times in heard.items()}
+            states = states_of(plan.model, mean, covariance, at, newest)
             if not states:
                 return
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
             references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
-            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors, references)
+            known = self.shifts[name]
+            self.shifts[name] = parameter_shifts(known, at, states, errors, references)
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
+            step = shift_step(at, known, self.shifts[name], self._isolated_s(name))
+            if step is not None:
+                self.steps[name].append(step)
+                self._judge_shifts(name, batch)
+
+    def _isolated_s(self, name: str) -> float:
+        """Time [s] at which the cause of a turbine's shifts was last due; −∞ if it never was."""
+        due = [step.time for step in self.steps[name] if step.due]
+        known = self.findings.get(name)
+        return due[-1] if due else -math.inf if known is None else known.time_s
+
+    def _judge_shifts(self, name: str, batch: Batch) -> None:
+        """Judge alarms about shifts, step after step up to the next one whose cause is not isolated yet."""
+        steps, finding = self.steps[name], self.findings.get(name)
+        while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
+            step = steps.pop(0)
+            shifts = {one.name: one for one in step.lasting}
+            levels = with_doubts(shift_levels(shifts, finding), self.turbines[name].verdicts)
+            self._judge(name, step.time, levels, SHIFT_RULES, batch)
+        batch.memories[name, "shift_steps"] = [asdict(step) for step in steps]
 
     def _references(
         self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
@@ -303,43 +337,27 @@ class Fleet:
             self.shifts[name], self.references[name] = {}, {}
             self.findings.pop(name, None)
             self.reference_points.pop(name, None)
+            self.steps[name].clear()
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
             for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
                 batch.memories[name, key] = nothing
-            batch.memories[name, "reference_point"] = None
-            newest = tracker.newest_state
-            if newest is not None:
-                self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
+            batch.memories[name, "reference_point"] = batch.memories[name, "shift_steps"] = None
+            if tracker.point is not None:
+                self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
             self.waiting[name] = None
             self._assess(name, batch)
         return batch
 
-    def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
-        """Judge alarms at every estimate newer than the last one judged."""
-        after = self._warned.get(name, -math.inf)
-        for i in np.flatnonzero(found.time_s > after):
-            now = Estimated(found, int(i), self.shifts[name], self.findings.get(name))
-            levels = estimate_levels(now, self.turbines[name].verdicts)
-            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
-        self._warned[name] = max(after, float(found.time_s[-1]))
-
-    def _judge_readings(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
-        """Judge alarms about readings that contradict the estimate, at every reading that is newer than the
-        last one judged of its signal."""
-        after = self._judged[name]
-        levels = self._contradictions[name]
-        for one in innovations(course, after, final_s):
-            after[one.signal] = one.time_s
-            levels[one.signal] = contradiction_level(one)
-            self._judge(name, one.time_s, list(levels.values()), (CONTRADICTS,), batch)
-
     def tick(
-        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+        self,
+        now: float,
+        sources: Mapping[str, Reach],
+        left: Mapping[str, str] | None = None,
+        quiet: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about missing data and wrong clocks at `now` [s], and about lost sources; release
-        readings that were ahead, and assess every turbine.
+        """Judge alarms about delivery at `now` [s], release readings that were ahead, assess every turbine.
 
-        left: turbine -> text about a sender that has left.
+        left: turbine -> text about a sender that has left. quiet: turbines whose silence is no news.
         """
         batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()
@@ -347,11 +365,12 @@ class Fleet:
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
         for name in self.turbines:
-            self._judge_missing(name, now, left.get(name, ""), batch)
+            if name in left or name not in quiet:
+                self._judge_missing(name, now, left.get(name, ""), batch)
         clocks = clock_levels(self.clocks.ahead())
         for name in (*self.turbines, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
-        self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
+        self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
         for name in self.turbines:
             self._assess(name, batch)
         batch.counters = {key: count for key, count in counts.items() if count}
@@ -370,17 +389,10 @@ class Fleet:
         levels += missing_levels(missing, since, now, one.stale_s)
         self._judge(name, now, levels, (STALE, MISSING), batch)
 
-    def isolation_due(self) -> str | None:
-        """A turbine with a lasting shift whose cause was not isolated since it became lasting, or not for a
-        day."""
-        for name, found in self.shifts.items():
-            lasting = [one for one in found.values() if one.lasting]
-            newest = max((one.since for one in lasting), default=-math.inf) + LASTING_S
-            known = self.findings.get(name)
-            state = self.trackers[name].newest_state
-            if lasting and state and (known is None or known.time_s < max(newest, state.time - ISOLATE_S)):
-                return name
-        return None
+    def isolation_due(self) -> tuple[str, ShiftStep] | None:
+        """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
+        be isolated next; None if no cause is due."""
+        return next(((name, steps[0]) for name, steps in self.steps.items() if steps), None)
 
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""
@@ -395,12 +407,15 @@ class Fleet:
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: Finding) -> Batch:
-        """Keep the finding of fault isolation and judge the alarms that it explains."""
-        self.findings[name] = finding
-        batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = with_doubts(shift_levels(self.shifts[name], finding), self.turbines[name].verdicts)
-        self._judge(name, finding.time_s, levels, (CHANGED, SUSPECT), batch)
-        self._assess(name, batch)
+        """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
+        that it explains."""
+        steps, batch = self.steps.pop(name, []), Batch()
+        self.steps[name] = steps  # the others come first now
+        if steps and steps[0].time == finding.time_s:
+            self.findings[name] = finding
+            batch.memories[name, "finding"] = asdict(finding)
+            self._judge_shifts(name, batch)
+            self._assess(name, batch)
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:

@@ -82,26 +82,26 @@ def test_the_same_course_gives_the_same_alarms_also_in_pieces() -> None:
 
 
 def test_several_subjects_of_one_kind_stand_apart() -> None:
-    two = [Level("source lost", 1.0, "a", subject="file:a"), Level("source lost", 1.0, "b", subject="file:b")]
+    two = [Level("clock wrong", 1.0, "a", subject="file:a"), Level("clock wrong", 1.0, "b", subject="file:b")]
     known, changes = judge("T1", {}, 0.0, two, RULES)
     assert changes == []
-    known, changes = judge("T1", known, 60.0, two, RULES)
-    assert [one.id for one in changes] == ["T1:source lost file:a:0", "T1:source lost file:b:0"]
-    known, changes = judge("T1", known, 120.0, two[:1], RULES)
+    known, changes = judge("T1", known, 900.0, two, RULES)
+    assert [one.id for one in changes] == ["T1:clock wrong file:a:0", "T1:clock wrong file:b:0"]
+    known, changes = judge("T1", known, 1200.0, two[:1], RULES)
     assert changes == []
-    known, changes = judge("T1", known, 180.0, two[:1], RULES)
-    assert [(one.id, one.ended) for one in changes] == [("T1:source lost file:b:0", 120.0)]
+    known, changes = judge("T1", known, 2100.0, two[:1], RULES)
+    assert [(one.id, one.ended) for one in changes] == [("T1:clock wrong file:b:0", 1200.0)]
 
 
 def test_condensation_in_words() -> None:
     one = Quantity(np.array([2.0, -1.5]), np.array([1.0, 0.5]))
     found = Condition(np.array([0.0, 600.0]), one, one, one, one, one, one, np.array([0.02, 0.998]), one)
-    assert [one.level for one in condensation_levels(Estimated(found, 0, {}))] == [0.02]
-    (level,) = condensation_levels(Estimated(found, 1, {}))
+    assert [one.level for one in condensation_levels(Estimated(found, 0))] == [0.02]
+    (level,) = condensation_levels(Estimated(found, 1))
     assert level.level == 0.998
     assert all(number in level.statement for number in ("100 %", "−1.5 K", "(−2.5 … −0.5)"))
     bare = Condition(np.array([0.0]), one, *[None] * 7)
-    assert condensation_levels(Estimated(bare, 0, {})) == []
+    assert condensation_levels(Estimated(bare, 0)) == []
 
 
 def test_shifts_name_cause_and_remedy() -> None:
@@ -134,7 +134,7 @@ def test_the_alarm_that_the_page_adds(monkeypatch: pytest.MonkeyPatch) -> None:
     air = Quantity(np.array([300.0, 324.15]), np.array([0.1, 0.1]))
     found = Condition(np.array([0.0, 600.0]), air, *[None] * 7)
     rejected = {part: Inherited(verdict=REJECT) for part in alarms.PARTS}
-    (calm,), (level,) = (estimate_levels(Estimated(found, place, {}), rejected) for place in (0, 1))
+    (calm,), (level,) = (estimate_levels(Estimated(found, place), rejected) for place in (0, 1))
     assert calm.level < hot.off and "51.0 °C" in level.statement
     assert "thermal" in level.statement and "hygric" not in level.statement
     known, begun = judge("T1", {}, 0.0, [level], RULES)

@@ -17,7 +17,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.sources.local import form_of
-from hygrokf.live.tracker import Reading, Tracker, offline_course
+from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course
 
 HOUR_S = 3600.0
 
@@ -258,12 +258,12 @@ def test_a_restart_from_the_point_and_the_readings_that_are_kept_changes_nothing
     assert not again.counts
 
 
-def test_readings_that_contradict_each_other_are_both_left_out(record: Record) -> None:
+def test_readings_whose_source_states_that_neither_counts_are_both_left_out(record: Record) -> None:
     model, readings = planned(record), readings_of(record)
     place = next(
         i for i, one in enumerate(readings) if one.signal == "cabinet_temperature" and i > len(readings) // 2
     )
-    wrong = replace(readings[place], value=readings[place].value + 3.0)
+    wrong = replace(readings[place], value=readings[place].value + 3.0, mark=NEITHER)
     tracker, course = followed(model, [*readings[: place + 1], wrong, *readings[place + 1 :]], 20)
     assert tracker.counts["contradicting"] == 2
     series = record["cabinet_temperature"]
