@@ -14,7 +14,7 @@ their own range.  The bound on d follows from the signal's own course, whose rea
 Signals that jump between states (flags, directions, rain) are not judged.
 
 *Frozen* readings repeat one value for longer than the signal ever stays still (`Scale.still_s`), outside of
-the range in which it rests (calm, night, saturated air).
+where it rests: calm, night, saturated air, power at its rated value.
 
 Both verdicts need only the readings before and those of the following `REACH_S`, so that a tracker that waits
 for these gives the verdicts of the whole record.
@@ -44,6 +44,8 @@ STEPS = 2.0
 """Multiple of the 95 % quantile of the increments below which nothing departs, however smooth the signal."""
 FEWEST = 50
 """Fewest readings from which a scale is taken."""
+AT_TOP = 0.995
+"""Share of its highest reading from which power rests: rated power."""
 SHORTEST_RUN = 6
 """Fewest identical readings in a row for which a sensor may be called frozen."""
 QUIET_STEPS = 2.0
@@ -62,12 +64,13 @@ class Scale:
     """What a signal does in its ordinary course.
 
     `departure` [SI unit]: largest d_k; `still_s` [s]: longest time for which it repeats one value; `step_s`
-    [s]: usual interval of its readings.
+    [s]: usual interval of its readings; `top` [SI unit]: highest reading.
     """
 
     departure: float
     still_s: float
     step_s: float
+    top: float
 
 
 @dataclass(frozen=True)
@@ -96,8 +99,9 @@ def scale_of(signal: str, time: np.ndarray, value: np.ndarray, resolution: float
         departure = max(float(np.ptp(value)), LEVELS[0][1] * (row.default_accuracy or 0.0))
     ordinary = STEPS * float(np.quantile(np.abs(np.diff(value)), 0.95))
     departure = max(departure, ordinary, LEVELS[0][1] * resolution)
-    still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value))
-    return Scale(departure, still * step, step) if departure > 0.0 else None
+    top = float(value.max())
+    still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value, top))
+    return Scale(departure, still * step, step, top) if departure > 0.0 else None
 
 
 def judge(
@@ -129,7 +133,7 @@ def _judge_departures(
     settled_s = known_until_s
     bound = scale.departure
     # a reading after a gap has no course to depart from: it is compared with all that follow
-    alone = np.append(True, np.diff(time) > max(REACH_S, REACH_STEPS * scale.step_s))
+    alone = gaps(time, scale.step_s)
     done = 0
     for leap in (np.flatnonzero(np.abs(np.diff(value)) > bound) + 1).tolist():
         if leap < done or alone[leap]:
@@ -207,25 +211,33 @@ def _judge_frozen(
     signal: str, time: np.ndarray, value: np.ndarray, scale: Scale, in_hindsight: bool, verdict: np.ndarray
 ) -> None:
     """Mark the readings that repeat a value for longer than the signal ever stays still."""
-    if time[-1] - time[0] <= scale.still_s:
+    still = scale.still_s / scale.step_s + 1e-6
+    if len(value) <= still:
         return
-    starts, lengths = runs_of(value)
-    since = np.repeat(time[starts], lengths)
-    until = np.repeat(time[starts + lengths - 1], lengths) if in_hindsight else time
-    late = (until - since > scale.still_s) & (time > since) & ~resting(signal, value)
+    # a tracker has forgotten what was long before a gap
+    starts, lengths = runs_of(value, False if in_hindsight else gaps(time, scale.step_s))
+    place = np.arange(len(value)) - np.repeat(starts, lengths)
+    repeats = np.repeat(lengths, lengths) if in_hindsight else place + 1
+    late = (repeats > still) & (place > 0) & ~resting(signal, value, scale.top)
     verdict[late & (verdict == ACCEPTED)] = FROZEN
 
 
-def runs_of(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First places and lengths of the runs of identical readings."""
-    starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
+def gaps(time: np.ndarray, step_s: float) -> np.ndarray:
+    """True (T,) where a reading comes after a gap, and for the first one."""
+    return np.append(True, np.diff(time) > max(REACH_S, REACH_STEPS * step_s))
+
+
+def runs_of(value: np.ndarray, begins: np.ndarray | bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """First places and lengths of the runs of identical readings; `begins` (T,) True where one begins anew."""
+    starts = np.flatnonzero(begins | np.append(True, np.diff(value) != 0.0))
     return starts, np.diff(np.append(starts, len(value)))
 
 
-def resting(signal: str, value: np.ndarray) -> np.ndarray:
-    """True (T,) where a reading lies in the range in which the signal rests."""
+def resting(signal: str, value: np.ndarray, top: float) -> np.ndarray:
+    """True (T,) where a reading lies in the range in which the signal rests; power rests at its `top`, too."""
     idle = signal_named(signal).idle
-    return np.zeros(len(value), bool) if idle is None else (value >= idle[0]) & (value <= idle[1])
+    found = np.zeros(len(value), bool) if idle is None else (value >= idle[0]) & (value <= idle[1])
+    return found | (value >= AT_TOP * top) if signal_named(signal).dimension == "power" else found
 
 
 def quiet_range(signal: str, value: np.ndarray, resolution: float) -> float:

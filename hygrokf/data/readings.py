@@ -219,7 +219,7 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     time, value = series.time[present], series.value[present]
     if len(value) < FEWEST or row.idle == (-np.inf, np.inf):
         return series, ()
-    if value[0] == value.min() == value.max() and not resting(series.signal, value[:1]).any():
+    if value[0] == value.min() == value.max() and not resting(series.signal, value[:1], np.inf).any():
         same = in_words(value[0], row)
         doubt = (
             f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms this"

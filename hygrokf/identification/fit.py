@@ -274,10 +274,11 @@ def _design_faults(design: Design) -> list[str]:
         faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
     elif not all(map(is_number, mean)) or len(mean) not in (0, order + 1):
         faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
-    for kind, count in (("averaged", 1), ("ambient_noise", 2), ("scales", 3)):
+    for kind, count in (("averaged", 1), ("ambient_noise", 2), ("scales", 4)):
         for name, found in getattr(design, kind).items():
             numbers = (found,) if count == 1 else found
-            if len(numbers) != count or not all(is_number(one) and one > 0 for one in numbers):
+            positive = numbers[:3]  # the top of a scale may be 0
+            if len(numbers) != count or not all(map(is_number, numbers)) or min(positive) <= 0:
                 words = f"{count} number{'s' if count > 1 else ''}"
                 faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
     for name, found in design.actuator_means.items():

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
-from hygrokf.data.gate import REACH_S, Scale
+from hygrokf.data.gate import REACH_S, REACH_STEPS, Scale
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import USUAL_STEPS, Site
 from hygrokf.data.signals import SIGNALS
@@ -139,8 +139,8 @@ class Plan:
         """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
         a day, the gate over the time for which a signal may stay still."""
         hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
-        still_s = max((still_s for _, still_s, _ in self.design.scales.values()), default=0.0)
-        return max(HOUR_S * hours, still_s + 2.0 * REACH_S)
+        still_s = max((scale[1] for scale in self.design.scales.values()), default=0.0)
+        return max(HOUR_S * hours, REACH_STEPS * still_s + 2.0 * REACH_S)
 
     @cached_property
     def longest_mean_s(self) -> float:

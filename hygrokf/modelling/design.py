@@ -83,7 +83,7 @@ class Design:
     features: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     actuator_means: Mapping[str, float] = field(default_factory=dict)
-    scales: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    scales: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -256,7 +256,7 @@ def design(
     )
 
 
-def scales(record: Record) -> dict[str, tuple[float, float, float]]:
+def scales(record: Record) -> dict[str, tuple[float, float, float, float]]:
     """The numbers of the gate's scale of every series that has one."""
     found = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in record.series}
     return {signal: astuple(scale) for signal, scale in found.items() if scale is not None}
