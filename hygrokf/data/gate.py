@@ -228,13 +228,13 @@ def gaps(time: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def runs_of(value: np.ndarray, begins: np.ndarray | bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """First places and lengths of the runs of identical readings; `begins` (T,) True where one begins anew."""
+    """First places and lengths of the runs of identical readings; `begins` (T,) True where one must begin."""
     starts = np.flatnonzero(begins | np.append(True, np.diff(value) != 0.0))
     return starts, np.diff(np.append(starts, len(value)))
 
 
 def resting(signal: str, value: np.ndarray, top: float) -> np.ndarray:
-    """True (T,) where a reading lies in the range in which the signal rests; power rests at its `top`, too."""
+    """True (T,) where a reading lies in the range in which the signal rests; power also rests at `top`."""
     idle = signal_named(signal).idle
     found = np.zeros(len(value), bool) if idle is None else (value >= idle[0]) & (value <= idle[1])
     return found | (value >= AT_TOP * top) if signal_named(signal).dimension == "power" else found
