@@ -20,6 +20,7 @@ from builders.comparison_case import made_column
 from builders.discovery_case import discovery_case, residuals_case, typed
 from builders.report_case import report_case
 
+from hygrokf.cases.case_file import CaseFault
 from hygrokf.cases.frames import read_frames
 from hygrokf.cases.summary import RecordSummary, describe
 from hygrokf.climate.study import Study
@@ -196,12 +197,12 @@ def test_a_record_goes_through_frames_and_back() -> None:
         assert frames[one.signal].attrs["units"] == {one.signal: SIGNALS[one.signal].unit}
 
 
-def test_units_of_frames_give_way_to_stated_ones() -> None:
+def test_units_that_contradict_those_of_a_frame_are_refused() -> None:
     cabinet, ambient = (record()[f"{place}_temperature"].to_frame() for place in ("cabinet", "ambient"))
     frame = cabinet.join(ambient, how="outer")
     frame.attrs["units"] = {"cabinet_temperature": "degC", "ambient_temperature": "degC"}
-    stated = dict.fromkeys(frame.columns, "K")
-    assert read_frames(frame, units=stated)["cabinet_temperature"].value[1] == pytest.approx(300.0, abs=1.1)
+    with pytest.raises(CaseFault, match="is in degC as the frame itself states, units says K"):
+        read_frames(frame, units=dict.fromkeys(frame.columns, "K"))
 
 
 def test_the_series_of_a_fit_are_copied_with_it() -> None:

@@ -285,35 +285,7 @@ def _prepare(
         for one in mapped
         if one not in labels
     ]
-    entries: dict[str, dict[str, Any]] = {}
-    for label, signal in used.items():
-        if labels.count(label) > 1:
-            faults.append(f'{name}: column "{label}" occurs {labels.count(label)} times')
-        if signal in entries:
-            faults.append(
-                f'{name}: columns "{entries[signal]["column"]}" and "{label}" are both {signal}; '
-                "a record has one series of a signal"
-            )
-        entries[signal] = {"column": label}
-    for option, values in by_column.items():
-        for label, value in values.items():
-            if label in used:
-                entries[used[label]][COLUMN_OPTIONS[option]] = value
-            elif label not in labels:
-                faults.append(f"{name}: {option}: {column_fault(label, labels, 'the frame has')}")
-            else:
-                faults.append(
-                    f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
-                    f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
-                )
-    for label, unit in _own_units(frame).items():
-        if label in used:
-            said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
-            if (unit_named(str(said)) or said) != (unit_named(unit) or unit):
-                faults.append(
-                    f'{name}: column "{label}" is in {unit} as the frame itself states, units says {said}: '
-                    "convert it, or correct one of the two"
-                )
+    entries = _entries(name, frame, used, labels, by_column, faults)
     if not used:
         if len(faults) == before:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
@@ -343,6 +315,50 @@ def _prepare(
     kept.index = range(len(frame))
     kept.attrs = {HEADER: labels}
     return _Prepared(source, kept, stamps, stamps_named, tuple(wrong), beside)
+
+
+def _entries(
+    name: str,
+    frame: pandas.DataFrame,
+    used: Mapping[str, str],
+    labels: Sequence[str],
+    by_column: Mapping[str, Mapping[str, Any]],
+    faults: list[str],
+) -> dict[str, dict[str, Any]]:
+    """What is stated of every signal, with the units that the frame states itself; adds the faults.
+
+    used: column -> signal.  labels: of all columns.  by_column: option -> column -> value.
+    """
+    entries: dict[str, dict[str, Any]] = {}
+    for label, signal in used.items():
+        if labels.count(label) > 1:
+            faults.append(f'{name}: column "{label}" occurs {labels.count(label)} times')
+        if signal in entries:
+            faults.append(
+                f'{name}: columns "{entries[signal]["column"]}" and "{label}" are both {signal}; '
+                "a record has one series of a signal"
+            )
+        entries[signal] = {"column": label}
+    for option, values in by_column.items():
+        for label, value in values.items():
+            if label in used:
+                entries[used[label]][COLUMN_OPTIONS[option]] = value
+            elif label not in labels:
+                faults.append(f"{name}: {option}: {column_fault(label, labels, 'the frame has')}")
+            else:
+                faults.append(
+                    f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
+                    f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
+                )
+    for label, unit in _own_units(frame).items():
+        if label in used:
+            said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
+            if (unit_named(str(said)) or said) != (unit_named(unit) or unit):
+                faults.append(
+                    f'{name}: column "{label}" is in {unit} as the frame itself states, units says {said}: '
+                    "convert it, or correct one of the two"
+                )
+    return entries
 
 
 def _stamps(

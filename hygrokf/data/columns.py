@@ -111,15 +111,7 @@ def table_of(
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
-    zone = None
-    if timezone is not None:
-        try:
-            zone = zone_named(timezone)
-        except ValueError as unknown:
-            faults.append(str(unknown))
-            # any zone will do for finding further faults
-            zone = UTC
-    wanted = list(dict.fromkeys(columns))
+    zone = _zone(timezone, faults)
     values = {}
     judged = {
         name: quality.judged(name, of, frame[of])
@@ -128,22 +120,18 @@ def table_of(
     }
     warnings = [said for one in judged.values() for said in one.warnings]
     stated = stated_marks(decimal, thousands)
-    for name in wanted:
-        if name not in frame:
-            continue
+    for name in (one for one in dict.fromkeys(columns) if one in frame):
         meaning = (meanings or {}).get(name, Meaning())
         numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
         if name in judged:
             wrong = wrong & judged[name].usable
             numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
-        points = evidence(frame[name], ".") if stated is None and frame[name].dtype.kind == "O" else "none"
-        if points in ("thousands", "either"):
-            example = frame[name].dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
-            (faults if points == "thousands" else warnings).append(
-                f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as '
-                f'texts without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
-            )
+        if stated is None and frame[name].dtype.kind == "O":
+            points = evidence(frame[name], ".")
+            if points in ("thousands", "either"):
+                told = faults if points == "thousands" else warnings
+                told.append(_two_readings(name, frame[name], places))
         if wrong.any():
             faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
@@ -159,11 +147,7 @@ def table_of(
         faults += amiss
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
-        if lost.any():
-            count = int(lost.sum())
-            where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-            counted = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{counted} without a stamp left out: {where}")
+        warnings += _lost_rows(lost, places)
     if faults:
         raise TableFault(*faults)
     keep = np.isfinite(time)
@@ -171,6 +155,33 @@ def table_of(
         raise TableFault("expected readings, found no row with a stamp that can be used")
     kept = {name: array[keep] for name, array in values.items()}
     return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
+
+
+def _zone(timezone: str | None, faults: list[str]) -> tzinfo | None:
+    """The zone of stamps; for one that is unknown a fault, and UTC, with which further faults are found."""
+    try:
+        return None if timezone is None else zone_named(timezone)
+    except ValueError as unknown:
+        faults.append(str(unknown))
+        return UTC
+
+
+def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
+    """That the points of a column may divide thousands, by an example."""
+    example = column.dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
+    return (
+        f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
+        f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
+    )
+
+
+def _lost_rows(lost: np.ndarray, places: Places) -> list[str]:
+    """A warning about rows with readings and without a stamp, True in `lost` (N,)."""
+    count = int(lost.sum())
+    if not count:
+        return []
+    where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
+    return [f"{'1 row' if count == 1 else f'{count} rows'} without a stamp left out: {where}"]
 
 
 def _stamps_read(

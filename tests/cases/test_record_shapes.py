@@ -114,7 +114,7 @@ def test_fit_and_its_time_constants_by_the_readme_s_loop(
     (loop,) = re.findall(r"^for name, tau in .*?\n(?=\S)", README.read_text(), re.MULTILINE | re.DOTALL)
     exec(loop, {"fit": fit})
     lines = capsys.readouterr().out.splitlines()
-    pattern = r"(thermal|hygric) \d+\.\d\d h, \d+\.\d\d … (\d+\.\d\d|inf) (believe|caution|reject)"
+    pattern = r"(thermal|hygric) \d+\.\d\d h, \d+\.\d\d … (\d+\.\d\d|nan) (believe|caution|reject)"
     assert [line.split()[0] for line in lines] == expected and all(
         re.fullmatch(pattern, line) for line in lines
     )
