@@ -130,10 +130,10 @@ def make_faulty(seed: int, fault: str = "healthy", damp: bool = False, days: flo
     }  # fmt: skip
     rated_W = 2.5e6
     stamps = slice(0, size, WRITTEN)
-    channels = [
-        Channel(signal, signal.split("_")[0], time[stamps], _read(random, course[stamps], *error), 0.0, error[2])
-        for signal, (course, *error) in courses.items()
-    ]
+    channels = []
+    for signal, (course, *error) in courses.items():
+        read = _read(random, course[stamps], *error)
+        channels.append(Channel(signal, signal.split("_")[0], time[stamps], read, 0.0, error[2]))
     means = share[:-1].reshape(-1, WRITTEN).mean(axis=1) * rated_W
     channels.append(Channel("active_power", "scada", time[stamps][1:], means, WRITTEN * STEP_S, 0.0))
     written = tuple(_struck(one, what, struck[stamps], day[stamps] - FAULT_DAY) for one in channels)
@@ -160,7 +160,7 @@ def _euler(target: np.ndarray, pace: np.ndarray, ceiling: np.ndarray | None = No
 
 
 def _power(random: np.random.Generator, wind: np.ndarray) -> np.ndarray:
-    """Share of the rated power [1] (T,): (v/12)³ above 3.2 m/s, with standstills of 5 to 40 h every 15 days."""
+    """Share of the rated power [1] (T,): (v/12)³ above 3.2 m/s, standstills of 5 to 40 h every 15 days."""
     share = np.where(wind > 3.2, np.minimum((wind / 12.0) ** 3, 1.0), 0.0)
     step_h = STEP_S / 3600.0
     hour = random.exponential(15.0 * 24.0)
