@@ -76,8 +76,8 @@ class Tracker:
     """The state of one turbine's filter.
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
-    newest instant, which may still change, and `running` tells whether the turbine operates then; `newest` is
-    the time [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used:
+    newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
+    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used:
     "repeated" (already present), "contradicting" (several values with one stamp, of which none is used) and
     "late" (received after the estimate at their time was final).
 
@@ -99,6 +99,7 @@ class Tracker:
         self.point = point
         self.newest_state = point
         self.running = False
+        self.excess = math.nan
         self.newest = -math.inf
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}

@@ -63,6 +63,7 @@ from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
+from hygrokf.live.turbine import Evidence
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
 from hygrokf.live.turbine import digest as digest
@@ -95,6 +96,8 @@ class Fleet:
         self.faults: dict[str, str] = {}
         self.forecast_made_s: dict[str, float] = {}
         self.findings: dict[str, Finding] = {}
+        # vapour [g/m³] by which the newest humidity reading exceeds the final estimate
+        self.excesses: dict[str, float] = {}
         self.changes: dict[str, list[Change]] = defaultdict(list)
         # what shifts are judged against after a stated change: states of properties, and the whole state
         self.references: dict[str, dict[str, TrackedState]] = {}
@@ -137,6 +140,8 @@ class Fleet:
             fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
             if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])
+            if known.get("excess") is not None:
+                fleet.excesses[name] = structured(float, known["excess"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
             newest = fleet.states.estimate_s(name)  # the readings up to it have been judged
@@ -223,7 +228,8 @@ class Fleet:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
-        found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
+        known = {name: Evidence(self.excesses.get(name, math.nan), self.changes[name]) for name in courses}
+        found = conditions({name: (self.turbines[name], course) for name, course in courses.items()}, known)
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
         for name in done:
@@ -246,6 +252,11 @@ class Fleet:
             final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
             batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
             self.states.note_estimate(name, found)
+            if found.excess_g_m3 is not None:
+                self.trackers[name].excess = float(found.excess_g_m3[-1])
+                if final:
+                    excess = self.excesses[name] = float(found.excess_g_m3[final - 1])
+                    batch.memories[name, "excess"] = excess if math.isfinite(excess) else None
         if point is None:
             return
         batch.points[name] = point
@@ -297,7 +308,7 @@ class Fleet:
             if name not in self.trackers or event.id in [one.event for one in self.changes[name]]:
                 continue
             tracker = self.trackers[name]
-            self.changes[name].append(Change(event.id, tracker.note_change(event.time)))
+            self.changes[name].append(Change(event.id, tracker.note_change(event.time), event.kind))
             self.changes[name].sort(key=lambda one: one.time)
             self.shifts[name], self.references[name] = {}, {}
             self.findings.pop(name, None)
