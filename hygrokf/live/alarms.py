@@ -9,18 +9,18 @@ that no alarm is raised twice after a crash.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
-from hygrokf.identification.wording import signed
+from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
-from hygrokf.live.condition import Condition
+from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.plan import Need
-from hygrokf.live.properties import ParameterShift
+from hygrokf.live.properties import ParameterShift, TrackedState, relative_shift
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.modelling.design import PARTS
 
@@ -56,6 +56,11 @@ LOST = Rule(
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
+SENSOR_OR_WATER = Rule(
+    "sensor or water", 1.0, 0.5, 6 * HOUR_S, "warning", np.inf,
+    "look for water in the cabinet, and compare the humidity sensor with another one; if it is the sensor, "
+    "state it on the turbine's page with the date",
+)  # fmt: skip
 CONTRADICTS = Rule(
     "reading contradicts", 1.0, 0.5, 0.0, "warning", np.inf,
     "compare the sensor with another one, and ask what happened in the cabinet at that time",
@@ -68,7 +73,9 @@ CLOCK = Rule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
-ESTIMATE_RULES = (CONDENSATION, CHANGED, SUSPECT)
+CHANGE_RULES = (CHANGED, SUSPECT, SENSOR_OR_WATER)
+"""Rules whose levels follow from the tracked properties."""
+ESTIMATE_RULES = (CONDENSATION, *CHANGE_RULES)
 """Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
 RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
 """All rules by kind.
@@ -94,10 +101,6 @@ CABINET_CHANGES = {
         "the cabinet exchanges more air with the ambient",
         "check door, seals and cable glands",
     ),
-    ("humidity_offset", True): (
-        "the air is moister than air exchange and heat release explain",
-        "look for water in the cabinet, and compare the humidity sensor with another one",
-    ),
     ("humidity_offset", False): (
         "the air is drier than air exchange and heat release explain",
         "compare the humidity sensor with another one, and check whether something dries the air",
@@ -111,18 +114,22 @@ CABINET_CHANGES = {
         "check the heater and its thermostat, and the temperature sensor against another one",
     ),
 }
-"""(property, whether it increased) -> (statement, what to check)."""
+"""(property, whether it increased) -> (statement, what to check); for moister air see `SENSOR_OR_WATER`."""
+MOIST = "humidity_offset"
+HUMIDITY_SENSOR = "humidity_sensor"
+UNSURE = 0.75
+"""Level of a change whose bounds contain zero: no alarm begins, and none ends."""
 SENSOR_ERRORS = {
     "temperature_reading_change": (
-        "the temperature sensor reads {0:.1f} K too {1}: the humidity readings do not follow it",
+        "the temperature sensor reads {0} K too {1}: the humidity readings do not follow it",
         "compare the temperature sensor with another one, and check where it is mounted",
     ),
     "humidity_reading_change": (
-        "the humidity sensor reads {0:.0f} % too {1}: air exchange and heat release do not explain its level",
+        "the humidity sensor reads {0} % too {1}: air exchange and heat release do not explain its level",
         "compare the humidity sensor with another one; clean or renew it",
     ),
     "humidity_scale_change": (
-        "the humidity sensor reads {0:.0f} % of its value too {1}",
+        "the humidity sensor reads {0} % of its value too {1}",
         "compare the humidity sensor with another one at low and at high humidity; clean or renew it",
     ),
 }
@@ -213,13 +220,14 @@ def _kind(key: str) -> str:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, and the
-    finding of fault isolation."""
+    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, the
+    finding of fault isolation, and the deviations of its properties."""
 
     condition: Condition
     place: int
     shifts: Mapping[str, ParameterShift]
     finding: Finding | None = None
+    deviations: Mapping[str, TrackedState] = field(default_factory=dict)
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -238,38 +246,72 @@ def condensation_levels(now: Estimated) -> list[Level]:
     return [Level(CONDENSATION.kind, chance, statement)]
 
 
-def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) -> list[Level]:
-    """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
+def change_levels(
+    shifts: Mapping[str, ParameterShift], finding: Finding | None, deviations: Mapping[str, TrackedState]
+) -> list[Level]:
+    """Levels that follow from the tracked properties: for moister air at once, for other lasting shifts by
+    fault isolation.
 
-    There is no level before fault isolation has a finding; a finding without a cause gives one level for each
-    property.
+    There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
+    level for each property.  No alarm begins while the bounds of its size contain zero.
     """
     lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
-    if not lasting or finding is None:
-        return []
-    if finding.cause in SENSORS:
-        words, remedy = SENSOR_ERRORS[finding.state]
-        size = abs(finding.value) * (1.0 if finding.state.startswith("temperature") else 100.0)
-        statement = words.format(size, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
-        return [Level(SUSPECT.kind, 1.0, statement, remedy, finding.cause)]
-    named = {finding.cause: lasting[finding.cause]} if finding.cause in lasting else lasting
-    return [
-        _shift_level(name, shift.change, finding)
+    known = finding if lasting else None
+    moist = deviations.get(MOIST)
+    levels = []
+    if moist is not None and (known is None or known.cause not in SENSORS or known.cause == HUMIDITY_SENSOR):
+        statement = (
+            f"the humidity sensor reads {_size(MOIST, moist)[0]} more than air exchange and heat release "
+            "explain: the sensor errs, or there is water in the cabinet"
+        )
+        levels.append(Level(SENSOR_OR_WATER.kind, relative_shift(MOIST, moist), statement))
+    if known is None:
+        return levels
+    if known.cause in SENSORS:
+        return [*levels, *_sensor_levels(known)]
+    named = {known.cause: lasting[known.cause]} if known.cause in lasting else lasting
+    return levels + [
+        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), known)
         for name, shift in named.items()
         if (name, shift.change > 0.0) in CABINET_CHANGES
     ]
 
 
-def _shift_level(name: str, change: float, finding: Finding) -> Level:
-    statement, remedy = CABINET_CHANGES[name, change > 0.0]
-    if name == "heat_release_change":
-        size = f"{signed(change, 1)} K"
-    elif name == "humidity_offset":
-        size = f"{signed(100.0 * change, 0)} % relative humidity"
-    else:
-        size = f"{signed(100.0 * np.expm1(change), 0)} %"
+def _sensor_levels(finding: Finding) -> list[Level]:
+    """The level of a sensor that fault isolation names; a humidity sensor that reads too high may be right,
+    and is part of `SENSOR_OR_WATER`."""
+    if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
+        return []
+    words, remedy = SENSOR_ERRORS[finding.state]
+    factor = 1.0 if finding.state.startswith("temperature") else 100.0
+    low, size, high = (
+        factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0)
+    )
+    digits = 1 if factor == 1.0 else 0
+    bounds = f"{fixed(size, digits)} ({fixed(low, digits)} … {fixed(high, digits)})"
+    statement = words.format(bounds, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
+    return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNSURE, statement, remedy, finding.cause)]
+
+
+def _shift_level(name: str, deviation: TrackedState, finding: Finding) -> Level:
+    statement, remedy = CABINET_CHANGES[name, deviation.x > 0.0]
+    size, sure = _size(name, deviation)
     words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
-    return Level(CHANGED.kind, 1.0, words, remedy, name)
+    return Level(CHANGED.kind, sure, words, remedy, name)
+
+
+def _size(name: str, deviation: TrackedState) -> tuple[str, float]:
+    """The size of a deviation with its bounds in words, and the level: `UNSURE` while these contain zero."""
+    x, sd = deviation
+    ends = (x, x - Z95 * sd, x + Z95 * sd)
+    if name == "heat_release_change":
+        values, digits, unit = ends, 1, "K"
+    elif name == MOIST:
+        values, digits, unit = tuple(100.0 * one for one in ends), 0, "% relative humidity"
+    else:
+        values, digits, unit = tuple(100.0 * float(np.expm1(one)) for one in ends), 0, "%"
+    size, low, high = (signed(one, digits) for one in values)
+    return f"{size} ({low} … {high}) {unit}", 1.0 if abs(x) > Z95 * sd else UNSURE
 
 
 def _alternatives(finding: Finding) -> str:
@@ -278,7 +320,7 @@ def _alternatives(finding: Finding) -> str:
 
 RESTS_ON = {
     "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
-    "humidity_offset": PARTS[1:],
+    "humidity_offset": PARTS[1:], "sensor or water": PARTS[1:],
 }  # fmt: skip
 """Property, or kind of alarm -> the numbers of the fit on which its level rests; all others rest on both."""
 
@@ -298,7 +340,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
 
 ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
     condensation_levels,
-    lambda now: shift_levels(now.shifts, now.finding),
+    lambda now: change_levels(now.shifts, now.finding, now.deviations),
 )
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""
 

@@ -51,9 +51,9 @@ EVERY_S = DAY_S
 class Finding:
     """The most likely cause of a parameter shift, "" if none explains the readings.
 
-    `state`, `value`: the state that explains it, and its value now; `gain`: in ln L over an unchanged
-    cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot be distinguished from
-    it.
+    `state`, `value`, `sd`: the state that explains it, its value now and its standard deviation; `gain`: in
+    ln L over an unchanged cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot
+    be distinguished from it.
     """
 
     time_s: float
@@ -63,15 +63,18 @@ class Finding:
     gain: float = 0.0
     lead: float | None = None
     alike: tuple[str, ...] = ()
+    sd: float = 0.0
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, and its value now."""
+    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, its value now and the
+    standard deviation of it."""
 
     gain: float
     state: str
     value: float
+    sd: float = 0.0
 
 
 def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Iterator[Finding | None]:
@@ -102,7 +105,8 @@ def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Itera
                 found = censored_trace(likelihood, {**still, f"{state}_rate": rate}, begin)
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
-                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
+                    sd = float(np.sqrt(max(found.covariance[-1, place, place], 0.0)))
+                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]), sd)
                 yield None
     yield finding_from(gains, end_s)
 
@@ -129,10 +133,10 @@ def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     if not ordered or gains[ordered[0]].gain < LEAST:
         return Finding(time_s, "")
     best = ordered[0]
-    gain, state, value = gains[best].gain, gains[best].state, gains[best].value
+    gain, state, value, sd = vars(gains[best]).values()
     lead = gain - gains[ordered[1]].gain if len(ordered) > 1 else None
     alike = tuple(cause for cause in ordered[1:] if gain - gains[cause].gain < CLOSE)
-    return Finding(time_s, best, state, value, gain, lead, alike)
+    return Finding(time_s, best, state, value, gain, lead, alike, sd)
 
 
 def _lowest_rates(plan: Plan) -> dict[str, float]:

@@ -17,22 +17,21 @@ import numpy as np
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import (
-    CHANGED,
+    CHANGE_RULES,
     CLOCK,
     CONTRADICTS,
     ESTIMATE_RULES,
     LOST,
     MISSING,
     STALE,
-    SUSPECT,
     Estimated,
     Level,
     Rule,
     Standing,
+    change_levels,
     estimate_levels,
     judge,
     missing_levels,
-    shift_levels,
     source_levels,
     stale_levels,
     with_doubts,
@@ -51,6 +50,7 @@ from hygrokf.live.properties import (
     LASTING_S,
     ParameterShift,
     TrackedState,
+    deviations,
     parameter_shifts,
     properties,
     states_of,
@@ -92,6 +92,7 @@ class Fleet:
         self.turbines = dict(turbines)
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
         self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
+        self.deviations: dict[str, dict[str, TrackedState]] = defaultdict(dict)
         self.standings: dict[str, dict[str, Standing]] = defaultdict(dict)
         self.faults: dict[str, str] = {}
         self.forecast_made_s: dict[str, float] = {}
@@ -135,6 +136,8 @@ class Fleet:
             if known.get("reference_point"):
                 kept = structured(KeptState, known["reference_point"])
                 fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
+            pairs = structured(dict[str, tuple[float, float]], known.get("deviations", {}))
+            fleet.deviations[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
             fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
             fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
@@ -279,7 +282,10 @@ class Fleet:
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
             references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
-            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors, references)
+            present = deviations(states, errors, references)
+            self.deviations[name] |= present  # what cannot be observed now stays as it was
+            self.shifts[name] = parameter_shifts(self.shifts[name], at, present)
+            batch.memories[name, "deviations"] = {k: list(d) for k, d in self.deviations[name].items()}
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
 
     def _references(
@@ -310,16 +316,16 @@ class Fleet:
             tracker = self.trackers[name]
             self.changes[name].append(Change(event.id, tracker.note_change(event.time), event.kind))
             self.changes[name].sort(key=lambda one: one.time)
-            self.shifts[name], self.references[name] = {}, {}
+            self.shifts[name], self.references[name], self.deviations[name] = {}, {}, {}
             self.findings.pop(name, None)
             self.reference_points.pop(name, None)
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
-            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
+            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("deviations", {}), ("finding", None)):
                 batch.memories[name, key] = nothing
             batch.memories[name, "reference_point"] = None
             newest = tracker.newest_state
             if newest is not None:
-                self._judge(name, newest.time, [], (CHANGED, SUSPECT), batch)
+                self._judge(name, newest.time, [], CHANGE_RULES, batch)
             self.waiting[name] = None
             self._assess(name, batch)
         return batch
@@ -328,7 +334,8 @@ class Fleet:
         """Judge alarms at every estimate newer than the last one judged."""
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
-            now = Estimated(found, int(i), self.shifts[name], self.findings.get(name))
+            known = self.shifts[name], self.findings.get(name), self.deviations[name]
+            now = Estimated(found, int(i), *known)
             levels = estimate_levels(now, self.turbines[name].verdicts)
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
@@ -408,8 +415,9 @@ class Fleet:
         """Keep the finding of fault isolation and judge the alarms that it explains."""
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = with_doubts(shift_levels(self.shifts[name], finding), self.turbines[name].verdicts)
-        self._judge(name, finding.time_s, levels, (CHANGED, SUSPECT), batch)
+        levels = change_levels(self.shifts[name], finding, self.deviations[name])
+        doubted = with_doubts(levels, self.turbines[name].verdicts)
+        self._judge(name, finding.time_s, doubted, CHANGE_RULES, batch)
         self._assess(name, batch)
         return batch
 

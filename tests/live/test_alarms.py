@@ -13,19 +13,22 @@ from hygrokf.identification.verdict_terms import REJECT, Inherited
 from hygrokf.live import alarms
 from hygrokf.live.alarms import (
     CABINET_CHANGES,
+    CHANGED,
     RULES,
+    SENSOR_OR_WATER,
+    SUSPECT,
     Estimated,
     Level,
     Standing,
+    change_levels,
     condensation_levels,
     estimate_levels,
     judge,
-    shift_levels,
 )
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.properties import WATCHED, ParameterShift
+from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 MINUTE = 60.0
@@ -110,11 +113,41 @@ def test_shifts_name_cause_and_remedy() -> None:
         "thermal_time_constant": ParameterShift("thermal_time_constant", 0.0, False, 0.4),
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25),
     }
-    exchange, heat = shift_levels(found, Finding(0.0, ""))
-    assert exchange.statement.endswith("hygric k −50 %")
+    now = {"hygric_k": TrackedState(math.log(0.5), 0.1), "heat_release_change": TrackedState(2.25, 0.5)}
+    exchange, heat = change_levels(found, Finding(0.0, ""), now)
+    assert exchange.statement.endswith("hygric k −50 (−59 … −39) %")
     assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
-    assert heat.statement.endswith("heat release change +2.2 K")
+    assert heat.statement.endswith("heat release change +2.2 (+1.3 … +3.2) K")
     assert {name for name, _ in CABINET_CHANGES} == {one.name for one in WATCHED}
+
+
+def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
+    """What is open then stays open."""
+    found = {"heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25)}
+    (unsure,) = change_levels(found, Finding(0.0, ""), {"heat_release_change": TrackedState(1.2, 0.7)})
+    assert CHANGED.off <= unsure.level < CHANGED.on
+    sensor = Finding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
+    (unsure,) = change_levels(found, sensor, {})
+    assert SUSPECT.off <= unsure.level < SUSPECT.on and "0.4 (−0.2 … 1.0) K too high" in unsure.statement
+    (sure,) = change_levels(found, replace(sensor, sd=0.1), {})
+    assert sure.level == SUSPECT.on
+
+
+def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None:
+    """It is said before the shift lasts; only another sensor's fault explains it."""
+    moist, dry = ({"humidity_offset": TrackedState(x, 0.006)} for x in (0.12, -0.12))
+    (level,) = change_levels({}, None, moist)
+    assert level.kind == SENSOR_OR_WATER.kind and level.level == pytest.approx(3.0)
+    assert "+12 (+11 … +13) % relative humidity" in level.statement and "water" in level.statement
+    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.12)}
+    high = Finding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
+    for finding in (None, Finding(9.0, ""), high):
+        assert [one.kind for one in change_levels(lasting, finding, moist)] == [SENSOR_OR_WATER.kind]
+    other = Finding(9.0, "temperature_sensor", "temperature_reading_change", 3.0, 50.0, sd=0.2)
+    assert [one.kind for one in change_levels(lasting, other, moist)] == [SUSPECT.kind]
+    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, -0.12)}
+    below, low = change_levels(lasting, replace(high, value=-0.3), dry)
+    assert below.level < 0.0 and low.kind == SUSPECT.kind and "30 (26 … 34) % of its value too low" in low.statement
 
 
 def test_rules_can_end_what_they_begin() -> None:
