@@ -303,14 +303,14 @@ def _shift_level(name: str, deviation: TrackedState, finding: Finding) -> Level:
 def _size(name: str, deviation: TrackedState) -> tuple[str, float]:
     """The size of a deviation with its bounds in words, and the level: `UNSURE` while these contain zero."""
     x, sd = deviation
-    ends = (x, x - Z95 * sd, x + Z95 * sd)
+    ends = np.array([x, x - Z95 * sd, x + Z95 * sd])
     if name == "heat_release_change":
         values, digits, unit = ends, 1, "K"
     elif name == MOIST:
-        values, digits, unit = tuple(100.0 * one for one in ends), 0, "% relative humidity"
+        values, digits, unit = 100.0 * ends, 0, "% relative humidity"
     else:
-        values, digits, unit = tuple(100.0 * float(np.expm1(one)) for one in ends), 0, "%"
-    size, low, high = (signed(one, digits) for one in values)
+        values, digits, unit = 100.0 * np.expm1(ends), 0, "%"
+    size, low, high = (signed(one, digits) for one in values.tolist())
     return f"{size} ({low} … {high}) {unit}", 1.0 if abs(x) > Z95 * sd else UNSURE
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -161,7 +162,7 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
 def mixture(found: Sequence[Condition]) -> Condition:
     """The mixture of equally likely conditions at the same instants: means and standard deviations."""
     first = found[0]
-    mixed: dict[str, Quantity] = {}
+    mixed: dict[str, Any] = {}
     for name, quantity in vars(first).items():
         if not isinstance(quantity, Quantity):
             continue

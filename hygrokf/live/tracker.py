@@ -28,6 +28,10 @@ from hygrokf.live.changes import changed_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
+WAITS_S = 7 * DAY_S
+"""[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
+THIN_S = 600.0
+"""[s] between two stored estimates without readings of the cabinet."""
 AHEAD_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
@@ -57,10 +61,12 @@ class Point:
 
 @dataclass(frozen=True)
 class Course:
-    """Estimates after the point: the run, and the filter's moments at its instants."""
+    """Estimates after the point: the run, the filter's moments at its instants, and which of these (T,) the
+    store keeps."""
 
     run: Run
     trace: Trace
+    kept: np.ndarray
 
     @property
     def seconds(self) -> np.ndarray:
@@ -81,6 +87,10 @@ class Tracker:
     "repeated" (already present), "contradicting" (several values with one stamp, of which none is used) and
     "late" (received after the estimate at their time was final).
 
+    While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
+    for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
+    delivery can change, and from which the filter goes on.
+
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
     readings: stored readings after it, in SI units.
@@ -97,6 +107,7 @@ class Tracker:
         self.plan = plan
         self.changes = tuple(changes)
         self.point = point
+        self.ahead: Point | None = None
         self.newest_state = point
         self.running = False
         self.excess = math.nan
@@ -125,8 +136,14 @@ class Tracker:
         before the newest final estimate."""
         if self.point is not None:
             time = max(time, self.point.time)
+        self._doubt_ahead(time)
         self.changes = (*self.changes, time)
         return time
+
+    def _doubt_ahead(self, time: float) -> None:
+        """Filter anew from the point on if something new acts at a `time` [s] up to `ahead`."""
+        if self.ahead is not None and time <= self.ahead.time + SAME_S:
+            self.ahead = None
 
     def is_late(self, one: Reading) -> bool:
         """Whether the estimate at a reading's time is already final."""
@@ -138,6 +155,7 @@ class Tracker:
         return place < len(times) and times[place] == one.time
 
     def _insert(self, one: Reading) -> None:
+        self._doubt_ahead(one.time)
         if one.signal not in self._times:
             self._times[one.signal], self._values[one.signal] = array("d"), array("d")
         times, values = self._times[one.signal], self._values[one.signal]
@@ -207,7 +225,11 @@ class Tracker:
         """
         if self.awaited() or not self._inputs_overlap():
             return None
-        made = prepare_run(self.plan.design, self._record_with_ended_gaps())
+        silent_s = self.silent_since()
+        made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=silent_s is not None)
+        held = silent_s is not None and self.newest - silent_s <= WAITS_S
+        if not held:
+            self.ahead = None
         course = self._course(made)
         if course is None:
             return None
@@ -216,11 +238,20 @@ class Tracker:
         final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
         last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
-        self.running = bool(made.operating[-1])
+        self.running = bool(course.run.operating[-1])
+        reached = Point(float(seconds[last - 1]), self._state_at(course, last - 1)) if last else None
+        if held and silent_s is not None:
+            last = int(np.searchsorted(seconds, min(final, silent_s) + SAME_S, side="right"))
         if last > 0:
             self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
             self._forget()
+        if held and reached is not None:
+            self.ahead = reached
         return course
+
+    def silent_since(self) -> float | None:
+        """Time [s] of the cabinet's newest reading if estimates go on without it; None else."""
+        return silent_since(self._times, self.plan.lateness_s)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
@@ -247,13 +278,16 @@ class Tracker:
     def _course(self, made: Run) -> Course | None:
         t = made.timeline
         seconds = t.seconds
-        after = -math.inf if self.point is None else self.point.time + SAME_S
+        start = self._start()
+        after = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(seconds, after, side="right"))
-        if first == len(t):
+        # a gap of the ambient that has not ended yet reaches far ahead
+        end = int(np.searchsorted(seconds, self.newest + SAME_S, side="right"))
+        if first >= end:
             return None
-        part = t.window(first, len(t))
-        piece = Run(part, made.operating[first:], made.scored[first:])
-        return Course(piece, self._filter(part, self._start()))
+        part = t.window(first, end)
+        piece = Run(part, made.operating[first:end], made.scored[first:end])
+        return Course(piece, self._filter(part, start), kept_instants(t)[first:end])
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -263,13 +297,13 @@ class Tracker:
             return self._filter(t.window(0, place + 1), self._start()).last
         return course.state(place)
 
-    def _start(self) -> Gaussian | None:
-        return None if self.point is None else self.point.state
+    def _start(self) -> Point | None:
+        return self.ahead or self.point
 
-    def _filter(self, t: Timeline, start: Gaussian | None) -> Trace:
-        final = -math.inf if self.point is None else self.point.time
+    def _filter(self, t: Timeline, start: Point | None) -> Trace:
+        final, state = (-math.inf, None) if start is None else (start.time, start.state)
         coming = [time for time in self.changes if time + SAME_S >= final]
-        return changed_trace(self.plan.likelihood(t), self.plan.values, start, coming)
+        return changed_trace(self.plan.likelihood(t), self.plan.values, state, coming)
 
     @property
     def _limit(self) -> float:
@@ -357,5 +391,27 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     """
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
-    made = prepare_run(plan.design, record_of(plan, times, values))
-    return Course(made, changed_trace(plan.likelihood(made.timeline), plan.values, None, changes))
+    beyond = silent_since(times, plan.lateness_s) is not None
+    made = prepare_run(plan.design, record_of(plan, times, values), beyond=beyond)
+    trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
+    return Course(made, trace, kept_instants(made.timeline))
+
+
+def silent_since(times: Mapping[str, Sequence[float]], lateness_s: float) -> float | None:
+    """Time [s] of the cabinet's newest reading if the ambient is known for more than the lateness [s] after
+    it; None else, and without any reading of the cabinet.  `times` [s] are those of each signal's readings.
+    """
+    newest = {signal: float(some[-1]) for signal, some in times.items() if len(some)}
+    cabinet = max((at for signal, at in newest.items() if signal.startswith("cabinet_")), default=math.inf)
+    vapour = max((newest[signal] for signal in AMBIENT_HUMIDITIES if signal in newest), default=math.inf)
+    inputs = min(newest.get("ambient_temperature", -math.inf), vapour)
+    return cabinet if inputs - cabinet > lateness_s else None
+
+
+def kept_instants(t: Timeline) -> np.ndarray:
+    """Which instants (T,) the store keeps: those with readings of the cabinet and, where none came for
+    `THIN_S`, the first one of every such period."""
+    read = np.isfinite(t.y).any(axis=1) if t.y.shape[1] else np.zeros(len(t), bool)
+    newest = np.maximum.accumulate(np.where(read, t.seconds, -np.inf))
+    begins = np.append(True, np.diff(np.floor(t.seconds / THIN_S)) > 0)
+    return read | (begins & (t.seconds - newest >= THIN_S - SAME_S))

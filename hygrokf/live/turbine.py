@@ -20,8 +20,6 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Course
 from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
 
-THIN_S = 600.0
-"""[s] between two stored estimates of a cabinet without sensors."""
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another one."""
 
@@ -114,14 +112,8 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 
 def instants_kept(course: Course) -> np.ndarray:
-    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
-    always the last one."""
-    kept = np.isfinite(course.run.timeline.y).any(axis=1)
-    if not kept.any():
-        slot = np.floor(course.seconds / THIN_S)
-        kept = np.append(True, np.diff(slot) > 0)
-    kept[-1] = True
-    return np.flatnonzero(kept)
+    """Indices of the instants that the store keeps; always the last one."""
+    return np.flatnonzero(np.append(course.kept[:-1], True))
 
 
 def digest(plan: Plan) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ def on_the_safe_side(
     assert by_sensor.condensation is not None, "both are of one model"
     larger = np.fmax(by_model.condensation, by_sensor.condensation)
     wetter = larger > by_model.condensation + SHOWN
-    chosen = {
+    chosen: dict[str, Any] = {
         name: Quantity(
             np.where(wetter, getattr(by_sensor, name).value, one.value),
             np.where(wetter, getattr(by_sensor, name).sd, one.sd),
