@@ -18,7 +18,7 @@ from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWea
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
-from hygrokf.data.masks import detect_resolution, mask, order_readings
+from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hygrokf.data.input_paths import centred
-from hygrokf.data.masks import out_of_range, range_sentence
+from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.files import DRAFT_DOUBT
-from hygrokf.data.masks import detect_resolution
+from hygrokf.data.readings import detect_resolution
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.drafting.layout import texts_in
 from hygrokf.drafting.mapping import Assigned, Source

@@ -20,6 +20,7 @@ k outputs, d parameters, L = `LANES`.
 from __future__ import annotations
 
 import hashlib
+import math
 import weakref
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -38,6 +39,8 @@ from hygrokf.physics.expression import (
     dot,
     is_zero,
     jacobian,
+    maximum,
+    sqrt,
     where,
 )
 from hygrokf.physics.holds import LINEAR, REGIME
@@ -127,19 +130,34 @@ class Recursion:
         spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         inverse = 1.0 / spread
         error = self.reading - prediction
-        gain = [0.0 if is_zero(c) else c * inverse for c in cross]
+        weight, quadratic = self._bounded(error * error * inverse)
+        gain = [0.0 if is_zero(c) else c * (weight * inverse) for c in cross]
         mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
         covariance = [
             self.covariance[i][j]
             if is_zero(gain[i]) or is_zero(cross[j])
-            else self.covariance[i][j] - (cross[i] * cross[j]) * inverse
+            else self.covariance[i][j] - (cross[i] * cross[j]) * (weight * inverse)
             for i in range(self.n)
             for j in range(i + 1)
         ]
-        quadratic = error * error * inverse
         if not self.diffuse:
             return [*mean, *covariance, error, spread, quadratic]
         return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
+
+    def _bounded(self, quadratic: Expression) -> tuple[Value, Expression]:
+        """Weight of a reading whose squared innovation is e²/S = `quadratic`, and its term of −2 ln L.
+
+        Within b standard deviations these are 1 and e²/S.  Beyond, the density has the exponential tails of
+        Huber's (1964, doi:10.1214/aoms/1177703732): the term is 2 b |e|/√S − b², and the reading has the
+        weight b √S/|e|, that is, the variance that would put it at its bound: S |e|/(b √S).
+        """
+        bound = self.system.bound
+        if math.isinf(bound):
+            return 1.0, quadratic
+        square = bound * bound
+        beyond = quadratic > square
+        root = sqrt(maximum(quadratic, square))  # never 0, where its slope is infinite
+        return where(beyond, bound / root, 1.0), where(beyond, 2.0 * bound * root - square, quadratic)
 
     def _diffuse_update(
         self,

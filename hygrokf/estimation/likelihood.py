@@ -1,6 +1,8 @@
 """Log-likelihood of the innovations, its score, its sensitivities: pure functions of the parameters.
 
-    ln L(θ) = −½ Σ_k (ln 2πS_k + e_k²/S_k),    e_k the innovation of reading k, S_k its variance.
+    ln L(θ) = −½ Σ_k (ln 2πS_k + ρ(e_k²/S_k)),    e_k the innovation of reading k, S_k its variance,
+
+with ρ(q) = q, or, in a model with a bound b, 2 b √q − b² where q > b² (`traced_filter.Recursion`).
 
 Shapes: T instants, n states, k outputs, d parameters (all of the model, in its order).
 """
@@ -95,6 +97,13 @@ class _Steps:
         """Stretches of instants that the loops take in one call; every long step begins a new one."""
         cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
         return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
+    """Square root of the weight min(1, b √S/|e|) of readings with squared innovations e²/S; b: `bound`."""
+    if math.isinf(bound):
+        return np.ones_like(quadratic)
+    return np.sqrt(bound / np.sqrt(np.maximum(quadratic, bound**2)))
 
 
 @dataclass(frozen=True)
@@ -480,7 +489,8 @@ class Likelihood:
     ) -> Sensitivities:
         """Score and expected information along directions (d, r) of the parameters.
 
-            I = Σ_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
+            I = Σ_k w_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
+        with w_k = min(1, b √S_k/|e_k|), the weight of a reading beyond the model's bound b.
         Without `gain` the filter runs free (no reading corrects the state): derivatives of the output error.
         """
         count = directions.shape[1]
@@ -491,7 +501,8 @@ class Likelihood:
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
             e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain)
-            de, ds = de[..., :count], ds[..., :count]
+            weight = bounded_weight(e * e / s, self.model.bound)
+            e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
             loglik += value
             score += share.sum(axis=(0, 1))

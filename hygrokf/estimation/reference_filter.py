@@ -47,9 +47,14 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
                 h, R = (float(np.real(part)) for part in model.evaluate(list(m), u, values).outputs[name])
                 H = _jacobian(partial(_prediction, model, values, u, name), m)[0]
                 e, S = y - h, H @ P @ H + R
-                K = P @ H / S
-                m, P = m + K * e, P - np.outer(K, K) * S
-                total -= 0.5 * (math.log(2.0 * math.pi * S) + e * e / S)
+                z = abs(e) / math.sqrt(S)
+                if z > model.bound:  # the reading counts as at its bound: its noise is that much larger
+                    total -= 0.5 * (math.log(2.0 * math.pi * S) + (2.0 * z - model.bound) * model.bound)
+                    K = P @ H / (S * z / model.bound)
+                else:
+                    total -= 0.5 * (math.log(2.0 * math.pi * S) + z * z)
+                    K = P @ H / S
+                m, P = m + K * e, P - np.outer(K, P @ H)
         for bit, state in enumerate(model.system.resets):  # running means that begin anew
             if line.reset[k] & (1 << bit):
                 m[state], P[state, :], P[:, state] = 0.0, 0.0, 0.0

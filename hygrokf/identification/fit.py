@@ -274,10 +274,11 @@ def _design_faults(design: Design) -> list[str]:
         faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
     elif not all(map(is_number, mean)) or len(mean) not in (0, order + 1):
         faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
-    for kind in ("averaged", "ambient_noise"):
+    for kind, count in (("averaged", 1), ("ambient_noise", 2), ("scales", 3)):
         for name, found in getattr(design, kind).items():
-            numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
-            if len(numbers) != int(words[0]) or not all(is_number(one) and one > 0 for one in numbers):
+            numbers = (found,) if count == 1 else found
+            if len(numbers) != count or not all(is_number(one) and one > 0 for one in numbers):
+                words = f"{count} number{'s' if count > 1 else ''}"
                 faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
     for name, found in design.actuator_means.items():
         if name not in ACTUATORS or not is_number(found):

@@ -13,6 +13,7 @@ import numpy as np
 
 from hygrokf.cases.doubts import all_doubts, doubted
 from hygrokf.data.progress import Progress, reporting
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
@@ -94,6 +95,7 @@ def identify(
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
     if criterion not in CRITERIA:
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
+    record = mask(record)  # nothing to do for a record of `read_case` and `read_frames`
     early = record.identification()
     with reporting(progress, "identify") as say:
         basis = identify_stages(early, kind, starts, profiles, say, prior)

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.readings import SATURATED
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 

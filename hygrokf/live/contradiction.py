@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.identification.wording import fixed
 from hygrokf.live.alarms import CONTRADICTS, Level

@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
+from hygrokf.data.gate import REACH_S, Scale
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS
@@ -115,6 +116,10 @@ class Plan:
         """The form of a signal; by default instantaneous readings."""
         return self.forms.get(signal, Form())
 
+    def scale(self, signal: str) -> Scale | None:
+        """The scale by which the gate judges readings of a signal; None where the fit has none."""
+        return Scale(*self.design.scales[signal]) if signal in self.design.scales else None
+
     def readings_ahead(self, signal: str) -> int:
         """Number of later readings, besides the next one, on which an input's path depends; 0 for a step
         signal."""
@@ -128,9 +133,11 @@ class Plan:
         """[s] before a final estimate for which readings are kept, because inputs look back over gaps and
         settling times.
 
-        Features may look back over a day.
+        Features may look back over a day, and the gate over the time for which a signal may stay still.
         """
-        return HOUR_S * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0)
+        hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0
+        still_s = max((still_s for _, still_s, _ in self.design.scales.values()), default=0.0)
+        return max(HOUR_S * hours, still_s + 2.0 * REACH_S)
 
     @cached_property
     def longest_mean_s(self) -> float:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.ambient import middle
+from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, judge
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
@@ -32,6 +33,11 @@ WAITS_S = 7 * DAY_S
 """[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
 THIN_S = 600.0
 """[s] between two stored estimates without readings of the cabinet."""
+Column = Sequence[float] | np.ndarray
+Readings = tuple[np.ndarray, np.ndarray]
+"""Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
+KEPT_OUT = {DEPARTED: "departed", FROZEN: "frozen"}
+"""Verdicts of the gate, and the counts of the readings that it keeps out."""
 AHEAD_S = 30 * DAY_S
 """[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 
@@ -83,9 +89,11 @@ class Tracker:
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
     newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
-    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used:
-    "repeated" (already present), "contradicting" (several values with one stamp, of which none is used) and
-    "late" (received after the estimate at their time was final).
+    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
+    [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used: "repeated"
+    (already present), "contradicting" (several values with one stamp, of which none is used), "late"
+    (received after the estimate at their time was final), and, once final, "departed" and "frozen" (kept out
+    by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
     for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
@@ -115,6 +123,7 @@ class Tracker:
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
         self._values: dict[str, array[float]] = {}
+        self._accepted: dict[str, Readings] = {}
         for one in readings:
             self._insert(one)
 
@@ -206,7 +215,7 @@ class Tracker:
         return first + longest if last - first <= longest else None
 
     def record(self) -> Record:
-        """The stored readings as a record."""
+        """The stored readings as a record, without those that the gate keeps out."""
         return record_of(self.plan, self._times, self._values)
 
     def awaited(self) -> tuple[str, ...]:
@@ -225,8 +234,14 @@ class Tracker:
         """
         if self.awaited() or not self._inputs_overlap():
             return None
-        silent_s = self.silent_since()
-        made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=silent_s is not None)
+        judged = {
+            signal: judged_readings(self.plan, signal, times, self._values[signal], self._limit)
+            for signal, times in self._times.items()
+        }
+        self._accepted = {signal: one.accepted for signal, one in judged.items()}
+        beyond = self.silent_since() is not None
+        made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=beyond)
+        silent_s = silent_since(self._times, self.plan.lateness_s)
         held = silent_s is not None and self.newest - silent_s <= WAITS_S
         if not held:
             self.ahead = None
@@ -235,7 +250,8 @@ class Tracker:
             return None
         seconds = course.seconds
         # a mean that ends after the run may have an interval that begins within it
-        final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
+        settled = min((one.judgement.settled_s for one in judged.values()), default=math.inf)
+        final = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
         last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
         self.running = bool(course.run.operating[-1])
@@ -243,15 +259,18 @@ class Tracker:
         if held and silent_s is not None:
             last = int(np.searchsorted(seconds, min(final, silent_s) + SAME_S, side="right"))
         if last > 0:
+            before = -math.inf if self.point is None else self.point.time
             self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
+            for one in judged.values():
+                self.counts.update(one.kept_out(before + SAME_S, self.point.time + SAME_S))
             self._forget()
         if held and reached is not None:
             self.ahead = reached
         return course
 
     def silent_since(self) -> float | None:
-        """Time [s] of the cabinet's newest reading if estimates go on without it; None else."""
-        return silent_since(self._times, self.plan.lateness_s)
+        """Time [s] of the cabinet's newest usable reading if estimates go on without it; None else."""
+        return silent_since({s: times for s, (times, _) in self._accepted.items()}, self.plan.lateness_s)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
@@ -318,8 +337,8 @@ class Tracker:
         long.
         """
         final = self._limit
-        for signal, times in self._times.items():
-            place = bisect.bisect_right(times, self._limit)
+        for signal, (times, _) in self._accepted.items():
+            place = int(times.searchsorted(self._limit, side="right"))
             if place and not signal.startswith("cabinet_") and not self._stale(signal):
                 last = place - 1 - self.plan.readings_ahead(signal)
                 final = (
@@ -330,26 +349,29 @@ class Tracker:
 
     def _stale(self, signal: str) -> bool:
         """Whether a driver's last reading is so old that the gap after it will not be bridged."""
-        times = self._times[signal]
-        place = bisect.bisect_right(times, self._limit)
+        times, _ = self._accepted[signal]
+        place = int(times.searchsorted(self._limit, side="right"))
         if place < len(times) or not place:
             return False
         age, bridge_s = self._limit - times[-1], HOUR_S * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:
             return age > bridge_s
-        usual = middle(np.sort(np.diff(np.array(times))))
+        usual = middle(np.sort(np.diff(times)))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
     def _record_with_ended_gaps(self) -> Record:
         """The readings, with one far ahead for each stale driver, so that its gap is recognised as too
         long."""
-        stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}
+        known = {signal for signal, (times, _) in self._accepted.items() if len(times)}
+        stale = {s for s in known if not s.startswith("cabinet_") and self._stale(s)}
         if any(s.startswith("ambient_") for s in stale):
-            stale |= {s for s in self._times if s.startswith("ambient_")}
+            stale |= {s for s in known if s.startswith("ambient_")}
         ahead = self.newest + AHEAD_S
-        times = {s: array("d", [*times, ahead]) if s in stale else times for s, times in self._times.items()}
-        values = {s: array("d", [*v, _last_of(v)]) if s in stale else v for s, v in self._values.items()}
-        return record_of(self.plan, times, values)
+        readings = {
+            s: (np.append(times, ahead), np.append(values, values[-1])) if s in stale else (times, values)
+            for s, (times, values) in self._accepted.items()
+        }
+        return _record(self.plan, readings)
 
     def _forget(self) -> None:
         """Drop readings that no later instant needs, but keep `BEFORE` older ones to delimit gaps."""
@@ -362,24 +384,52 @@ class Tracker:
                 del self._values[signal][:place]
 
 
-def _last_of(values: Sequence[float]) -> float:
-    return next((v for v in reversed(values) if not math.isnan(v)), math.nan)
+@dataclass(frozen=True)
+class Judged:
+    """The readings of a signal (time [s], value [SI unit]) and the gate's judgement of them."""
+
+    readings: Readings
+    judgement: Judgement
+
+    @property
+    def accepted(self) -> Readings:
+        time, value = self.readings
+        there = self.judgement.verdict == ACCEPTED
+        return (time, value) if there.all() else (time[there], value[there])
+
+    def kept_out(self, after_s: float, until_s: float) -> dict[str, int]:
+        """Numbers of readings that were kept out within a time (after_s, until_s] [s], by the verdict."""
+        time, verdict = self.readings[0], self.judgement.verdict
+        within = verdict[(time > after_s) & (time <= until_s)]
+        return {name: n for code, name in KEPT_OUT.items() if (n := int(np.sum(within == code)))}
 
 
-def record_of(
-    plan: Plan, times: Mapping[str, Iterable[float]], values: Mapping[str, Iterable[float]]
-) -> Record:
-    """A record of the plan's turbine from times and values by signal."""
-    series = []
-    for signal in sorted(times):
-        form = plan.form(signal)
-        time, value = np.array(times[signal], dtype=float), np.array(values[signal], dtype=float)
-        there = np.isfinite(value)
-        if not there.all():
-            time, value = time[there], value[there]
-        if not len(time):
-            continue
-        series.append(Series(signal=signal, time=time, value=value, **vars(form)))
+def judged_readings(
+    plan: Plan, signal: str, times: Column, values: Column, known_until_s: float = math.inf
+) -> Judged:
+    """The readings of a signal of the plan's turbine that are not missing, judged by the gate."""
+    time, value = np.array(times, dtype=float), np.array(values, dtype=float)
+    there = np.isfinite(value)
+    if not there.all():
+        time, value = time[there], value[there]
+    scale = plan.scale(signal)
+    if scale is None:
+        return Judged((time, value), Judgement(np.zeros(len(time), dtype=np.int8), known_until_s))
+    return Judged((time, value), judge(signal, time, value, scale, known_until_s))
+
+
+def record_of(plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column]) -> Record:
+    """A record of the plan's turbine from times [s] and values [SI unit] by signal, judged by the gate."""
+    judged = {signal: judged_readings(plan, signal, times[signal], values[signal]) for signal in times}
+    return _record(plan, {signal: one.accepted for signal, one in judged.items()})
+
+
+def _record(plan: Plan, readings: Mapping[str, Readings]) -> Record:
+    series = [
+        Series(signal=signal, time=time, value=value, **vars(plan.form(signal)))
+        for signal, (time, value) in sorted(readings.items())
+        if len(time)
+    ]
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 
@@ -391,13 +441,14 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     """
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
-    beyond = silent_since(times, plan.lateness_s) is not None
-    made = prepare_run(plan.design, record_of(plan, times, values), beyond=beyond)
+    accepted = record_of(plan, times, values)
+    silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
+    made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
     return Course(made, trace, kept_instants(made.timeline))
 
 
-def silent_since(times: Mapping[str, Sequence[float]], lateness_s: float) -> float | None:
+def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:
     """Time [s] of the cabinet's newest reading if the ambient is known for more than the lateness [s] after
     it; None else, and without any reading of the cabinet.  `times` [s] are those of each signal's readings.
     """

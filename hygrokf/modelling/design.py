@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakValueDictionary
@@ -18,6 +18,7 @@ import numpy as np
 
 from hygrokf.data.actuators import Chosen, actuators
 from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
+from hygrokf.data.gate import scale_of
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
@@ -44,6 +45,9 @@ BRIDGE_H = 1.0
 SETTLING_H = 12.0
 """[h] time after a long gap of the ambient series for which readings are left out, until the state has
 forgotten the gap."""
+BOUND = 4.0
+"""Standard deviations of its prediction from which a reading counts no more: a Gaussian reading lies beyond
+once in 16,000."""
 FEWEST_READINGS = 50
 """Fewest readings of a signal from which anything is identified."""
 PARTS = ("thermal", "hygric")
@@ -66,7 +70,8 @@ class Design:
     signal.  `ambient_noise`: (q, r) of the ambient signals that are smoothed before use (see `data.ambient`).
     `features`: inputs made from the record's signals, with their settings.  `priors`: (mean, sd, logarithmic)
     of parameters, from other turbines (see `turbine_type`).  `actuator_means`: means [SI unit] of the
-    logged actuators, which replace unknown values.
+    logged actuators, which replace unknown values.  `scales`: signal → the numbers of its `gate.Scale`, by
+    which a tracker judges its readings.
     """
 
     mechanisms: tuple[Chosen, ...]
@@ -81,6 +86,7 @@ class Design:
     features: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     actuator_means: Mapping[str, float] = field(default_factory=dict)
+    scales: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -99,7 +105,8 @@ class Design:
             mechanisms = [
                 _with_priors(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
             ]
-            found = _models[key] = compose(mechanisms, holds, self.averaged)
+            found = replace(compose(mechanisms, holds, self.averaged), bound=BOUND)
+            _models[key] = found
         return found
 
     __getstate__ = fields_alone
@@ -108,8 +115,9 @@ class Design:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
         stored = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        if not self.actuator_means:  # as in the files of earlier versions, from which digests are made
-            del stored["actuator_means"]
+        for name in ("actuator_means", "scales"):  # as in the files of earlier versions, which lack them
+            if not stored[name]:
+                del stored[name]
         return stored | ({"origins": own} if own else {})
 
     @classmethod
@@ -122,7 +130,7 @@ class Design:
         mechanisms = tuple((name, dict(settings)) for name, settings in known.pop("mechanisms", ()))
         for name in ("power_mean", "statements"):
             known[name] = tuple(known.get(name, ()))
-        for name in ("ambient_noise", "priors"):
+        for name in ("ambient_noise", "priors", "scales"):
             known[name] = {key: tuple(numbers) for key, numbers in known.get(name, {}).items()}
         return cls(mechanisms, **known)
 
@@ -245,7 +253,14 @@ def design(
         ambient_noise=ambient_noise(record),
         statements=tuple(statements),
         actuator_means={a.signal: float(np.nanmean(record[a.signal].value)) for a in acting},
+        scales=scales(record),
     )
+
+
+def scales(record: Record) -> dict[str, tuple[float, float, float]]:
+    """The numbers of the gate's scale of every series that has one."""
+    found = {one.signal: scale_of(one.signal, *one.known, one.resolution) for one in record.series}
+    return {signal: astuple(scale) for signal, scale in found.items() if scale is not None}
 
 
 def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
@@ -401,5 +416,6 @@ def merged(parts: Sequence[Design]) -> Design:
             features={**first.features, **part.features},
             priors={**first.priors, **part.priors},
             actuator_means={**first.actuator_means, **part.actuator_means},
+            scales={**part.scales, **first.scales},
         )
     return first

@@ -12,6 +12,7 @@ temperature difference [K] that it sustains across R_AT.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -117,7 +118,7 @@ class System:
     `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct
     values); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs
     (name, function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that
-    are running means of an output, set to zero where an averaging interval begins.
+    are running means of an output, set to zero where an averaging interval begins; `bound` is the model's.
     """
 
     parameters: tuple[str, ...]
@@ -127,6 +128,7 @@ class System:
     noise: Callable[[Values], Matrix]
     outputs: tuple[tuple[str, TracedOutput], ...]
     resets: tuple[int, ...] = ()
+    bound: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,8 @@ class Model:
     mechanisms: in any order.
     holds: input → its hold: linear, zero-order, or regime (piecewise constant with few distinct values).
     averaged: outputs that are read as interval means → the interval [h].
+    bound: standard deviations of its prediction beyond which a reading counts no more than at that distance;
+        infinity: every reading counts in full, the exact Gaussian likelihood.
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
@@ -146,6 +150,7 @@ class Model:
     mechanisms: tuple[Mechanism, ...]
     holds: Mapping[str, str] = field(default_factory=dict)
     averaged: Mapping[str, float] = field(default_factory=dict)
+    bound: float = math.inf
 
     __getstate__ = fields_alone
 
@@ -311,6 +316,7 @@ class Model:
             noise=self.noise,
             outputs=tuple((name, self._traced_output(name)) for name in self.outputs),
             resets=tuple(self.states.index(f"mean_{name}") for name in self.averaged),
+            bound=self.bound,
         )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.masks import order_readings
+from hygrokf.data.readings import order_readings
 from hygrokf.data.record import Record, Series, Site
 
 SAME_PLACE_DEG = 0.02

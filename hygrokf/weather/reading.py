@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.masks import mask_out_of_range
+from hygrokf.data.readings import mask_out_of_range
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude

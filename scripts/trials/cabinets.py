@@ -10,7 +10,7 @@ import numpy as np
 from plants.as_record import to_record
 from plants.plant import Plant
 
-from hygrokf.data.masks import mask
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit

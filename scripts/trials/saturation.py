@@ -10,7 +10,7 @@ import numpy as np
 from battery.rates import Rate
 from plants import plant
 
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.readings import SATURATED
 from hygrokf.live.condition import Condition, condition, only
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios

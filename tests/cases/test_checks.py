@@ -11,7 +11,7 @@ import pytest
 
 from hygrokf.cases.doubts import doubted, doubts
 from hygrokf.cases.summary import RecordSummary, describe
-from hygrokf.data.masks import mask
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.structured import plain, structured
 from hygrokf.report.record_text import describe_text

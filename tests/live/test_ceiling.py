@@ -11,7 +11,7 @@ from builders.forecast_case import cabinet_record
 from builders.live_case import live_fit
 from scipy.stats import truncnorm
 
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian

@@ -11,7 +11,8 @@ from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.data.masks import SATURATED
+from hygrokf.data.gate import REACH_S
+from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Form, Plan
@@ -118,6 +119,23 @@ def saturated_means(record: Record) -> Record:
     return of_means(saturated(record))
 
 
+def spoilt(record: Record) -> Record:
+    """Bad readings alone and in runs, and a sensor that freezes for a day, in every signal that is judged."""
+    random = np.random.default_rng(4)
+
+    def spoil(series: Series) -> Series:
+        value = series.value.copy()
+        for place in random.choice(len(value) - 3, 12, replace=False):
+            value[place : place + random.integers(1, 4)] = random.choice([np.nanmin(value), np.nanmax(value)])
+        value[random.choice(len(value), 3, replace=False)] *= 1.2
+        frozen = (series.time > record.start_s + 40.0 * HOUR_S) & (series.time < record.start_s + 64.0 * HOUR_S)
+        if series.signal.startswith(("ambient", "cabinet")):
+            value[frozen] = value[np.argmax(frozen)]
+        return replace(series, value=value)
+
+    return record.replace_series(*(spoil(s) for s in record.series))
+
+
 def dry(record: Record) -> Record:
     """No humidity sensor in the cabinet."""
     return replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
@@ -145,6 +163,7 @@ def powerless(record: Record) -> Record:
         lagging,
         saturated,
         saturated_means,
+        spoilt,
         dry,
         blind,
         powerless,
@@ -168,6 +187,9 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
     # what follows the pre-heating is final when its gap is known
     waits_s = HOUR_S + (6.0 * HOUR_S if shape is rarely_told else 0.0)
+    if shape is spoilt:  # departed readings are judged by those of the next half hour
+        waits_s += REACH_S
+        assert tracker.counts["departed"] > 20 and tracker.counts["frozen"] > 100
     assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + waits_s
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
     t = offline.run.timeline

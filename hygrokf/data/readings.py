@@ -1,4 +1,4 @@
-"""Masking and repair of readings where it is safe, with a sentence for each change."""
+"""Readings of a record: their order, their resolution, and which are masked, with a sentence for each."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from hygrokf.data.gate import DEPARTED, FEWEST, FROZEN, REACH_S, judge, resting, runs_of, scale_of
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
@@ -17,25 +18,10 @@ PILED = 5
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
 """[-] ranges over which noise may spread the readings of saturated air."""
 
-FROZEN_MINIMUM = 6
-"""Fewest identical readings in a row for which a sensor may be called frozen."""
-
-QUIET_STEPS = 2.0
-"""Steps of the resolution within which readings count as quiet in the frozen-sensor check."""
-
-QUIET_LEAST = {"temperature": 0.1, "fraction": 0.005}
-"""[SI unit] smallest quiet range by dimension, even for a finer resolution."""
-
-QUIET_SHARE = 0.005
-"""Smallest quiet range of other dimensions, as a share of the range of the series' readings."""
-
-_FEWEST_READINGS = 50
-
-
 def mask(record: Record) -> Record:
     """Record in which everything is masked that can be masked safely, with warnings.
 
-    record: any, SI units. Readings out of the physical range, repeats of a frozen sensor and saturated
+    record: any, SI units. Readings out of the physical range, those that the gate keeps out and saturated
     cabinet humidity become missing, in this order.  Series that are only compared are treated alike.
     """
     warnings: list[str] = []
@@ -43,7 +29,7 @@ def mask(record: Record) -> Record:
     def masked(group: tuple[Series, ...]) -> tuple[Series, ...]:
         result = []
         for series in group:
-            for treat in (mask_out_of_range, mask_frozen, mask_saturated):
+            for treat in (mask_out_of_range, mask_gated, mask_saturated):
                 series, said = treat(series)
                 warnings.extend(said)
             result.append(series)
@@ -222,114 +208,69 @@ def _ceiling(humidity: np.ndarray) -> float:
     return np.inf
 
 
-def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
-    """Series without the repeats of a frozen sensor, and a warning.
+def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
+    """Series without the readings that the gate keeps out, and warnings that name them.
 
-    A run of identical readings counts as frozen if it has at least `FROZEN_MINIMUM` readings,
-    is more than twice as long as the 99th percentile of the record's own runs, and is longer than
-    the longest quiet stretch elsewhere in the record: readings that stay within a few steps of the
-    resolution (at least `QUIET_LEAST`) without being all equal. A coarse sensor in still weather
-    is thus not called frozen, nor are readings in the signal's idle range (calm, night, standstill,
-    saturated air). The first reading of a run is kept. Where more than half of the readings would
-    be masked, the source repeats readings as a rule: nothing is masked, and the warning says so.
+    The first reading of a frozen run is kept.  Where more than half of the readings would be masked, the
+    source repeats readings as a rule: no run is masked, and the warning says so.
     """
     row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
-    value = series.value[present]
-    if len(value) < _FEWEST_READINGS or row.idle == (-np.inf, np.inf):
+    time, value = series.time[present], series.value[present]
+    if len(value) < FEWEST or row.idle == (-np.inf, np.inf):
         return series, ()
-    if value[0] == value.min() == value.max() and not _is_idle(row.idle, value[0]):
+    if value[0] == value.min() == value.max() and not resting(series.signal, value[:1]).any():
         same = in_words(value[0], row)
         doubt = (
             f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms this"
         )
         return series, (f"{_label(series)}: {doubt}",)
-    starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
-    lengths = np.diff(np.append(starts, len(value)))
-    idle = np.zeros(len(starts), dtype=bool)
-    if row.idle is not None:
-        idle = (value[starts] >= row.idle[0]) & (value[starts] <= row.idle[1])
-    frozen_runs = _frozen_runs(value, starts, lengths, idle, _quiet_range(series, value))
-    if not len(frozen_runs):
+    scale = scale_of(series.signal, time, value, series.resolution)
+    if scale is None:
         return series, ()
-    frozen = np.zeros(len(series), dtype=bool)
-    for run in frozen_runs:
-        frozen[present[starts[run] + 1 : starts[run] + lengths[run]]] = True
-    longest = frozen_runs[np.argmax(lengths[frozen_runs])]
-    first = series.time[present[starts[longest]]]
-    last = series.time[present[starts[longest] + lengths[longest] - 1]]
-    runs = (
-        f"{len(frozen_runs)} run{'s' if len(frozen_runs) > 1 else ''} of identical readings, the "
-        f"longest {duration_text(last - first)} at {in_words(value[starts[longest]], row)} "
+    verdict = judge(series.signal, time, value, scale, in_hindsight=True).verdict
+    said = []
+    masked = np.zeros(len(series), dtype=bool)
+    if (departed := verdict == DEPARTED).any():
+        masked[present[departed]] = True
+        said.append(f"{_label(series)}: {departed_sentence(series, masked)}")
+    if (frozen := verdict == FROZEN).any():
+        runs = _frozen_sentence(series, time, value, frozen)
+        if frozen.sum() > 0.5 * len(value):
+            doubt = f"perhaps a frozen sensor: {runs}; not masked, since these are more than half"
+            said.append(f"{_label(series)}: {doubt} of the readings")
+        else:
+            masked[present[frozen]] = True
+            said.append(f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked")
+    return (_masked(series, masked) if masked.any() else series), tuple(said)
+
+
+SHOWN = 5
+"""Number of departed readings that a warning names."""
+
+
+def departed_sentence(series: Series, departed: np.ndarray) -> str:
+    """The departed readings, with values and times."""
+    row = signal_named(series.signal)
+    places = np.flatnonzero(departed)
+    named = ", ".join(
+        f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in places[:SHOWN]
+    )
+    more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
+    leave = "leaves its course and returns" if len(places) == 1 else "leave their course and return"
+    return f"{_readings(departed)} that {leave} within {duration_text(REACH_S)} masked: {named}{more}"
+
+
+def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen: np.ndarray) -> str:
+    starts, lengths = runs_of(value)
+    runs = np.flatnonzero(frozen[np.minimum(starts + 1, len(value) - 1)] & (lengths > 1))
+    longest = runs[np.argmax(lengths[runs])]
+    first, last = time[starts[longest]], time[starts[longest] + lengths[longest] - 1]
+    return (
+        f"{len(runs)} run{'s' if len(runs) > 1 else ''} of identical readings, the longest "
+        f"{duration_text(last - first)} at {in_words(value[starts[longest]], signal_named(series.signal))} "
         f"({period_text(first, last)})"
     )
-    if frozen.sum() > 0.5 * len(value):
-        doubt = f"perhaps a frozen sensor: {runs}; not masked, since these are more than half"
-        return series, (f"{_label(series)}: {doubt} of the readings",)
-    return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked",)
-
-
-def _is_idle(idle: tuple[float, float] | None, value: float) -> bool:
-    return idle is not None and idle[0] <= value <= idle[1]
-
-
-def _quiet_range(series: Series, value: np.ndarray) -> float:
-    """Range within which a stretch of readings counts as quiet [SI unit].
-
-    A smallest range applies besides the steps of the resolution, because means of readings on a
-    coarse grid lie on a finer one.
-    """
-    low, high = np.quantile(value, (0.005, 0.995))
-    dimension = signal_named(series.signal).dimension
-    least = QUIET_LEAST.get(dimension, QUIET_SHARE * float(high - low))
-    return max(QUIET_STEPS * series.resolution, least) * (1.0 + 1e-6)
-
-
-def _frozen_runs(
-    value: np.ndarray, starts: np.ndarray, lengths: np.ndarray, idle: np.ndarray, quiet: float
-) -> np.ndarray:
-    """Indices of the runs that no quiet stretch elsewhere explains."""
-    ordinary = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0
-    shortest = max(FROZEN_MINIMUM, int(2.0 * ordinary) + 1)
-    gone = np.zeros(len(value), dtype=bool)
-    frozen: list[int] = []
-    while True:
-        left = ~idle & (lengths >= shortest)
-        left[frozen] = False
-        if not left.any():
-            break
-        length = int(lengths[left].max())
-        # Neither the run itself nor another of about its length may count as its quiet stretch: both are cut
-        # in their middle, so that only their surroundings remain.
-        cut = gone.copy()
-        rivals = ~idle & (lengths >= 0.8 * length)
-        cut[starts[rivals] + lengths[rivals] // 2] = True
-        if _quiet_stretch(value, length, quiet, cut):
-            break
-        for run in np.flatnonzero(left & (lengths == length)):
-            frozen.append(int(run))
-            gone[starts[run] : starts[run] + lengths[run]] = True
-    return np.array(sorted(frozen), dtype=int)
-
-
-def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
-    """Whether some window of `length` readings stays within `quiet` without being constant or cut."""
-    count = len(value) - length + 1
-    if count <= 0:
-        return False
-    high = low = value
-    width = 1
-    while 2 * width <= length:
-        high = np.maximum(high[:-width], high[width:])
-        low = np.minimum(low[:-width], low[width:])
-        width *= 2
-    rest = length - width
-    high = np.maximum(high[:count], high[rest : rest + count])
-    low = np.minimum(low[:count], low[rest : rest + count])
-    total = np.append(0, np.cumsum(cut))
-    uncut = total[length : length + count] == total[:count]
-    spread = high - low
-    return bool(np.any((spread <= quiet) & (spread > 0.0) & uncut))
 
 
 def _masked(series: Series, where: np.ndarray) -> Series:

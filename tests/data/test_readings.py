@@ -8,9 +8,9 @@ from builders.measured import DATA, measured
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.data.masks import (
+from hygrokf.data.readings import (
     detect_resolution,
-    mask_frozen,
+    mask_gated,
     mask_out_of_range,
     mask_saturated,
     order_readings,
@@ -184,7 +184,7 @@ class TestFrozen:
         value = walk(6000, 0.05, digits, seed)
         length = 6 * hours
         value[2000 : 2000 + length] = value[2000]
-        masked, (said,) = mask_frozen(series("cabinet_temperature", value))
+        masked, (said,) = mask_gated(series("cabinet_temperature", value))
         inside = np.zeros(6000, dtype=bool)
         inside[2001 : 2000 + length] = True
         assert masked.missing[inside].all()
@@ -197,7 +197,7 @@ class TestFrozen:
         value = walk(6000, 0.05, 1, 7)
         for start in (1000, 2500, 4000):
             value[start : start + 144] = value[start]
-        masked, (said,) = mask_frozen(series("cabinet_temperature", value))
+        masked, (said,) = mask_gated(series("cabinet_temperature", value))
         assert masked.missing.sum() >= 3 * 143
         assert "3 runs" in said
 
@@ -205,7 +205,7 @@ class TestFrozen:
         value = walk(6000, 0.05, 1, 8)
         value[2000:2400] = value[2000]
         value[2100:2150] = np.nan
-        masked, said = mask_frozen(series("cabinet_temperature", value))
+        masked, said = mask_gated(series("cabinet_temperature", value))
         assert said
         assert masked.missing[2001:2400].all()
 
@@ -216,28 +216,28 @@ class TestFrozen:
         random = np.random.default_rng(seed)
         value = np.round(15.0 + np.cumsum(random.normal(0.0, spread, 5000)), digits)
         one = series("cabinet_temperature", value)
-        masked, said = mask_frozen(one)
+        masked, said = mask_gated(one)
         assert masked == one
         assert bool(said) == (np.ptp(value) == 0.0)
 
     def test_a_reading_that_never_changes_is_doubted_and_kept(self):
         one = series("cabinet_temperature", np.full(300, 21.4))
-        masked, (said,) = mask_frozen(one)
+        masked, (said,) = mask_gated(one)
         assert masked == one
         for word in ("cabinet_temperature", "300", "21.4 degC", "perhaps a frozen sensor"):
             assert word in said
         calm = series("wind_speed", np.zeros(300))
-        assert mask_frozen(calm) == (calm, ())
+        assert mask_gated(calm) == (calm, ())
 
     def test_means_of_a_coarse_sensor_are_not_frozen(self):
         quiet = np.repeat(walk(300, 0.05, 1, 1), 20) + 0.0
         fine = np.round(quiet.reshape(-1, 5).mean(axis=1) + 0.0, 2)
         one = series("ambient_temperature", fine)
-        assert mask_frozen(one) == (one, ())
+        assert mask_gated(one) == (one, ())
 
     def test_hourly_readings_repeated_every_ten_minutes_are_not_frozen(self):
         one = series("ambient_temperature", np.repeat(walk(800, 0.5, 2, 1), 6))
-        assert mask_frozen(one) == (one, ())
+        assert mask_gated(one) == (one, ())
 
     @pytest.mark.parametrize(
         ("signal", "rest", "moving"),
@@ -258,30 +258,30 @@ class TestFrozen:
         value = np.round(np.random.default_rng(2).uniform(*moving, 3000), 2)
         value[1000:1600] = rest
         one = series(signal, value)
-        assert mask_frozen(one) == (one, ())
+        assert mask_gated(one) == (one, ())
 
     def test_power_frozen_in_operation_is_found(self):
         value = np.round(np.random.default_rng(2).uniform(100.0, 2000.0, 3000), 1)
         value[1000:1600] = 812.3
-        assert mask_frozen(series("active_power", value))[0].missing.sum() == 599
+        assert mask_gated(series("active_power", value))[0].missing.sum() == 599
 
     def test_a_sensor_frozen_for_most_of_the_record_is_said_but_not_masked(self):
         value = walk(3000, 0.05, 1, 3)
         value[500:2500] = value[500]
         one = series("cabinet_temperature", value)
-        kept, (said,) = mask_frozen(one)
+        kept, (said,) = mask_gated(one)
         assert kept == one
         assert "not masked" in said
 
     def test_few_readings_are_left_alone(self):
         one = series("cabinet_temperature", np.full(40, 20.0))
-        assert mask_frozen(one) == (one, ())
+        assert mask_gated(one) == (one, ())
 
     def test_masking_twice_says_nothing_new(self):
         value = walk(6000, 0.05, 1, 8)
         value[2000:2400] = value[2000]
-        masked, _ = mask_frozen(series("cabinet_temperature", value))
-        assert mask_frozen(masked) == (masked, ())
+        masked, _ = mask_gated(series("cabinet_temperature", value))
+        assert mask_gated(masked) == (masked, ())
 
 
 def _column(file: str, column: str) -> np.ndarray:
@@ -323,7 +323,7 @@ TURBINES = [
 @pytest.mark.parametrize(("file", "column", "signal", "step"), ATTIC + TURBINES)
 def test_clean_measured_series_lose_nothing(file, column, signal, step):
     one = series(signal, _column(file, column), step)
-    assert mask_frozen(one) == (one, ())
+    assert mask_gated(one) == (one, ())
     assert mask_out_of_range(one) == (one, ())
 
 
@@ -333,7 +333,7 @@ def test_clean_measured_series_lose_nothing(file, column, signal, step):
 def test_a_frozen_day_in_the_attic_is_found(column, start):
     value = _column("attic_trh1_R2_hourly.csv.gz", column)
     value[start : start + 30] = value[start]
-    masked, _ = mask_frozen(series("cabinet_temperature", value, 3600.0))
+    masked, _ = mask_gated(series("cabinet_temperature", value, 3600.0))
     assert masked.missing[start + 1 : start + 30].all()
     assert masked.missing.sum() <= 31
 
@@ -342,5 +342,5 @@ def test_a_frozen_day_in_the_attic_is_found(column, start):
 def test_the_logger_that_really_froze_is_found():
     # Ten identical readings to 0.01 K at noon in August, where neighbours move by kelvins.
     value = _column("attic_trh1_R7_hourly.csv.gz", "T_roofeast_airtop")
-    masked, _ = mask_frozen(series("cabinet_temperature", value, 3600.0))
+    masked, _ = mask_gated(series("cabinet_temperature", value, 3600.0))
     assert (masked.missing & np.isfinite(value)).sum() == 9

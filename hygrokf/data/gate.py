@@ -1,0 +1,276 @@
+"""The gate of readings: which of them a sensor cannot have meant, judged by the readings around each.
+
+Two kinds of readings are kept out.
+
+*Departed* readings leave the course of the signal and return to it within `REACH_S`, alone or as a run:
+power-on values, dropped bits, values of another channel.  With x_a the last accepted reading, reading k
+departs by
+
+    d_k = min(|x_k − x_a|, max_j ±(x_k − x_j)),    j the readings up to `REACH_S` after k, at least one,
+
+that is, by how far it goes and comes back; a reading after a gap by the least of |x_k − x_j|.  The bound on d
+follows from the signal's own course, whose readings go and come back as well (`Scale`).  A departure that
+stays is a step and is accepted, but not before a second reading confirms it.  Signals that jump between
+states (flags, directions, rain) are not judged.
+
+*Frozen* readings repeat one value for longer than the signal ever stays still (`Scale.still_s`), outside of
+the range in which it rests (calm, night, saturated air).
+
+Both verdicts need only the readings before and those of the following `REACH_S`, so that a tracker that waits
+for these gives the verdicts of the whole record.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.data.signals import signal_named
+
+REACH_S = 1800.0
+"""[s] time within which a departed reading returns."""
+REACH_STEPS = 3.0
+"""Usual intervals within which the next reading counts as the one after, where none lies within `REACH_S`."""
+LEVELS = ((0.90, 10.0), (0.95, 8.0))
+"""Quantiles of the departures d > 0 of a series, and multiples of them that no ordinary departure reaches.
+
+The largest of 10,000 departures with an exponential tail is four times their 90 % quantile; the second level
+follows tails that are heavier.  Up to a twentieth of the departures may be bad readings.
+"""
+FEWEST = 50
+"""Fewest readings from which a scale is taken."""
+SHORTEST_RUN = 6
+"""Fewest identical readings in a row for which a sensor may be called frozen."""
+QUIET_STEPS = 2.0
+"""Steps of the resolution within which readings count as still."""
+QUIET_LEAST = {"temperature": 0.1, "fraction": 0.005}
+"""[SI unit] smallest range of still readings by dimension, even for a finer resolution."""
+QUIET_SHARE = 0.005
+"""Smallest range of still readings of other dimensions, as a share of the range of the series' readings."""
+
+ACCEPTED, DEPARTED, FROZEN = range(3)
+"""Verdicts on a reading."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a signal does in its ordinary course.
+
+    `departure` [SI unit]: largest d_k; `still_s` [s]: longest time for which it repeats one value; `step_s`
+    [s]: usual interval of its readings.
+    """
+
+    departure: float
+    still_s: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdicts (T,) on readings, and the time [s] up to which later readings cannot change them."""
+
+    verdict: np.ndarray
+    settled_s: float
+
+
+def scale_of(signal: str, time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> Scale | None:
+    """The scale of a signal from its own readings, bad ones among them; None for too few readings, and for
+    signals that jump between states.
+
+    time: [s] (T,) increasing; value: [SI unit] (T,), no NaN; resolution: [SI unit] of the readings, or 0.
+    """
+    row = signal_named(signal)
+    if len(value) < FEWEST or row.idle == (-math.inf, math.inf):
+        return None
+    step = float(np.median(np.diff(time)))
+    departures = _departures(time, value)
+    departures = departures[departures > 0.0]
+    if len(departures) >= FEWEST // 5:
+        departure = max(float(factor * np.quantile(departures, share)) for share, factor in LEVELS)
+    else:  # hardly any reading departs: what is seen in all, and what the sensor may err by, is ordinary
+        departure = max(float(np.ptp(value)), LEVELS[0][1] * (row.default_accuracy or 0.0))
+    departure = max(departure, LEVELS[0][1] * resolution)
+    still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value))
+    return Scale(departure, still * step, step) if departure > 0.0 else None
+
+
+def judge(
+    signal: str,
+    time: np.ndarray,
+    value: np.ndarray,
+    scale: Scale,
+    known_until_s: float = math.inf,
+    in_hindsight: bool = False,
+) -> Judgement:
+    """The verdicts on readings.
+
+    time: [s] (T,) increasing; value: [SI unit] (T,), no NaN; scale: of the signal.
+    known_until_s: [s] no further reading with a stamp up to this time will come.
+    in_hindsight: whether a whole run after its first reading is frozen; else only from when it is too long.
+    """
+    verdict = np.zeros(len(value), dtype=np.int8)
+    settled_s = known_until_s
+    if len(value):
+        settled_s = _judge_departures(time, value, scale, known_until_s, verdict)
+        _judge_frozen(signal, time, value, scale, in_hindsight, verdict)
+    return Judgement(verdict, settled_s)
+
+
+def _judge_departures(
+    time: np.ndarray, value: np.ndarray, scale: Scale, known_until_s: float, verdict: np.ndarray
+) -> float:
+    """Mark departed readings; returns the time up to which the verdicts are settled [s]."""
+    settled_s = known_until_s
+    bound = scale.departure
+    # a reading after a gap has no course to depart from: it is compared with all that follow
+    alone = np.append(True, np.diff(time) > max(REACH_S, REACH_STEPS * scale.step_s))
+    done = 0
+    for leap in (np.flatnonzero(np.abs(np.diff(value)) > bound) + 1).tolist():
+        if leap < done or alone[leap]:
+            continue
+        if alone[leap - 1]:
+            end, needed_s = _after(time, leap - 1, scale.step_s)
+            if needed_s > known_until_s:
+                settled_s = min(settled_s, _before(time[leap - 1]))
+            if np.abs(value[leap:end] - value[leap - 1]).min() > bound:
+                verdict[leap - 1] = DEPARTED
+                continue
+        k, course = leap, value[leap - 1]
+        while k < len(value) and abs(value[k] - course) > bound:
+            end, needed_s = _after(time, k, scale.step_s)
+            if needed_s > known_until_s:
+                settled_s = min(settled_s, _before(time[k]))
+            back = math.copysign(1.0, value[k] - course) * (value[k] - value[k + 1 : end])
+            if len(back) and back.max() <= bound:
+                break  # it stays: a step
+            verdict[k] = DEPARTED
+            k += 1
+        done = k
+    return settled_s
+
+
+def _before(time_s: float) -> float:
+    return float(np.nextafter(time_s, -math.inf))
+
+
+def _after(time: np.ndarray, k: int, step_s: float) -> tuple[int, float]:
+    """The end of the readings after k by which it is judged, and the time [s] up to which all must be
+    known."""
+    end = int(np.searchsorted(time, time[k] + REACH_S, side="right"))
+    if end > k + 1:
+        return end, time[k] + REACH_S
+    latest_s = time[k] + max(REACH_S, REACH_STEPS * step_s)
+    if k + 1 < len(time) and time[k + 1] <= latest_s:
+        return k + 2, time[k + 1]
+    return k + 1, latest_s
+
+
+def _departures(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """d_k (T,) of every reading, with the reading before it as the last accepted one; 0 at both ends."""
+    count = len(value)
+    start = np.arange(count) + 1
+    end = np.searchsorted(time, time + REACH_S, side="right")
+    end = np.minimum(np.maximum(end, start + 1), count)
+    length = end - start
+    low, high = np.full(count, np.nan), np.full(count, np.nan)
+    least = most = value
+    width = 1
+    while width <= length.max(initial=0):  # extremes of windows from those of two halves that may overlap
+        here = (length >= width) & (length < 2 * width)
+        first, second = start[here], end[here] - width
+        low[here] = np.minimum(least[first], least[second])
+        high[here] = np.maximum(most[first], most[second])
+        if 2 * width > count:
+            break
+        least, most = np.minimum(least[:-width], least[width:]), np.maximum(most[:-width], most[width:])
+        width *= 2
+    rise = np.diff(value, prepend=value[:1])
+    back = np.where(rise > 0.0, value - low, high - value)
+    return np.nan_to_num(np.maximum(np.minimum(np.abs(rise), back), 0.0))
+
+
+# -- frozen readings -----------------------------------------------------------------------------------------
+def _judge_frozen(
+    signal: str, time: np.ndarray, value: np.ndarray, scale: Scale, in_hindsight: bool, verdict: np.ndarray
+) -> None:
+    """Mark the readings that repeat a value for longer than the signal ever stays still."""
+    if time[-1] - time[0] <= scale.still_s:
+        return
+    starts, lengths = runs_of(value)
+    since = np.repeat(time[starts], lengths)
+    until = np.repeat(time[starts + lengths - 1], lengths) if in_hindsight else time
+    late = (until - since > scale.still_s) & (time > since) & ~resting(signal, value)
+    verdict[late & (verdict == ACCEPTED)] = FROZEN
+
+
+def runs_of(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First places and lengths of the runs of identical readings."""
+    starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
+    return starts, np.diff(np.append(starts, len(value)))
+
+
+def resting(signal: str, value: np.ndarray) -> np.ndarray:
+    """True (T,) where a reading lies in the range in which the signal rests."""
+    idle = signal_named(signal).idle
+    return np.zeros(len(value), bool) if idle is None else (value >= idle[0]) & (value <= idle[1])
+
+
+def quiet_range(signal: str, value: np.ndarray, resolution: float) -> float:
+    """Range within which readings count as still [SI unit].
+
+    A smallest range applies besides the steps of the resolution, because means of readings on a coarse grid
+    lie on a finer one.
+    """
+    low, high = np.quantile(value, (0.005, 0.995))
+    least = QUIET_LEAST.get(signal_named(signal).dimension, QUIET_SHARE * float(high - low))
+    return max(QUIET_STEPS * resolution, least) * (1.0 + 1e-6)
+
+
+def longest_still(value: np.ndarray, quiet: float, resting: np.ndarray) -> int:
+    """Longest run of identical readings that the signal shows in its ordinary course, in readings.
+
+    A run that is more than twice as long as the 99th percentile of the runs, and longer than every stretch
+    elsewhere whose readings stay within `quiet` without being all equal, is not ordinary.  A coarse sensor in
+    still weather is thus ordinary.
+    """
+    starts, lengths = runs_of(value)
+    idle = resting[starts]
+    usual = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0
+    most = max(SHORTEST_RUN - 1, int(2.0 * usual))
+    gone = np.zeros(len(value), dtype=bool)
+    while True:
+        left = ~idle & (lengths > most) & ~gone[starts]
+        if not left.any():
+            return most
+        length = int(lengths[left].max())
+        # Neither the run itself nor another of about its length may count as its quiet stretch: both are cut
+        # in their middle, so that only their surroundings remain.
+        cut = gone.copy()
+        rivals = ~idle & (lengths >= 0.8 * length)
+        cut[starts[rivals] + lengths[rivals] // 2] = True
+        if _quiet_stretch(value, length, quiet, cut):
+            return length
+        for run in np.flatnonzero(left & (lengths == length)):
+            gone[starts[run] : starts[run] + lengths[run]] = True
+
+
+def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
+    """Whether some window of `length` readings stays within `quiet` without being constant or cut."""
+    count = len(value) - length + 1
+    if count <= 0:
+        return False
+    high = low = value
+    width = 1
+    while 2 * width <= length:
+        high = np.maximum(high[:-width], high[width:])
+        low = np.minimum(low[:-width], low[width:])
+        width *= 2
+    rest = length - width
+    high = np.maximum(high[:count], high[rest : rest + count])
+    low = np.minimum(low[:count], low[rest : rest + count])
+    total = np.append(0, np.cumsum(cut))
+    uncut = total[length : length + count] == total[:count]
+    spread = high - low
+    return bool(np.any((spread <= quiet) & (spread > 0.0) & uncut))
