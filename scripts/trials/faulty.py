@@ -13,7 +13,18 @@ from functools import lru_cache, partial
 
 import numpy as np
 from other_make.as_record import to_series
-from other_make.faulty import DAY_S, FAULT_DAY, FAULTS, START_S, FaultyPlant, make_faulty
+from other_make.faulty import (
+    DAY_S,
+    FAULT_DAY,
+    FAULTS,
+    FOLLOWS,
+    SIGNALS,
+    START_S,
+    FaultyPlant,
+    dew_point,
+    make_faulty,
+)
+from other_make.moist_air import saturation_pressure
 
 from hygrokf.data.record import Record, Site
 from hygrokf.identification.fit import Fit
@@ -94,10 +105,8 @@ def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
 
 def raw_margin(made: FaultyPlant) -> np.ndarray:
     """The coldest surface above the dew point [K] (T,) by the readings alone, NaN where they are silent."""
-    from other_make.faulty import FOLLOWS, SIGNALS, dew_point
-    from other_make.moist_air import saturation_pressure
-
-    kelvin, humidity, outside = (_on(made, SIGNALS[word]) for word in ("temperature", "humidity", "ambient temperature"))
+    words = ("temperature", "humidity", "ambient temperature")
+    kelvin, humidity, outside = (_on(made, SIGNALS[word]) for word in words)
     return outside + FOLLOWS * (kelvin - outside) - dew_point(humidity * saturation_pressure(kelvin))
 
 
@@ -141,8 +150,6 @@ def one(seed: int, fault: str = "wet", damp: bool = False) -> dict:
 
 
 def _humidity(made: FaultyPlant) -> np.ndarray:
-    from other_make.moist_air import saturation_pressure
-
     return made.pressure_Pa / saturation_pressure(made.cabinet_K)
 
 
@@ -165,8 +172,8 @@ def _alarm(alarm: Alarm, made: FaultyPlant, raw: np.ndarray) -> dict:
 
 def table(lines: Sequence[Mapping]) -> str:
     """Sums by fault: truly condensing and dry instants, and alarms by kind."""
-    text = ["| fault | plants | condensing | told < 50 % | by the reading | dry | told ≥ 50 % | alarms |",
-            "|" + " --- |" * 8]  # fmt: skip
+    header = "| fault | plants | condensing | told < 50 % | by the reading | dry | told ≥ 50 % | alarms |"
+    text, held = [header, "|" + " --- |" * 8], []
     groups: dict[str, list[Mapping]] = {}
     for line in lines:
         groups.setdefault(line["fault"] + (", damp" if line["damp"] else ""), []).append(line)
@@ -175,17 +182,19 @@ def table(lines: Sequence[Mapping]) -> str:
             sum(line[key] for line in some) for key in ("wet", "missed", "missed_raw", "dry", "false")
         )
         kinds = Counter(f"{a['kind']} {a['subject']}".strip() for line in some for a in line["alarms"])
-        share = [f"{100.0 * part / max(whole, 1):.2f} %" for part, whole in ((missed, wet), (raw, wet), (false, dry))]
+        parts = ((missed, wet), (raw, wet), (false, dry))
+        share = [f"{100.0 * part / max(whole, 1):.2f} %" for part, whole in parts]
         said = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-        text.append(f"| {name} | {len(some)} | {wet} | {share[0]} | {share[1]} | {dry} | {share[2]} | {said} |")
+        cells = (name, len(some), wet, *share[:2], dry, share[2], said)
+        text.append(f"| {' | '.join(map(str, cells))} |")
         if any("silent" in line for line in some):
             count, there = (sum(line[key] for line in some) for key in ("silent", "estimates"))
-            held = np.sum([line["held"] for line in some], axis=0)
-            text.append(
-                f"{name}: {there} of {count} instants estimated; temperature held {100 * held[0] / count:.1f} %, "
-                f"humidity {100 * held[1] / count:.1f} %"
+            kelvin, humidity = 100.0 * np.sum([line["held"] for line in some], axis=0) / count
+            held.append(
+                f"{name}: {there} of {count} silent instants estimated; 95 % bands hold temperature in "
+                f"{kelvin:.1f} %, humidity in {humidity:.1f} %"
             )
-    return "\n".join(text)
+    return "\n".join([*text, "", *held])
 
 
 ONES: Mapping[str, Callable[[int], dict]] = {

@@ -147,7 +147,8 @@ def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None
     assert [one.kind for one in change_levels(lasting, other, moist)] == [SUSPECT.kind]
     lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, -0.12)}
     below, low = change_levels(lasting, replace(high, value=-0.3), dry)
-    assert below.level < 0.0 and low.kind == SUSPECT.kind and "30 (26 … 34) % of its value too low" in low.statement
+    assert below.level < 0.0 and low.kind == SUSPECT.kind
+    assert "30 (26 … 34) % of its value too low" in low.statement
 
 
 def test_rules_can_end_what_they_begin() -> None:
