@@ -257,7 +257,7 @@ class Emission:
         with w.when(there):
             leaves = self._update_leaves(slots, k, key, y)
             values = w.block(self.recursion.graph, self._kept(update), leaves)
-            total.take(w, values[-2][1], values[-1][1])
+            total.take(w, values[-2][1], values[-1][1], self.recursion.square)
             if self.gain:
                 self._store(slots, values)
 
@@ -380,7 +380,7 @@ class Emission:
                 spread, quadratic = update[-2:]
                 g = r.graph
                 _seed(seeds, spread, -0.5 / spread)
-                _seed(seeds, quadratic, g.constant(-0.5))
+                _seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
                 self._reverse_block(update, seeds, leaves, bars, bar_symbol, key, keep=not self.gain)
 
     def _reverse_predict(
@@ -516,7 +516,7 @@ class Emission:
                     leaves = self._update_leaves(slots, k, key, y)
                     outputs = self._kept(update)
                     values, derivatives = run(outputs, leaves, key)
-                    total.take(w, values[-2][1], values[-1][1])
+                    total.take(w, values[-2][1], values[-1][1], r.square)
                     place = w.integer("add", row, c)
                     error, error_dot = values[-3][1], derivatives[-3]
                     if r.diffuse:  # a reading that merely resolves an infinite variance has no quadratic form

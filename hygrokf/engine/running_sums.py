@@ -8,7 +8,7 @@ from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
 
 
 class RunningSums:
-    """Running sums Σ log S and Σ e²/S.
+    """Running sums Σ log S and Σ e²/S, with b² (1 + ln(e²/(b² S))) in place of e²/S beyond b².
 
     Σ log S is kept as a product, whose binary exponent is moved to a separate sum before the product leaves
     the range of doubles.  The time loop contains no call, since a call would spill the whole state from the
@@ -21,11 +21,23 @@ class RunningSums:
         self.quadratic = w.slot(SCALAR, literal(0.0))
         self.number = w.slot("i64", "0")
 
-    def take(self, w: Writer, variance: str, quadratic: str) -> None:
-        """Count one reading with innovation variance S and e²/S."""
-        product = w.real("fmul", w.load(SCALAR, self.product), variance)
-        accumulate(w, quadratic, self.quadratic)
+    def take(self, w: Writer, variance: str, quadratic: str, square: float) -> None:
+        """Count one reading with innovation variance S and e²/S; `square` b² is whole or infinite."""
         w.store("i64", w.integer("add", w.load("i64", self.number), 1), self.number)
+        self._multiply(w, variance)
+        if math.isinf(square):
+            accumulate(w, quadratic, self.quadratic)
+            return
+        beyond = w.value(f"fcmp ogt double {quadratic}, {literal(square)}")
+        bounded = w.value(f"select i1 {beyond}, double {literal(square)}, double {quadratic}")
+        accumulate(w, bounded, self.quadratic)
+        with w.when(beyond):  # b² ln(e²/(b² S)) as b² factors
+            ratio = w.real("fdiv", quadratic, literal(square))
+            with w.loop(str(round(square))):
+                self._multiply(w, ratio)
+
+    def _multiply(self, w: Writer, factor: str) -> None:
+        product = w.real("fmul", w.load(SCALAR, self.product), factor)
         w.store(SCALAR, product, self.product)
         low = w.value(f"fcmp ult double {product}, {literal(1e-100)}")
         high = w.value(f"fcmp ugt double {product}, {literal(1e100)}")

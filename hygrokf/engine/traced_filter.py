@@ -130,7 +130,8 @@ class Recursion:
         spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         inverse = 1.0 / spread
         error = self.reading - prediction
-        weight, quadratic = self._bounded(error * error * inverse)
+        quadratic = error * error * inverse
+        weight = self._weight(quadratic)
         gain = [0.0 if is_zero(c) else c * (weight * inverse) for c in cross]
         mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
         covariance = [
@@ -144,20 +145,32 @@ class Recursion:
             return [*mean, *covariance, error, spread, quadratic]
         return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
 
-    def _bounded(self, quadratic: Expression) -> tuple[Value, Expression]:
-        """Weight of a reading whose squared innovation is e²/S = `quadratic`, and its term of −2 ln L.
+    def _weight(self, quadratic: Expression) -> Value:
+        """Weight of a reading with the squared innovation e²/S = `quadratic`.
 
-        Within b standard deviations these are 1 and e²/S.  Beyond, the density has the exponential tails of
-        Huber's (1964, doi:10.1214/aoms/1177703732): the term is 2 b |e|/√S − b², and the reading has the
-        weight b √S/|e|, that is, the variance that would put it at its bound: S |e|/(b √S).
+        Beyond b standard deviations it is b √S/|e| (Huber 1964, doi:10.1214/aoms/1177703732): the state moves
+        as by a reading at the bound, so that it follows readings that stay far off.
         """
-        bound = self.system.bound
-        if math.isinf(bound):
-            return 1.0, quadratic
-        square = bound * bound
-        beyond = quadratic > square
-        root = sqrt(maximum(quadratic, square))  # never 0, where its slope is infinite
-        return where(beyond, bound / root, 1.0), where(beyond, 2.0 * bound * root - square, quadratic)
+        if math.isinf(self.system.bound):
+            return 1.0
+        ratio = maximum(quadratic * (1.0 / self.square), 1.0)  # never 0, where the root has no finite slope
+        # the condition stands directly before the quotient and keeps it out of the ordinary step
+        return where(quadratic > self.square, 1.0 / sqrt(ratio), 1.0)
+
+    @property
+    def square(self) -> float:
+        """b², from which the squared innovations count less."""
+        return self.system.bound**2
+
+    def term_slope(self, quadratic: Expression) -> Value:
+        """Slope of a reading's term in −2 ln L along e²/S = `quadratic`.
+
+        The term is e²/S, and beyond b² it is b² (1 + ln(e²/(b² S))): the tail of Student's distribution with
+        about b² degrees of freedom.  A few readings far off thus do not buy the variances of all others.
+        """
+        if math.isinf(self.square):
+            return 1.0
+        return where(quadratic > self.square, self.square / maximum(quadratic, self.square), 1.0)
 
     def _diffuse_update(
         self,

@@ -2,7 +2,7 @@
 
     ln L(θ) = −½ Σ_k (ln 2πS_k + ρ(e_k²/S_k)),    e_k the innovation of reading k, S_k its variance,
 
-with ρ(q) = q, or, in a model with a bound b, 2 b √q − b² where q > b² (`traced_filter.Recursion`).
+with ρ(q) = q, or, in a model with a bound b, b² (1 + ln(q/b²)) where q > b² (`traced_filter.Recursion`).
 
 Shapes: T instants, n states, k outputs, d parameters (all of the model, in its order).
 """
@@ -100,10 +100,8 @@ class _Steps:
 
 
 def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root of the weight min(1, b √S/|e|) of readings with squared innovations e²/S; b: `bound`."""
-    if math.isinf(bound):
-        return np.ones_like(quadratic)
-    return np.sqrt(bound / np.sqrt(np.maximum(quadratic, bound**2)))
+    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
+    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
 
 
 @dataclass(frozen=True)
@@ -490,7 +488,7 @@ class Likelihood:
         """Score and expected information along directions (d, r) of the parameters.
 
             I = Σ_k w_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
-        with w_k = min(1, b √S_k/|e_k|), the weight of a reading beyond the model's bound b.
+        with w_k = min(1, b² S_k/e_k²), the weight ρ'(e_k²/S_k) of a reading beyond the model's bound b.
         Without `gain` the filter runs free (no reading corrects the state): derivatives of the output error.
         """
         count = directions.shape[1]

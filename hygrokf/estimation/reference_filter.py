@@ -49,7 +49,8 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
                 e, S = y - h, H @ P @ H + R
                 z = abs(e) / math.sqrt(S)
                 if z > model.bound:  # the reading counts as at its bound: its noise is that much larger
-                    total -= 0.5 * (math.log(2.0 * math.pi * S) + (2.0 * z - model.bound) * model.bound)
+                    tail = model.bound**2 * (1.0 + 2.0 * math.log(z / model.bound))
+                    total -= 0.5 * (math.log(2.0 * math.pi * S) + tail)
                     K = P @ H / (S * z / model.bound)
                 else:
                     total -= 0.5 * (math.log(2.0 * math.pi * S) + z * z)

@@ -138,8 +138,8 @@ class Model:
     mechanisms: in any order.
     holds: input → its hold: linear, zero-order, or regime (piecewise constant with few distinct values).
     averaged: outputs that are read as interval means → the interval [h].
-    bound: standard deviations of its prediction beyond which a reading counts no more than at that distance;
-        infinity: every reading counts in full, the exact Gaussian likelihood.
+    bound: standard deviations of its prediction beyond which a reading moves the state no further, with a
+        whole number as its square; infinity: every reading counts in full, the exact Gaussian likelihood.
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms

@@ -128,7 +128,8 @@ def spoilt(record: Record) -> Record:
         for place in random.choice(len(value) - 3, 12, replace=False):
             value[place : place + random.integers(1, 4)] = random.choice([np.nanmin(value), np.nanmax(value)])
         value[random.choice(len(value), 3, replace=False)] *= 1.2
-        frozen = (series.time > record.start_s + 40.0 * HOUR_S) & (series.time < record.start_s + 64.0 * HOUR_S)
+        hours = (series.time - record.start_s) / HOUR_S
+        frozen = (hours > 40.0) & (hours < 64.0)
         if series.signal.startswith(("ambient", "cabinet")):
             value[frozen] = value[np.argmax(frozen)]
         return replace(series, value=value)

@@ -1,0 +1,113 @@
+"""Bad readings in the record of a cabinet of another make: what they move, against a fit without them.
+
+In each signal in turn 1, 3 or 10 single readings, or one run of three, are moved by a step whose size is drawn
+log-uniformly from five standard deviations of the signal's increments to its range.  The shift of the logarithm
+of a time constant is told in half widths of its bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from other_make import make_plant
+from other_make.as_record import to_record
+
+from hygrokf.data.readings import mask
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify
+
+DAYS = 30.0
+SIGNALS = (
+    "cabinet_temperature",
+    "cabinet_relative_humidity",
+    "ambient_temperature",
+    "ambient_relative_humidity",
+    "active_power",
+)
+KINDS = {"1": (1, 1), "3": (3, 1), "10": (10, 1), "run of 3": (1, 3)}
+"""Number of bad places and of readings in each, by name."""
+
+
+def spoilt(series: Series, places: int, length: int, random: np.random.Generator) -> tuple[Series, np.ndarray]:
+    """The series with bad readings, and True (T,) where they are."""
+    value = series.value.copy()
+    there = np.flatnonzero(np.isfinite(value))
+    spread = float(np.std(np.diff(value[there])))
+    bad = np.zeros(len(value), bool)
+    for start in random.choice(len(there) - length - 1, places, replace=False):
+        size = math.exp(random.uniform(math.log(5.0 * spread), math.log(float(np.ptp(value[there])))))
+        chosen = there[start : start + length]
+        value[chosen] += size * random.choice([-1.0, 1.0])
+        bad[chosen] = True
+    if series.signal.endswith("humidity"):
+        value = np.clip(value, 0.01, 1.0)
+    return replace(series, value=value), bad
+
+
+def without(series: Series, bad: np.ndarray) -> Series:
+    """The series without the readings at `bad` (T,)."""
+    return replace(series, value=np.where(bad, np.nan, series.value))
+
+
+def one(seed: int) -> dict:
+    """The line of a seed: shifts in half widths by signal and kind, and what the gate kept out."""
+    record = to_record(make_plant(seed, days=DAYS))
+    line: dict = {"seed": seed, "rows": [], "readings": 0, "suspected": 0}
+    kept = mask(record)
+    for before, after in zip(record.series, kept.series, strict=True):
+        line["readings"] += int((~before.missing).sum())
+        line["suspected"] += int((after.missing & ~before.missing).sum())
+    random = np.random.default_rng([seed, 16])
+    for signal in SIGNALS:
+        for kind, (places, length) in KINDS.items():
+            series, bad = spoilt(record[signal], places, length, random)
+            found = mask(record.replace_series(series))
+            seen = found[signal].missing & bad
+            fitted = _fit(record.replace_series(series))
+            right = _fit(record.replace_series(without(record[signal], bad)))
+            line["rows"].append(
+                {
+                    "signal": signal,
+                    "kind": kind,
+                    "found": int(seen.sum()),
+                    "bad": int(bad.sum()),
+                    "shifts": shifts(fitted, right),
+                }
+            )
+    return line
+
+
+def _fit(record: Record) -> Fit:
+    return identify(record, starts=1, profiles=False)
+
+
+def shifts(fitted: Fit, right: Fit) -> dict[str, float]:
+    """|Δ ln τ| in half widths of the bounds on ln τ, by time constant."""
+    found = {}
+    for name, tau in right.results.time_constants.items():
+        half = 0.5 * math.log(tau.upper_h / tau.lower_h)
+        found[name] = abs(math.log(fitted.results.time_constants[name].value_h / tau.value_h)) / half
+    return found
+
+
+def table(lines: Sequence[Mapping]) -> str:
+    """Shares of shifts within a quarter of the half width, and of bad readings that the gate found."""
+    rows = [row for line in lines for row in line["rows"]]
+    text = [f"{len(lines)} plants; clean readings suspected: {sum(one['suspected'] for one in lines)} of "]
+    text[0] += f"{sum(one['readings'] for one in lines)}"
+    text.append(f"{'signal':28}{'bad readings':14}{'found':>10}{'≤ 1/4':>10}{'largest':>10}")
+    for signal in SIGNALS:
+        for kind in KINDS:
+            part = [row for row in rows if row["signal"] == signal and row["kind"] == kind]
+            moved = np.array([shift for row in part for shift in row["shifts"].values()])
+            found = sum(row["found"] for row in part) / max(sum(row["bad"] for row in part), 1)
+            text.append(
+                f"{signal:28}{kind:14}{found:10.0%}{np.mean(moved <= 0.25):10.0%}{moved.max():10.2f}"
+            )
+    moved = np.array([shift for row in rows for shift in row["shifts"].values()])
+    text.append(f"all: {np.mean(moved <= 0.25):.1%} of {len(moved)} within a quarter of the half width")
+    return "\n".join(text)
