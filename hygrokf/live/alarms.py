@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
@@ -22,6 +23,7 @@ from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import ParameterShift, TrackedState, relative_shift
 from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.tracker import Frozen
 from hygrokf.modelling.design import PARTS
 
 
@@ -73,9 +75,15 @@ CLOCK = Rule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
+STUCK = Rule(
+    "sensor frozen", 1.0, 0.5, 0.0, "warning", np.inf,
+    "look whether sensor, logger and data path are alive; its readings since then are not used",
+)  # fmt: skip
+FROZEN_S = 6 * HOUR_S
+"""[s] for which a signal must have repeated one value, beyond what it ever did before."""
 CHANGE_RULES = (CHANGED, SUSPECT, SENSOR_OR_WATER)
 """Rules whose levels follow from the tracked properties."""
-ESTIMATE_RULES = (CONDENSATION, *CHANGE_RULES)
+ESTIMATE_RULES = (CONDENSATION, STUCK, *CHANGE_RULES)
 """Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
 RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
 """All rules by kind.
@@ -221,13 +229,14 @@ def _kind(key: str) -> str:
 @dataclass(frozen=True)
 class Estimated:
     """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, the
-    finding of fault isolation, and the deviations of its properties."""
+    finding of fault isolation, the deviations of its properties, and its frozen signals."""
 
     condition: Condition
     place: int
     shifts: Mapping[str, ParameterShift]
     finding: Finding | None = None
     deviations: Mapping[str, TrackedState] = field(default_factory=dict)
+    frozen: Mapping[str, Frozen] = field(default_factory=dict)
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -244,6 +253,21 @@ def condensation_levels(now: Estimated) -> list[Level]:
         f"its margin to the dew point is {value} K ({lower} … {upper})"
     )
     return [Level(CONDENSATION.kind, chance, statement)]
+
+
+def frozen_levels(now: Estimated) -> list[Level]:
+    """One level for each signal that repeats a value: for how long, as a multiple of `FROZEN_S`."""
+    time = float(now.condition.time_s[now.place])
+    return [
+        Level(
+            STUCK.kind,
+            (time - one.since) / FROZEN_S,
+            f"{signal.replace('_', ' ')} has read {in_words(one.value, signal_named(signal))} since "
+            f"{stamp_text(one.since)} without any change",
+            subject=signal,
+        )
+        for signal, one in now.frozen.items()
+    ]
 
 
 def change_levels(
@@ -320,7 +344,7 @@ def _alternatives(finding: Finding) -> str:
 
 RESTS_ON = {
     "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
-    "humidity_offset": PARTS[1:], "sensor or water": PARTS[1:],
+    "humidity_offset": PARTS[1:], "sensor or water": PARTS[1:], "sensor frozen": (),
 }  # fmt: skip
 """Property, or kind of alarm -> the numbers of the fit on which its level rests; all others rest on both."""
 
@@ -340,6 +364,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
 
 ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
     condensation_levels,
+    frozen_levels,
     lambda now: change_levels(now.shifts, now.finding, now.deviations),
 )
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""

@@ -52,8 +52,8 @@ class Known:
     model has humidity; `outlook`: the forecast; `alarms`: its open alarms; `standstill`:
     whether it has fed no power for `STANDSTILL_S`; `history_until_s`: time [s] until which
     readings must come before the first estimate; `fault`: why the filter cannot run; `catching_up`: whether
-    a backlog is being delivered; `stale_s` [s]: age of stale data; `silent_s`: time [s] since when all sensors
-    of the cabinet are silent, so that the estimates go on from the inputs alone, None if they are not.
+    a backlog is being delivered; `stale_s` [s]: age of stale data; `silent_s`: time [s] since when no sensor
+    of the cabinet says anything, so that the estimates go on from the inputs alone, None if one does.
     """
 
     known_s: float

@@ -90,10 +90,10 @@ class Tracker:
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
     newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
     [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
-    [s] of the newest reading, −∞ without any.  `counts` counts the readings that are not used: "repeated"
-    (already present), "contradicting" (several values with one stamp, of which none is used), "late"
-    (received after the estimate at their time was final), and, once final, "departed" and "frozen" (kept out
-    by `data.gate`).
+    [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value.  `counts` counts
+    the readings that are not used: "repeated" (already present), "contradicting" (several values with one
+    stamp, of which none is used), "late" (received after the estimate at their time was final), and, once
+    final, "departed" and "frozen" (kept out by `data.gate`).
 
     While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
     for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
@@ -123,6 +123,7 @@ class Tracker:
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
         self._values: dict[str, array[float]] = {}
+        self.frozen: dict[str, Frozen] = {}
         self._accepted: dict[str, Readings] = {}
         for one in readings:
             self._insert(one)
@@ -239,6 +240,7 @@ class Tracker:
             for signal, times in self._times.items()
         }
         self._accepted = {signal: one.accepted for signal, one in judged.items()}
+        self.frozen = {signal: found for signal, one in judged.items() if (found := one.frozen(self._limit))}
         beyond = self.silent_since() is not None
         made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=beyond)
         silent_s = silent_since(self._times, self.plan.lateness_s)
@@ -385,6 +387,14 @@ class Tracker:
 
 
 @dataclass(frozen=True)
+class Frozen:
+    """A signal that has repeated a `value` [SI unit] since a time [s]."""
+
+    since: float
+    value: float
+
+
+@dataclass(frozen=True)
 class Judged:
     """The readings of a signal (time [s], value [SI unit]) and the gate's judgement of them."""
 
@@ -396,6 +406,16 @@ class Judged:
         time, value = self.readings
         there = self.judgement.verdict == ACCEPTED
         return (time, value) if there.all() else (time[there], value[there])
+
+    def frozen(self, until_s: float) -> Frozen | None:
+        """The run of identical readings at the end of those up to a time [s], if it counts as frozen."""
+        time, value = self.readings
+        last = int(np.searchsorted(time, until_s, side="right")) - 1
+        if last < 0 or self.judgement.verdict[last] != FROZEN:
+            return None
+        other = np.flatnonzero(value[:last] != value[last])
+        first = int(other[-1]) + 1 if len(other) else 0
+        return Frozen(float(time[first]), float(value[last]))
 
     def kept_out(self, after_s: float, until_s: float) -> dict[str, int]:
         """Numbers of readings that were kept out within a time (after_s, until_s] [s], by the verdict."""

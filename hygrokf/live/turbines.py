@@ -320,9 +320,10 @@ class Fleet:
             self.findings.pop(name, None)
             self.reference_points.pop(name, None)
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
-            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("deviations", {}), ("finding", None)):
-                batch.memories[name, key] = nothing
-            batch.memories[name, "reference_point"] = None
+            for key in ("parameter_shifts", "references", "deviations"):
+                batch.memories[name, key] = {}
+            for key in ("finding", "reference_point"):
+                batch.memories[name, key] = None
             newest = tracker.newest_state
             if newest is not None:
                 self._judge(name, newest.time, [], CHANGE_RULES, batch)
@@ -335,7 +336,7 @@ class Fleet:
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
             known = self.shifts[name], self.findings.get(name), self.deviations[name]
-            now = Estimated(found, int(i), *known)
+            now = Estimated(found, int(i), *known, self.trackers[name].frozen)
             levels = estimate_levels(now, self.turbines[name].verdicts)
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, contradictions, forecast, notification, restart, saturation, spikes
+from trials import changes, contradictions, faulty, forecast, notification, restart, saturation, spikes
 from trials.picture import reliability_png
 
 
@@ -38,6 +38,10 @@ TRIALS = {
         contradictions.one, contradictions.table, "readings that are said to contradict the estimate"
     ),
     "spikes": Trial(spikes.one, spikes.table, "bad readings in a record, and what they move in its fit"),
+    **{
+        name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a cabinet or sensor: {name}")
+        for name, one in faulty.ONES.items()
+    },
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

@@ -31,7 +31,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, isolate
 from hygrokf.live.properties import standard_errors
-from hygrokf.live.tracker import Reading
+from hygrokf.live.tracker import Reading, record_of
 from hygrokf.live.turbine import Turbine
 from hygrokf.live.turbines import Fleet
 from trials.cabinets import identified, plan_of
@@ -42,6 +42,15 @@ HOLDS_K = 1.0
 """[K] margin above which an instant counts as dry."""
 TOLD = 0.5
 DAMP = "damp"
+FROZEN = {f"frozen {word}": (2.0, "sensor frozen", signal) for word, signal in SIGNALS.items()}
+RIGHT = {
+    **FROZEN,
+    "temperature drift": (20.0, "sensor suspect", "temperature_sensor"),
+    "humidity drift down": (20.0, "sensor suspect", "humidity_sensor"),
+    "humidity drift up": (20.0, "sensor or water", ""),
+    "fan": (7.0, "cabinet changed", "thermal_time_constant"),
+}
+"""Fault -> days within which its right name must be said, and the alarm's kind and subject."""
 
 
 @dataclass
@@ -66,17 +75,17 @@ class Tracking:
 @lru_cache(maxsize=4)
 def fitted(seed: int, damp: bool) -> Fit:
     """The model of a seed's first days, the same for every fault."""
-    return identified(record_of(make_faulty(seed, damp=damp)), START_S + FITTED_DAYS * DAY_S)
+    return identified(logged(make_faulty(seed, damp=damp)), START_S + FITTED_DAYS * DAY_S)
 
 
-def record_of(made: FaultyPlant) -> Record:
+def logged(made: FaultyPlant) -> Record:
     """What the loggers of a plant wrote."""
     return Record(made.name, tuple(map(to_series, made.channels)), Site(55.0, 9.0), made.rated_W)
 
 
 def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
     """Track a plant from its record, with fault isolation at the rounds where it is due."""
-    whole = record_of(made)
+    whole = logged(made)
     record = whole.window(START_S + TRACKED_DAY * DAY_S, START_S + last_day * DAY_S)
     plan = plan_of(fit, whole)
     fleet = Fleet({made.name: Turbine(plan, errors=standard_errors(fit))})
@@ -97,7 +106,9 @@ def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
         if fleet.isolation_due() is not None:
             since = min(one.since for one in fleet.shifts[made.name].values() if one.lasting)
             history = whole.window(max(since - BEFORE_S, now - LONGEST_S), now)
-            *_, finding = isolate(plan, history)
+            times = {one.signal: one.time for one in history.series}
+            values = {one.signal: one.value for one in history.series}
+            *_, finding = isolate(plan, record_of(plan, times, values))
             assert finding is not None
             found.keep(fleet.keep_finding(made.name, finding))
     return found
@@ -122,7 +133,8 @@ def one(seed: int, fault: str = "wet", damp: bool = False) -> dict:
     """Counts of a plant's instants from its fault on (healthy: from five days after the tracker's start), and
     its alarms."""
     made = make_faulty(seed, fault, damp)
-    said = track(made, fitted(seed, damp))
+    within, *_ = RIGHT.get(fault, (LAST_DAY - FAULT_DAY, "", ""))
+    said = track(made, fitted(seed, damp), min(LAST_DAY, FAULT_DAY + within + 0.5))
     begin = START_S + (TRACKED_DAY + 5.0 if fault == "healthy" else FAULT_DAY) * DAY_S
     later = (made.time >= begin) & (made.time <= START_S + LAST_DAY * DAY_S - 3600.0)
     rows = np.array([said.estimates.get(at, (np.nan,) * 5) for at in made.time.tolist()])
@@ -187,6 +199,18 @@ def table(lines: Sequence[Mapping]) -> str:
         said = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
         cells = (name, len(some), wet, *share[:2], dry, share[2], said)
         text.append(f"| {' | '.join(map(str, cells))} |")
+        if some[0]["fault"] in RIGHT:
+            within, kind, subject = RIGHT[some[0]["fault"]]
+            named = sum(
+                any((a["kind"], a["subject"]) == (kind, subject) and 0.0 <= a["days"][0] <= within
+                    for a in line["alarms"])
+                for line in some
+            )  # fmt: skip
+            blamed = sum(any(a["kind"] == "cabinet changed" for a in line["alarms"]) for line in some)
+            held.append(
+                f"{name}: right name within {within:g} days in {named} of {len(some)}; the cabinet named in "
+                f"{blamed}"
+            )
         if any("silent" in line for line in some):
             count, there = (sum(line[key] for line in some) for key in ("silent", "estimates"))
             kelvin, humidity = 100.0 * np.sum([line["held"] for line in some], axis=0) / count
