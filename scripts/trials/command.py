@@ -39,7 +39,7 @@ TRIALS = {
     ),
     "spikes": Trial(spikes.one, spikes.table, "bad readings in a record, and what they move in its fit"),
     **{
-        name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a cabinet or sensor: {name}")
+        name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a plant: {name}")
         for name, one in faulty.ONES.items()
     },
     "changes": Trial(

@@ -14,8 +14,10 @@ from hygrokf.live import alarms
 from hygrokf.live.alarms import (
     CABINET_CHANGES,
     CHANGED,
+    FROZEN_S,
     RULES,
     SENSOR_OR_WATER,
+    STUCK,
     SUSPECT,
     Estimated,
     Level,
@@ -23,12 +25,14 @@ from hygrokf.live.alarms import (
     change_levels,
     condensation_levels,
     estimate_levels,
+    frozen_levels,
     judge,
 )
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
+from hygrokf.live.tracker import Frozen
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 MINUTE = 60.0
@@ -149,6 +153,15 @@ def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None
     below, low = change_levels(lasting, replace(high, value=-0.3), dry)
     assert below.level < 0.0 and low.kind == SUSPECT.kind
     assert "30 (26 … 34) % of its value too low" in low.statement
+
+
+def test_a_frozen_signal_is_named_whichever_it_is() -> None:
+    frozen = {"ambient_temperature": Frozen(0.0, 281.45), "cabinet_relative_humidity": Frozen(1800.0, 0.6)}
+    bare = Condition(np.array([FROZEN_S - 600.0, FROZEN_S + 600.0]), *[None] * 8)
+    early, late = (frozen_levels(Estimated(bare, i, {}, frozen=frozen)) for i in (0, 1))
+    assert [one.level >= STUCK.on for one in early + late] == [False, False, True, False]
+    assert late[0].statement.startswith("ambient temperature has read 8.3 degC since 1970-01-01T00:00Z")
+    assert late[0].subject == "ambient_temperature"
 
 
 def test_rules_can_end_what_they_begin() -> None:
