@@ -308,9 +308,7 @@ def _sensor_levels(finding: Finding) -> list[Level]:
         return []
     words, remedy = SENSOR_ERRORS[finding.state]
     factor = 1.0 if finding.state.startswith("temperature") else 100.0
-    low, size, high = (
-        factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0)
-    )
+    low, size, high = (factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0))
     digits = 1 if factor == 1.0 else 0
     bounds = f"{fixed(size, digits)} ({fixed(low, digits)} … {fixed(high, digits)})"
     statement = words.format(bounds, "high" if finding.value > 0.0 else "low") + _alternatives(finding)

@@ -26,9 +26,7 @@ SHOWN = 0.005
 model: half a percent."""
 
 
-def vapour_read(
-    readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K: np.ndarray
-) -> np.ndarray:
+def vapour_read(readings: Mapping[str, np.ndarray], air_K: np.ndarray, ambient_K: np.ndarray) -> np.ndarray:
     """Equivalent vapour concentration (T,) [g/m³] that the readings of a cabinet show, NaN without one.
 
     readings: signal -> values (T,) [K], [1] or [g/m³]; air_K: (T,) the estimated temperature, where there is

@@ -235,12 +235,12 @@ def test_estimates_go_on_from_the_inputs_while_sensors_are_silent(record: Record
             told |= set(np.round(course.seconds[instants_kept(course)]).tolist())
             steps += len(course.seconds) * (course.seconds[0] > begin + 2.0 * HOUR_S)
     silent = np.array(sorted(at for at in told if begin <= at))
-    assert np.diff(silent).max() < 1200.0 and silent[-1] >= begin + 19.9 * HOUR_S
+    assert np.diff(silent).max() < 1200.0 and silent[-1] >= begin + 19.5 * HOUR_S
     offline = offline_course(model, record_of(model, *_columns(kept)))
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
     if quiet == ("cabinet_",):
         assert tracker.silent_since() == max(one.time for one in kept if one.signal.startswith("cabinet_"))
-        assert steps < 3 * len(silent)
+        assert steps < 5 * len(silent)
     else:
         assert tracker.silent_since() is None
 
