@@ -33,12 +33,12 @@ REACH_S = 1800.0
 """[s] time within which a departed reading returns."""
 REACH_STEPS = 3.0
 """Usual intervals within which the next reading counts as the one after, where none lies within `REACH_S`."""
-LEVELS = ((0.90, 6.0), (0.95, 5.0))
+LEVELS = ((0.90, 8.0), (0.95, 6.5))
 """Quantiles of the departures d > 0 of a series, and multiples of them that no ordinary departure reaches.
 
 The largest of 10,000 departures with an exponential tail is four times their 90 % quantile; the second level
-follows tails that are heavier.  Of 1.9 million measured readings (temperature, humidity, wind, power; 1 min to
-1 h) one in 14,000 exceeds both.  Up to a twentieth of the departures may be bad readings.
+follows tails that are heavier.  Of 1.9 million measured readings (temperature, humidity, wind, power; 1 min
+to 1 h) one in 14,000 exceeds both.  Up to a twentieth of the departures may be bad readings.
 """
 FEWEST = 50
 """Fewest readings from which a scale is taken."""

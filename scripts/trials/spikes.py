@@ -1,8 +1,8 @@
 """Bad readings in the record of a cabinet of another make: what they move, against a fit without them.
 
-In each signal in turn 1, 3 or 10 single readings, or one run of three, are moved by a step whose size is drawn
-log-uniformly from five standard deviations of the signal's increments to its range.  The shift of the logarithm
-of a time constant is told in half widths of its bounds.
+In each signal in turn 1, 3 or 10 single readings, or one run of three, are moved by a step whose size is
+drawn log-uniformly from five standard deviations of the signal's increments to its range.  The shift of the
+logarithm of a time constant is told in half widths of its bounds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ KINDS = {"1": (1, 1), "3": (3, 1), "10": (10, 1), "run of 3": (1, 3)}
 """Number of bad places and of readings in each, by name."""
 
 
-def spoilt(series: Series, places: int, length: int, random: np.random.Generator) -> tuple[Series, np.ndarray]:
+def spoilt(
+    series: Series, places: int, length: int, random: np.random.Generator
+) -> tuple[Series, np.ndarray]:
     """The series with bad readings, and True (T,) where they are."""
     value = series.value.copy()
     there = np.flatnonzero(np.isfinite(value))
