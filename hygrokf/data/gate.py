@@ -203,7 +203,8 @@ def _judge_frozen(
     signal: str, time: np.ndarray, value: np.ndarray, scale: Scale, in_hindsight: bool, verdict: np.ndarray
 ) -> None:
     """Mark the readings that repeat a value for longer than the signal ever stays still."""
-    if time[-1] - time[0] <= scale.still_s:
+    # power stays at its rated value or at a set point for as long as wind and grid allow
+    if signal == "active_power" or time[-1] - time[0] <= scale.still_s:
         return
     starts, lengths = runs_of(value)
     since = np.repeat(time[starts], lengths)

@@ -90,7 +90,7 @@ class Tracker:
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
     newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
     [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
-    [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value.  `counts` counts
+    [s] of the newest reading, −∞ without any; `frozen` are the sensors that repeat a value.  `counts` counts
     the readings that are not used: "repeated" (already present), "contradicting" (several values with one
     stamp, of which none is used), "late" (received after the estimate at their time was final), and, once
     final, "departed" and "frozen" (kept out by `data.gate`).
@@ -240,7 +240,11 @@ class Tracker:
             for signal, times in self._times.items()
         }
         self._accepted = {signal: one.accepted for signal, one in judged.items()}
-        self.frozen = {signal: found for signal, one in judged.items() if (found := one.frozen(self._limit))}
+        self.frozen = {
+            signal: found
+            for signal, one in judged.items()
+            if signal.startswith(("ambient_", "cabinet_")) and (found := one.frozen(self._limit))
+        }
         beyond = self.silent_since() is not None
         made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=beyond)
         silent_s = silent_since(self._times, self.plan.lateness_s)
