@@ -77,7 +77,7 @@ CLOCK = Rule(
 )  # fmt: skip
 STUCK = Rule(
     "sensor frozen", 1.0, 0.5, 0.0, "warning", np.inf,
-    "look whether sensor, logger and data path are alive; its readings since then are not used",
+    "look whether sensor, logger and data path are alive; what is estimated from it is doubtful",
 )  # fmt: skip
 FROZEN_S = 6 * HOUR_S
 """[s] for which a signal must have repeated one value, beyond what it ever did before."""

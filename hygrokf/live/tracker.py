@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.ambient import middle
-from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, judge
+from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, Scale, judge
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
@@ -243,7 +243,8 @@ class Tracker:
         self.frozen = {
             signal: found
             for signal, one in judged.items()
-            if signal.startswith(("ambient_", "cabinet_")) and (found := one.frozen(self._limit))
+            if signal.startswith(("ambient_", "cabinet_"))
+            and (found := one.frozen(self._limit, self.plan.scale(signal), self.frozen.get(signal)))
         }
         beyond = self.silent_since() is not None
         made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=beyond)
@@ -411,14 +412,26 @@ class Judged:
         there = self.judgement.verdict == ACCEPTED
         return (time, value) if there.all() else (time[there], value[there])
 
-    def frozen(self, until_s: float) -> Frozen | None:
-        """The run of identical readings at the end of those up to a time [s], if it counts as frozen."""
+    def frozen(self, until_s: float, scale: Scale | None, known: Frozen | None) -> Frozen | None:
+        """The run of identical readings at the end of those up to a time [s], if it is longer than the signal
+        stays still (`scale`).
+
+        In the range of saturated air, where the gate lets readings pass, the value must be below one that was
+        read before: a sensor at its ceiling is not frozen.  `known`: what was found before, of which older
+        readings may be gone.
+        """
         time, value = self.readings
         last = int(np.searchsorted(time, until_s, side="right")) - 1
-        if last < 0 or self.judgement.verdict[last] != FROZEN:
+        if last < 0 or scale is None:
             return None
+        if known is not None and value[last] == known.value:
+            return known
         other = np.flatnonzero(value[:last] != value[last])
         first = int(other[-1]) + 1 if len(other) else 0
+        below = value[last] < np.max(value[:first], initial=-math.inf)
+        resting = self.judgement.verdict[last] == ACCEPTED and time[last] - time[first] > scale.still_s
+        if self.judgement.verdict[last] != FROZEN and not (resting and below):
+            return None
         return Frozen(float(time[first]), float(value[last]))
 
     def kept_out(self, after_s: float, until_s: float) -> dict[str, int]:

@@ -12,7 +12,7 @@ from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.data.gate import ACCEPTED, FROZEN, REACH_S, Judgement
+from hygrokf.data.gate import ACCEPTED, FROZEN, REACH_S, Judgement, Scale
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live import tracker as tracker_module
@@ -285,11 +285,20 @@ def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: py
 
 
 def test_a_signal_that_repeats_a_value_is_frozen_since_its_first_repetition() -> None:
-    time, value = 600.0 * np.arange(6), np.array([1.0, 2.0, 3.0, 3.0, 3.0, 3.0])
-    verdict = np.array([ACCEPTED, ACCEPTED, ACCEPTED, ACCEPTED, FROZEN, FROZEN])
-    judged = Judged((time, value), Judgement(verdict, math.inf))
-    assert judged.frozen(math.inf) == Frozen(1200.0, 3.0)
-    assert judged.frozen(1900.0) is None and judged.frozen(-1.0) is None
+    """In saturated air, where the gate lets all pass, only below what the sensor has read before."""
+    time, scale = 600.0 * np.arange(6), Scale(0.1, 900.0, 600.0)
+
+    def judged(last: int, *value: float) -> Judged:
+        return Judged((time, np.array(value)), Judgement(np.array([ACCEPTED] * 5 + [last]), math.inf))
+
+    stuck = judged(FROZEN, 0.5, 0.8, 0.6, 0.6, 0.6, 0.6)
+    assert stuck.frozen(math.inf, scale, None) == Frozen(1200.0, 0.6)
+    assert stuck.frozen(1300.0, scale, None) is stuck.frozen(-1.0, scale, None) is None
+    assert judged(ACCEPTED, 0.5, 0.98, 0.97, 0.97, 0.97, 0.97).frozen(math.inf, scale, None).value == 0.97
+    ceiling = judged(ACCEPTED, 0.5, 0.9, 0.97, 0.97, 0.97, 0.97)
+    assert ceiling.frozen(math.inf, scale, None) is None
+    long_since = Frozen(-9e5, 0.97)  # the readings from before are gone
+    assert ceiling.frozen(math.inf, scale, long_since) is long_since
 
 
 def test_readings_that_contradict_each_other_are_both_left_out(record: Record) -> None:
