@@ -14,6 +14,7 @@ from hypothesis import settings
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms.hygric import hygric_diffusion, hygric_exchange, vapour_disturbance
 from hygrokf.physics.mechanisms.sensors import humidity_sensor, temperature_sensor
 from hygrokf.physics.mechanisms.thermal import (
@@ -36,11 +37,11 @@ HOLDS = {
     "ambient_absolute_humidity": "linear",
     "exchange_factor": "linear",
     "cabinet_temperature": "linear",
-    "operating": "zero-order",
-    "power_1": "zero-order",
-    "power_2": "zero-order",
-    "preheating": "zero-order",
-    "power_unknown": "regime",
+    "operating": "mean",
+    "power_1": "mean",
+    "power_2": "mean",
+    "preheating": "mean",
+    "power_unknown": REGIME,
 }
 VALUES = {
     "thermal_time_constant": 1.5,

@@ -388,7 +388,7 @@ def test_a_plant_becomes_a_record(plants: dict) -> None:
     record = as_record.to_record(plants["means60"])
     outside, inside = record["ambient_relative_humidity"], record["cabinet_temperature"]
     assert (outside.hold, outside.interval_s, inside.hold, inside.interval_s) == (
-        "zero-order",
+        "mean",
         3600.0,
         "linear",
         0.0,

@@ -515,7 +515,7 @@ def test_record_of_a_plant_is_in_si_units(made: Plant) -> None:
     assert 0.0 < np.nanmedian(humidity.value) < 1.0
     assert humidity.accuracy == pytest.approx(0.02)
     power = record["active_power"]
-    assert (power.hold, power.interval_s) == ("zero-order", 600.0)
+    assert (power.hold, power.interval_s) == ("mean", 600.0)
     # The first mean ends ten minutes after the record begins.
     assert power.time[0] == made.drivers.time[0] + 600.0
     assert power.value[7] == pytest.approx(made.drivers.power_W[70])

@@ -66,7 +66,7 @@ def record() -> Record:
         (
             Series("cabinet_temperature", time + 30.0, 300.0 + wave, source="cabinet.csv"),
             Series("ambient_temperature", time, np.where(wave > 0.9, np.nan, 285.0 + wave)),
-            Series("active_power", time + 600.0, 1e6 * (1.0 + wave), hold="zero-order", interval_s=600.0),
+            Series("active_power", time + 600.0, 1e6 * (1.0 + wave), hold="mean", interval_s=600.0),
         ),
         until_s=float(time[150]),
     )

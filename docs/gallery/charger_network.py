@@ -51,7 +51,7 @@ roof = hygrokf.Mechanism(
     inputs=("sun",),
     contributions=lambda p, x, u, q: {"enclosure_heat": p.roof_gain * u.sun},
 )
-holds = {"ambient": "linear", "sun": "linear", "charging": "zero-order", "fan_on": "zero-order"}
+holds = {"ambient": "linear", "sun": "linear", "charging": "mean", "fan_on": "mean"}
 model = hygrokf.compose([enclosure, fan, roof], holds)
 
 # %%

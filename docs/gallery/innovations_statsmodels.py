@@ -57,7 +57,7 @@ two = hygrokf.linear_network(
 
 innovations = {}
 for network in (one, two):
-    model = hygrokf.compose([network], dict.fromkeys(("ambient", "heat"), "zero-order"))
+    model = hygrokf.compose([network], dict.fromkeys(("ambient", "heat"), "mean"))
     made = timeline(model, time, {"ambient": ambient, "heat": heat}, {"read": np.array(readings)})
     likelihood = hygrokf.Likelihood(model, made)
     trace = likelihood.trace(hygrokf.maximise(likelihood, count=2).values)

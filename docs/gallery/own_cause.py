@@ -30,7 +30,7 @@ for k in range(1, len(minute)):  # 5 K at 20 kW, through the cabinet's lag of 1.
 warm = replace(cabinet, value=cabinet.value + np.interp(cabinet.time, minute, warmer))
 tens = consumption[: len(minute) // 10 * 10].reshape(-1, 10).mean(axis=1)
 logged = Series("auxiliary_power", minute[0] + 600.0 * np.arange(1, len(tens) + 1), tens,
-                hold="zero-order", interval_s=600.0, source="scada.csv")  # fmt: skip
+                hold="mean", interval_s=600.0, source="scada.csv")  # fmt: skip
 kept = ("active_power", "ambient_temperature", "preheating")
 record = replace(plain, series=(*(s for s in plain.series if s.signal in kept), warm, logged))
 

@@ -38,7 +38,7 @@ cabinet = hygrokf.linear_network(
     intensities=lambda p: {"inside": p.sd**2},
     initial=lambda p, u: {"inside": (14.0, 4.0)},
 )
-model = hygrokf.compose([cabinet], {"ambient": "linear", "power": "zero-order"})
+model = hygrokf.compose([cabinet], {"ambient": "linear", "power": "mean"})
 made = timeline(model, time, {"ambient": ambient, "power": power}, {"read": np.array(readings)})
 likelihood = hygrokf.Likelihood(model, made)
 

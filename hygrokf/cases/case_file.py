@@ -7,24 +7,26 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
+from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
+from hygrokf.data.input_paths import on_change
+from hygrokf.data.probes import copies, probe_of
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
+from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.data.toml_form import FormFault, read_toml
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 
@@ -103,6 +105,8 @@ def record_of(
     compared: list[Series] = []
     warnings: list[str] = []
     provenance: dict[str, str] = {}
+    headers: dict[str, tuple[str, ...]] = {}
+    doubts: list[Doubt] = []
     whole = True
     for source in case.sources:
         try:
@@ -111,10 +115,14 @@ def record_of(
             faults += [f"{source.file}: {fault}" for fault in broken.faults]
             whole = False
             continue
+        headers[source.file] = read.header
         if read.sha256:
             provenance[source.file] = read.sha256
         found, said, wrong = _source_series(source, read, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
+        for one in source.columns:
+            if one.column in read.judged and (doubt := read.judged[one.column].doubt):
+                doubts.append(Doubt(f"{source.file}: {doubt}", *told_by(one.signal.name)))
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
@@ -131,7 +139,7 @@ def record_of(
         compared += [one for one in brought.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
-    faults += no_overlap(tuple(unique.values()))
+    faults += [*no_overlap(tuple(unique.values())), *(words for _, words in copies(tuple(unique.values())))]
     record = Record(
         case.name,
         tuple(unique.values()),
@@ -139,6 +147,7 @@ def record_of(
         case.rated_power_W,
         warnings=tuple(warnings),
         compared=tuple(second.values()),
+        doubts=(*doubts, *_split_probes(case, headers)),
     )
     if whole and series:
         faults += _period_faults(record, case)
@@ -152,6 +161,29 @@ def record_of(
     if faults:
         raise CaseFault(head, faults)
     return record
+
+
+def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> Iterator[Doubt]:
+    """Doubts of places whose humidity is of one probe and whose temperature of another one."""
+    used = {
+        column.signal.name: (source.file, column.column)
+        for source in reversed(case.sources)
+        if not source.compare
+        for column in source.columns
+    }
+    for place in ("cabinet", "ambient"):
+        warm, moist = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
+        if warm is None or moist is None:
+            continue
+        file, probe = moist[0], probe_of(moist[1])[0]
+        own = [one for one in headers.get(file, ()) if probe_of(one) == (probe, "temperature")]
+        if len(own) == 1 and warm != (file, own[0]):
+            yield Doubt(
+                f'{place}_temperature ({warm[0]}, column "{warm[1]}") is not of the probe of '
+                f'{place}_relative_humidity ({file}, column "{moist[1]}"), whose own temperature is there '
+                f'("{own[0]}"): relative humidity holds at the temperature of its own probe',
+                "hygric",
+            )
 
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
@@ -265,10 +297,16 @@ def _source_series(
         warnings += summer_time_holes(np.sort(table.time))
     warnings += said
     faults: list[str] = []
-    step, regular = modal_step(time)
     found = []
+    given = {name: np.isfinite(one) for name, one in values.items()}
+    single = np.sum([*given.values()], axis=0) == 1
+    # where readings come one by one, each in a row of its own, an empty cell is no missing reading
+    apart = len(given) > 1 and all(np.sum(single & one) > 0.9 * np.sum(one) for one in given.values())
+    step, regular = modal_step(time)
     for one in source.columns:
-        raw = values[one.column]
+        rows = given[one.column] if apart else slice(None)
+        own, raw = time[rows], values[one.column][rows]
+        step, regular = modal_step(own)
         wrong = unit_mistaken(raw, one.unit, one.signal)
         if wrong is None and one.signal.name == "active_power" and rated_W is not None:
             wrong, hint = _power_mistaken(one, raw, rated_W)
@@ -276,21 +314,20 @@ def _source_series(
         if wrong is not None:
             faults.append(f'column "{one.column}": {wrong}')
             continue
-        hold = source.hold
-        if hold is None:
-            # a straight line between two directions may pass through all other directions
-            turning = one.signal.dimension == "angle"
-            hold = "linear" if source.stamp == "instant" and not turning else "zero-order"
+        hold = source.hold or (one.signal.hold_of_instants if source.stamp == "instant" else MEAN)
         length = source.interval_s
-        if length is None and (source.stamp != "instant" or hold == "zero-order"):
+        if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
                 faults.append(_no_step(source, step, regular))
                 break
             length = step
-        moved, length = _end_of_interval(time + source.clock_correction_s, length or 0.0, source.stamp, hold)
-        settings = dict(one.settings)
+        moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
+        settings: dict[str, Any] = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
+        if hold == PREVIOUS:
+            until_next = one.signal.name in SWITCHED and on_change(own, raw)
+            settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
         try:
             found.append(
                 Series(
@@ -330,7 +367,7 @@ def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> 
     if hold == LINEAR:
         # a mean that is joined by straight lines is placed in the middle of its interval
         return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
-    return time + shift, length
+    return time + shift, length if hold == MEAN else 0.0
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hygrokf.data.input_paths import centred
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
+from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
@@ -20,7 +23,8 @@ from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_e
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
-_FEWEST_IN_COMMON = 20
+_MANY_LOST = 0.03
+"""[1] share of readings without known inputs that is worth a doubt."""
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
@@ -80,7 +84,9 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
 def doubts(record: Record) -> tuple[str, ...]:
     """Doubts about a record, one sentence each; a doubt is no fault."""
     return (
+        *record.doubts,
         *_doubts_of_readings(record),
+        *_doubts_of_gaps(record),
         *_doubts_of_periods(record),
         *_doubts_of_power(record),
         *_doubts_of_climate(record),
@@ -96,11 +102,13 @@ def _doubts_of_readings(record: Record) -> list[str]:
         row = signal_named(series.signal)
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
+        if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
+            said.append(f"{series.signal} {ON_CHANGE}")
         if mistaken is not None:
-            said.append(Doubt(mistaken, *_told_by(series.signal)))
+            said.append(Doubt(mistaken, *told_by(series.signal)))
         elif outside.any():
             words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
-            said.append(Doubt(words, *_told_by(series.signal)))
+            said.append(Doubt(words, *told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
             f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since "
@@ -109,7 +117,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
     return said + no_overlap(record.series)
 
 
-def _told_by(signal: str) -> tuple[str, ...]:
+def told_by(signal: str) -> tuple[str, ...]:
     """The time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return PARTS[1:]
@@ -138,6 +146,26 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
         "their stamps"
         for where, signals in apart.items()
     ]
+
+
+def _doubts_of_gaps(record: Record) -> Iterator[str]:
+    """Readings of the cabinet that no fit uses, because the air outside is unknown at their time."""
+    outside = {"temperature": record["ambient_temperature"]} if "ambient_temperature" in record else {}
+    vapour = ambient_absolute_humidity(record) if outside else None
+    outside |= {} if vapour is None else {"humidity": vapour}
+    for signal in (one for one in IDENTIFIABLE if one in record):
+        time = record[signal].known[0]
+        lost, gaps = np.zeros(len(time), dtype=bool), list[str]()
+        for kind, series in outside.items():
+            known = series.known[0]
+            gap = np.isnan(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
+            gap &= (time >= known[0]) & (time <= known[-1]) if len(known) else False
+            lost, gaps = lost | gap, [*gaps, kind] if gap.any() else gaps
+        if lost.sum() > _MANY_LOST * len(time):
+            yield (
+                f"{lost.sum()} of the {len(time)} readings of {signal} are not used: the ambient "
+                f"{' and '.join(gaps)} is unknown then, in gaps too long to bridge"
+            )
 
 
 def _doubts_of_periods(record: Record) -> list[str]:
@@ -248,17 +276,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
                         *PARTS,
                     )
                 )
-    for kind in ("temperature", *_HUMIDITIES):
-        if f"cabinet_{kind}" in record and f"ambient_{kind}" in record:
-            inside, outside = record[f"cabinet_{kind}"], record[f"ambient_{kind}"]
-            if _same_readings(inside, outside):
-                said.append(
-                    Doubt(
-                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
-                        f"{outside.source}): one of the two columns is wrong",
-                        *(PARTS if kind == "temperature" else PARTS[1:]),
-                    )
-                )
+    said += [Doubt(words, *told_by(outside.signal)) for outside, words in copies(record.series)]
     pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
@@ -271,16 +289,6 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 )
             )
     return said
-
-
-def _same_readings(one: Series, other: Series) -> bool:
-    """Whether two varying series agree to rounding at nearly all their common times."""
-    _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
-    there = ~(one.missing[i] | other.missing[j])
-    first, second = one.value[i][there], other.value[j][there]
-    if len(first) < _FEWEST_IN_COMMON or not np.ptp(first) > 0.0:
-        return False
-    return bool(np.mean(np.isclose(first, second, rtol=1e-9, atol=0.0)) > 0.99)
 
 
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
@@ -323,7 +331,7 @@ def _doubts_of_clocks(record: Record) -> list[str]:
     said: list[str] = []
     for series in record.series:
         step, regular = modal_step(series.time)
-        if len(series) > 2 and regular < 0.9:
+        if len(series) > 2 and regular < 0.9 and series.longest_hold_s is None:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))

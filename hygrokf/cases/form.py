@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
-from hygrokf.data.record import HOLDS, Site
+from hygrokf.data.numbers import POLES, Meaning
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
+from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
 from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
 from hygrokf.errors import suggestion
+from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
 
 STAMPS = ("instant", "start", "middle", "end")
@@ -34,6 +38,15 @@ def _size(value: Any) -> float:
     return float(value)
 
 
+def longest_hold(value: Any) -> float:
+    """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
+    if value == "connected":
+        return math.inf
+    return duration(value)
+
+
+HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
+LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
 _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
@@ -49,9 +62,16 @@ class StatedSensor:
         None, "time in which the sensor covers 63 % of a step", read=duration
     )
 
+    one: str | None = setting(None, "the text of a flag that is 1", choices=POLES)
+
     @across("unit", "signal")
     def unit_of_signal(self) -> str | None:
         return unit_fault(self.unit, self.signal.name)
+
+    @property
+    def meaning(self) -> Meaning:
+        """What texts of this signal stand for."""
+        return Meaning(self.signal.name, self.unit, self.one or "")
 
     @property
     def settings(self) -> dict[str, float]:
@@ -69,6 +89,7 @@ class StatedColumn(StatedSensor):
 
     signal: Signal = entry_name(stated_signal)
     column: str = setting(help="its name in the table")
+    quality: str | None = setting(None, 'column of its quality, "" if it has none', empty=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,31 +146,37 @@ class StatedSource:
     interval_s: float | None = setting(
         None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
     )
-    hold: str | None = setting(None, "between readings; by default derived from the stamp", choices=HOLDS)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
-    decimal: str = setting(".", "mark of numbers", **_CHARACTER)
+    decimal: str | None = setting(None, 'mark of numbers; by default "."', **_CHARACTER)
+    thousands: str | None = setting(None, "mark between groups of three digits", **_CHARACTER)
     comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
     missing: tuple[str, ...] = setting(
         (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
     )
-    time_format: str | None = setting(None, "strptime format of stamps that are not ISO 8601")
+    time_format: str | None = setting(None, 'strptime format of stamps that are not ISO 8601, or "excel"')
     ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
+    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    use_uncertain: bool = setting(True, "use readings of uncertain quality")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
-    @across("decimal", "separator")
+    @across("decimal", "separator", "thousands")
     def marks(self) -> str | None:
-        if self.separator != self.decimal:
-            return None
-        return f'separator and decimal are both "{self.decimal}"; change one of the two'
+        others = {"separator": self.separator, "thousands": self.thousands}
+        same = next((name for name, one in others.items() if one is not None and one == self.decimal), None)
+        return same and f'{same} and decimal are both "{self.decimal}"; change one of the two'
 
     @across("interval", "stamp", "hold")
     def place_in_interval(self) -> str | None:
-        if self.interval_s is None or self.stamp != "instant" or self.hold == "zero-order":
+        if self.stamp != "instant":
+            return 'hold = "previous" is for stamp = "instant"' if self.hold == PREVIOUS else None
+        if self.interval_s is None and self.hold != MEAN:
             return None
-        return 'an interval needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+        return 'a mean needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
 
     @across("ignore_offset", "timezone")
     def clock(self) -> str | None:
@@ -174,8 +201,14 @@ class StatedSource:
     @property
     def reading(self) -> dict[str, Any]:
         """Further arguments of `hygrokf.data.table_readers.read_table`."""
-        names = ("timezone", "separator", "decimal", "comment", "missing", "time_format", "ignore_offset")
-        return {name: getattr(self, name) for name in names}
+        names = (
+            "timezone", "separator", "decimal", "thousands", "comment", "missing", "time_format",
+            "ignore_offset",
+        )  # fmt: skip
+        meanings = {one.column: one.meaning for one in self.columns}
+        quality = {one.column: one.quality for one in self.columns}
+        stated = StatedQuality(quality, self.vocabulary, self.use_uncertain)
+        return {"meanings": meanings, "quality": stated} | {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)

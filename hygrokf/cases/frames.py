@@ -10,9 +10,11 @@ import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
-from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
-from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import SIGNALS, unit_named
+from hygrokf.data.timestamps import EXCEL
 from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
@@ -33,7 +35,9 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
+_READING = (
+    "timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset", "quality",
+)  # fmt: skip
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -57,14 +61,16 @@ def read_frames(
         periods).
     signals: {column: signal} for columns that are not named after their signal.
     units: {column: unit}, needed for every column that is a signal; docs/reference/signals.md lists both.
-        None: what the frames state in `attrs["units"]`, as those of `Record.to_frames` do.
+        Columns that are not named: what the frames state in `attrs["units"]`, as those of
+        `Record.to_frames` do, or in their types (pint).  Another unit than these is a fault.
     name, rated_power_kW, site, identification: as in a case file, the rated power in [kW], the last two as
         mappings, such as identification={"until": "2020-12-01T00:00Z"}.
     cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
     settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-        resolution, response_time. Those of a source are one value for all frames or a mapping from their
-        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
-        time_format, ignore_offset, compare, and time, the column that holds the times where the index does
+        resolution, response_time, one, quality={"RH": "RH quality"}. Those of a source are one value for all
+        frames or a mapping from their names: timezone, stamp, interval, hold, longest_hold,
+        clock_uncertainty, clock_correction, decimal, thousands, missing, time_format, ignore_offset,
+        vocabulary, use_uncertain, compare, and time, the column that holds the times where the index does
         not.
 
     Where several frames have columns of the same name, nest the mappings from columns in mappings from
@@ -85,7 +91,7 @@ def read_frames(
     for key, value in by_frame.items():
         if isinstance(value, Mapping):
             faults += _unknown_frames(key, value, named)
-    given = {**settings, "units": _stated_units(named) if units is None else units}
+    given = {**settings, "units": units}
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     prepared: dict[str, _Prepared] = {}
@@ -117,10 +123,12 @@ def read_frames(
     return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
 
 
-def _stated_units(named: Mapping[str, pandas.DataFrame]) -> Settings:
-    """The units that frames state themselves, by frame and column."""
-    stated = {name: frame.attrs.get("units") for name, frame in named.items()}
-    return {name: dict(units) for name, units in stated.items() if isinstance(units, Mapping)} or None
+def _own_units(frame: pandas.DataFrame) -> dict[str, str]:
+    """Column -> the unit that the frame itself states: in `attrs["units"]`, or in the type of pint."""
+    stated = frame.attrs.get("units")
+    own = {str(label): str(unit) for label, unit in stated.items()} if isinstance(stated, Mapping) else {}
+    units = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
+    return own | {label: f"{unit:~P}" or "1" for label, unit in units.items() if unit is not None}
 
 
 def _instead(key: str) -> str:
@@ -220,6 +228,7 @@ class _Prepared:
 
     source: in the form of a case file. frame: columns by name, rows counted from 0. stamps: (N,), or None
     where the faults explain why. stamps_named: name of the stamps in messages. faults: of the stamps.
+    beside: column -> column of its quality.
     """
 
     source: dict[str, Any]
@@ -227,6 +236,7 @@ class _Prepared:
     stamps: pandas.Series | None
     stamps_named: str
     faults: tuple[str, ...]
+    beside: Mapping[str, str]
 
     def table(self, source: StatedSource) -> Table:
         """Its readings; raises TableFault."""
@@ -239,6 +249,7 @@ class _Prepared:
             self.stamps_named,
             _PLACES,
             faults=self.faults,
+            beside=self.beside,
             **{key: source.reading[key] for key in _READING},
         )
 
@@ -257,7 +268,7 @@ def _prepare(
     """
     time = None if stated.get("time") is None else str(stated["time"])
     labels = [str(label) for label in frame.columns]
-    stamps, stamps_named, length, wrong = _stamps(frame, labels, time)
+    stamps, stamps_named, length, wrong = _stamps(frame, labels, time, stated.get("time_format") == EXCEL)
     if length is not None:
         twice = [key for key in ("stamp", "interval") if stated.get(key) is not None]
         wrong += [f"{stamps_named} holds periods, which already give the averaging intervals: remove {key}"
@@ -295,6 +306,14 @@ def _prepare(
                     f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
                     f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
                 )
+    for label, unit in _own_units(frame).items():
+        if label in used:
+            said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
+            if (unit_named(str(said)) or said) != (unit_named(unit) or unit):
+                faults.append(
+                    f'{name}: column "{label}" is in {unit} as the frame itself states, units says {said}: '
+                    "convert it, or correct one of the two"
+                )
     if not used:
         if len(faults) == before:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
@@ -311,16 +330,28 @@ def _prepare(
         "separator": "\t",  # a frame has no separator: this one differs from any decimal mark
         "signals": entries,
     }
-    kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
-    kept.columns = list(used)
+    quality = StatedQuality({label: name for label, name in by_column["quality"].items() if label in used})
+    beside = quality.beside(labels, list(used))
+    faults += [
+        f"{name}: quality: {column_fault(one, labels, 'the frame has')}"
+        for one in beside.values()
+        if labels.count(one) != 1
+    ]
+    columns = [one for one in dict.fromkeys([*used, *beside.values()]) if one in labels]
+    kept = frame.iloc[:, [labels.index(label) for label in columns]].copy(deep=False)
+    kept.columns = columns
     kept.index = range(len(frame))
-    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong))
+    kept.attrs = {HEADER: labels}
+    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong), beside)
 
 
 def _stamps(
-    frame: pandas.DataFrame, labels: Sequence[str], time: str | None
+    frame: pandas.DataFrame, labels: Sequence[str], time: str | None, serial: bool
 ) -> tuple[pandas.Series | None, str, float | None, list[str]]:
-    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults."""
+    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults.
+
+    serial: whether numbers are Excel's days.
+    """
     import pandas as pd
 
     if time is None:
@@ -345,7 +376,7 @@ def _stamps(
         if len(lengths) <= 1:  # empty where no row has a stamp
             return starts, named, float(lengths[0]) if len(lengths) else None, []
         return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
-    if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
+    if (pd.api.types.is_numeric_dtype(kind) and not serial) or pd.api.types.is_timedelta64_dtype(kind):
         what = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"
         shown = ", ".join(str(one) for one in stamps.iloc[:3])
         where = ', or name the column of the times: time="…"' if time is None else ""

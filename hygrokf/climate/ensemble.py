@@ -17,7 +17,6 @@ import numpy as np
 
 from hygrokf.climate.jump_noise import Shots, shots_from_innovations
 from hygrokf.data.record import Record
-from hygrokf.engine.long_steps import inputs_between
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import Switchboard, all_on, cut, switches_of
@@ -26,6 +25,7 @@ from hygrokf.modelling.design import read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.expression import Value
+from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import (

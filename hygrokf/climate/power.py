@@ -257,4 +257,4 @@ def _hours(record: Record) -> np.ndarray:
 
 
 def _hourly_power(ends: np.ndarray, value: np.ndarray, source: str) -> Series:
-    return Series("active_power", ends, value, "zero-order", HOUR_S, source=source)
+    return Series("active_power", ends, value, interval_s=HOUR_S, source=source)

@@ -21,7 +21,7 @@ import numpy as np
 
 from hygrokf.data.input_paths import centred, without_response
 from hygrokf.data.record import Record, Series
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 AMBIENT_BRIDGE_H = 6.0
@@ -130,11 +130,13 @@ def middle(ordered: np.ndarray) -> float:
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
-    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h`
-    [h]."""
+    """A series at other times [s] by its own hold; NaN outside it, inside gaps longer than `bridge_h` [h],
+    and where a value that holds from its stamp on is too old."""
     known, value = series.known
     if len(known) == 0:
         return np.full(len(time), np.nan)
+    if series.hold == PREVIOUS:
+        return series.held_at(time)
     linear = series.hold == LINEAR
     if linear:
         result = np.interp(time, known, value, left=np.nan, right=np.nan)

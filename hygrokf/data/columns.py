@@ -4,17 +4,19 @@ place."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, tzinfo
 from decimal import Decimal
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
+from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
 from hygrokf.data.record import EARLIEST_S, LATEST_S
-from hygrokf.data.timestamps import read_stamps, zone_named
+from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
 
 MISSING: tuple[str, ...] = (
     "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
-    "-", "--", "---",
+    "-", "--", "---", "unavailable", "unknown",
+    "-nan", "-NaN", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF",
 )  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
@@ -37,6 +40,10 @@ class TableFault(HygrokfError):
         self.faults = faults
 
 
+HEADER = "header"
+"""Key of `DataFrame.attrs` with the names of all columns of a source."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns of a file, in the order of the file.
@@ -45,12 +52,16 @@ class Table:
     values: column name -> (N,) as in the file; NaN = missing.
     warnings: rows that were left out, and why.
     sha256: of the file.
+    header: names of all its columns, also of those that were not read.
+    judged: column name -> what the quality beside it says.
     """
 
     time: np.ndarray
     values: dict[str, np.ndarray]
     warnings: tuple[str, ...]
     sha256: str
+    header: tuple[str, ...] = ()
+    judged: Mapping[str, Judged] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -75,12 +86,16 @@ def table_of(
     places: Places,
     *,
     timezone: str | None = None,
-    decimal: str = ".",
+    decimal: str | None = None,
+    thousands: str | None = None,
+    meanings: Mapping[str, Meaning] | None = None,
     missing: Sequence[str] = (),
     time_format: str | None = None,
     ignore_offset: bool = False,
     faults: Sequence[str] = (),
     sha256: str = "",
+    quality: StatedQuality = NOTHING_STATED,
+    beside: Mapping[str, str] | None = None,
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
@@ -90,6 +105,8 @@ def table_of(
         such as 'column "time"'.
     places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
     faults: found before, raised together with those found here. sha256: of the file, where there is one.
+    quality: as stated. beside: column of numbers -> column of the frame with its quality.  Readings that it
+        excludes are missing, whatever their cells hold.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -104,21 +121,42 @@ def table_of(
             zone = UTC
     wanted = list(dict.fromkeys(columns))
     values = {}
+    judged = {
+        name: quality.judged(name, of, frame[of])
+        for name, of in (beside or {}).items()
+        if name in frame and of in frame
+    }
+    warnings = [said for one in judged.values() for said in one.warnings]
+    stated = stated_marks(decimal, thousands)
     for name in wanted:
         if name not in frame:
             continue
-        numbers, texts = _numbers(frame[name], decimal, tuple(missing))
+        meaning = (meanings or {}).get(name, Meaning())
+        numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
+        if name in judged:
+            wrong = wrong & judged[name].usable
+            numbers = np.where(judged[name].usable, numbers, np.nan)
         values[name] = numbers
-        if texts.any():
-            faults.append(_text_fault(name, frame[name], texts, places, decimal))
-    warnings: list[str] = []
+        points = evidence(frame[name], ".") if stated is None and frame[name].dtype.kind == "O" else "none"
+        if points in ("thousands", "either"):
+            example = frame[name].dropna().astype(str).str.extract(PARTED)[0].dropna().iloc[0]
+            (faults if points == "thousands" else warnings).append(
+                f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as '
+                f'texts without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
+            )
+        if wrong.any():
+            faults.append(_text_fault(name, frame[name], wrong, places, reasons, stated))
     time = np.full(len(frame), np.nan)
     if stamps is not None:
-        time, said, wrong = _stamps_read(
-            stamps, stamps_named, places, zone, timezone, time_format, ignore_offset
-        )
+        if stamps.dtype == object:  # databases export a time without bounds as a word
+            stamps = stamps.mask(stamps.isin(("infinity", "-infinity")))
+        rows = np.array([*values.values()]).reshape(len(values), len(frame))
+        same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
+        repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
+        options = {"time_format": time_format, "ignore_offset": ignore_offset, "repeated": repeated}
+        time, said, amiss = _stamps_read(stamps, stamps_named, places, zone, timezone, options)
         warnings += said
-        faults += wrong
+        faults += amiss
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():
@@ -131,7 +169,8 @@ def table_of(
     keep = np.isfinite(time)
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
-    return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
+    kept = {name: array[keep] for name, array in values.items()}
+    return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
 
 
 def _stamps_read(
@@ -140,39 +179,50 @@ def _stamps_read(
     places: Places,
     zone: tzinfo | None,
     timezone: str | None,
-    time_format: str | None,
-    ignore_offset: bool,
+    options: Mapping[str, Any],
 ) -> tuple[np.ndarray, list[str], list[str]]:
-    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`."""
+    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`;
+    options: of `read_stamps`."""
+    time_format = options["time_format"]
+    if fault := time_format_fault(time_format or ""):
+        return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"]
     warnings: list[str] = []
     faults: list[str] = []
-    read = read_stamps(stamps, zone, time_format=time_format, ignore_offset=ignore_offset)
-    time = read.time
-    if read.unreadable.any():
-        where = _where(np.flatnonzero(read.unreadable), stamps, places)
+    found = read_stamps(stamps, zone, **options)
+    header = zone_in_header(str(stamps.name or ""))
+    if found.naive.any() and header is not None:
+        warnings.append(f'{stamps_named}: stamps without an offset are read at "{header}", which it names')
+        found = read_stamps(stamps, zone_named(header), **options)
+    time = found.time
+    if found.unreadable.any():
+        where = _where(np.flatnonzero(found.unreadable), stamps, places)
         faults.append(
             f"{stamps_named}: expected ISO 8601 stamps"
             + (f' or "{time_format}"' if time_format else "")
-            + f", found {int(read.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
-            + _stamp_remedy(stamps, read.unreadable, places.here)
+            + f", found {int(found.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
+            + _stamp_remedy(stamps, found.unreadable, places.here, time_format)
         )
-    if read.naive.any():
-        rows = np.flatnonzero(read.naive)
+    if found.naive.any():
+        rows = np.flatnonzero(found.naive)
         faults.append(
             f"{stamps_named}: {len(rows)} of {len(stamps)} stamps have no offset "
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not ignore_offset and _all_aware(stamps):
+    elif zone is not None and not options["ignore_offset"] and found.aware:
         warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
-    warnings += read.warnings
+    warnings += found.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if beyond.any():
-        where = _where(np.flatnonzero(beyond), stamps, places)
-        faults.append(
-            f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after "
-            f"2200: {where}; correct or remove these rows"
+        odd = (
+            f"{int(beyond.sum())} before 1850 or after 2200: {_where(np.flatnonzero(beyond), stamps, places)}"
         )
+        if beyond.sum() < 0.5 * len(time):
+            warnings.append(f"rows with an impossible stamp left out: {odd}")
+            time = np.where(beyond, np.nan, time)
+        else:
+            remedy = "correct or remove these rows"
+            faults.append(f"{stamps_named}: expected stamps of our time, found {odd}; {remedy}")
     return time, warnings, faults
 
 
@@ -183,27 +233,24 @@ def column_fault(name: str, found: Sequence[str], holder: str) -> str:
     return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
 
 
-def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of a column, and True where a cell holds text instead."""
+def _numbers(
+    column: pandas.Series, marks: Marks, missing: tuple[str, ...], meaning: Meaning
+) -> tuple[np.ndarray, np.ndarray, list[Unread]]:
+    """Numbers of a column, True where a cell holds text instead, and why that cannot be read."""
     import pandas as pd
 
     nothing = np.zeros(len(column), dtype=bool)
     if pd.api.types.is_numeric_dtype(column.dtype) and not pd.api.types.is_complex_dtype(column.dtype):
         numbers = column.to_numpy(dtype=float, na_value=np.nan)
         # an infinite reading counts as missing
-        return np.where(np.isinf(numbers), np.nan, numbers), nothing
+        return np.where(np.isinf(numbers), np.nan, numbers), nothing, []
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
-        return np.full(len(column), np.nan), column.notna().to_numpy()
+        return np.full(len(column), np.nan), column.notna().to_numpy(), []
     plain = column.astype(object).map(_cell)
-    flags = plain.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
-    if decimal != ".":
-        plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
     absent = plain.isna() | plain.isin([*MISSING, *missing])
-    numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
-    numbers = numbers.where(numbers.notna(), flags.astype(float))
-    wrong = numbers.isna() & ~absent
-    values = numbers.to_numpy()
-    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy()
+    values, refused = values_in(plain.where(~absent, None), marks, meaning)
+    wrong = plain.isin(list(refused)) & ~absent
+    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy(), list(refused.values())
 
 
 def _cell(one: object) -> object:
@@ -217,15 +264,28 @@ def _cell(one: object) -> object:
     return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
 
 
-def _text_fault(name: str, column: pandas.Series, texts: np.ndarray, places: Places, decimal: str) -> str:
+def _text_fault(
+    name: str,
+    column: pandas.Series,
+    texts: np.ndarray,
+    places: Places,
+    reasons: Sequence[Unread],
+    stated: Marks | None,
+) -> str:
     """Text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
     found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
     words = [str(one).strip() for one in column[texts].iloc[:1000]]
-    if any(re.fullmatch(r"-?\d+,\d+", word) for word in words) and decimal == ".":
-        remedy = f'state decimal = ","{places.here}'
-    elif any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", word) for word in words):
-        remedy = "export without thousands separators"
+    told = next((one for one in reasons if one.kind != "no number"), None)
+    commas = evidence(column, ",") if found == "text" and stated is None else "none"
+    mark = "." if stated is not None and stated.decimal != "." else ","
+    if told is not None:
+        remedy = str(told)
+    elif commas != "none":
+        remedies = {"decimal": 'decimal = ","', "thousands": 'thousands = ","'}
+        remedy = f"state {remedies.get(commas, ' or '.join(remedies.values()))}{places.here}"
+    elif stated is not None and any(re.fullmatch(rf"[+-]?\d*[{mark}]\d*", word) for word in words):
+        remedy = f'"{mark}" cannot divide thousands here: state decimal = "{mark}"{places.here}'
     elif found != "text":
         remedy = "name another column"
     elif name in words:
@@ -262,36 +322,25 @@ def numbered(label: str, numbers: Sequence[int], total: int) -> str:
     )
 
 
-def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> str:
+def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stated: str | None) -> str:
     words = [str(one).strip() for one in column[unreadable].iloc[:200]]
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
-    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
-        return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     for pattern, form in (
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
         (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
         (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
+        (r"(19|20)\d{8}", "%Y%m%d%H"),
+        (r"[34]\d{4}([.,]\d+)?", EXCEL),
     ):
-        if all(re.fullmatch(pattern, word) for word in words):
+        if form != stated and all(re.fullmatch(pattern, word) for word in words):
             ask = " (or month first: %m/%d)" if "/" in form else ""
             return f'; state time_format = "{form}"{ask}{here}'
+    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
+        return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     if all(word.startswith("#") for word in words):
         return '; if these are comments, state comment = "#"' + here
     if unreadable.sum() < len(column) / 2:
         return "; correct or remove these lines"
     return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M"' + (here and f",{here}")
-
-
-def _all_aware(column: pandas.Series) -> bool:
-    """Whether the stamps carry offsets; called only after read_stamps found none without."""
-    import pandas as pd
-
-    if pd.api.types.is_datetime64_any_dtype(column.dtype):
-        return column.dt.tz is not None
-    first = column.dropna()
-    return (
-        len(first) > 0
-        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0])) is not None
-    )

@@ -8,10 +8,10 @@ departs by
 
     d_k = min(|x_k − x_a|, max_j ±(x_k − x_j)),    j the readings up to `REACH_S` after k, at least one,
 
-that is, by how far it goes and comes back; a reading after a gap by the least of |x_k − x_j|.  The bound on d
-follows from the signal's own course, whose readings go and come back as well (`Scale`).  A departure that
-stays is a step and is accepted, but not before a second reading confirms it.  Signals that jump between
-states (flags, directions, rain) are not judged.
+that is, by how far it goes and comes back; a reading after a gap by how far it lies off the x_j, beyond
+their own range.  The bound on d follows from the signal's own course, whose readings go and come back as well
+(`Scale`).  A departure that stays is a step and is accepted, but not before a second reading confirms it.
+Signals that jump between states (flags, directions, rain) are not judged.
 
 *Frozen* readings repeat one value for longer than the signal ever stays still (`Scale.still_s`), outside of
 the range in which it rests (calm, night, saturated air).
@@ -135,7 +135,8 @@ def _judge_departures(
             end, needed_s = _after(time, leap - 1, scale.step_s)
             if needed_s > known_until_s:
                 settled_s = min(settled_s, _before(time[leap - 1]))
-            if np.abs(value[leap:end] - value[leap - 1]).min() > bound:
+            after = value[leap:end]
+            if np.abs(after - value[leap - 1]).min() > bound + np.ptp(after):
                 verdict[leap - 1] = DEPARTED
                 continue
         k, course = leap, value[leap - 1]

@@ -28,16 +28,37 @@ from functools import cache, lru_cache
 import numpy as np
 
 from hygrokf.data.record import Series
-from hygrokf.physics.holds import LINEAR
+from hygrokf.data.timestamps import DAY_S, modal_step
+from hygrokf.physics.holds import LINEAR, MEAN
 
 AROUND = 2
 """Number of means on each side of an edge that determine its value."""
 JOINED_S = 1.0
-"""[s] intervals count as adjacent when their edges are closer than this."""
+"""[s] intervals count as adjacent when their edges are closer than this; held values change within it."""
 PIECE_S = 900.0
 """[s] longest straight piece of a path within an interval; there are at least two pieces."""
 SLOPE_REACH_S = 6 * 3600.0
 """[s] no slope is taken between readings further apart than this."""
+
+
+ON_CHANGE = (
+    "comes only when it changes (no two successive values are equal), and is joined by lines: state "
+    'hold = "previous" if each value holds until the next'
+)
+
+
+def on_change(time: np.ndarray, value: np.ndarray, resolution: float = 0.0) -> bool:
+    """Whether readings come only when the value changes: irregular times [s], no successive (N,) equal ones.
+
+    resolution: the values' grid; 0 for a switched signal, which regular readings repeat nearly always.  A
+        measured value stays at least as often as it moves one step up, or down: the chance that m such
+        readings never stay is (2/3)^m, and must be below one in a thousand.
+    """
+    there = np.isfinite(value)
+    move = np.abs(np.diff(value[there]))
+    if len(move) < 2 or not move.all() or modal_step(time[there])[1] > 0.5:
+        return False
+    return resolution == 0.0 or bool((2.0 / 3.0) ** np.count_nonzero(move < 1.5 * resolution) < 1e-3)
 
 
 def input_path(series: Series, noise: tuple[float, float] | None = None) -> Series:
@@ -45,7 +66,8 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
 
     `noise` (q [unit²/s], r [unit²]) is that of means to be smoothed; noisy instants are smoothed beforehand
     (`ambient.smoothed`).  Missing readings end a stretch.  A mean without neighbours is placed in the middle
-    of its interval, and so are means whose intervals overlap.
+    of its interval, and so are means whose intervals overlap.  A value that holds from its stamp on takes the
+    place of the one before within `JOINED_S` after it.
     """
     return series if series.hold == LINEAR else _known_path(Same(series), noise)
 
@@ -66,8 +88,8 @@ class Same:
 
 @lru_cache(maxsize=32)
 def _known_path(key: Same, noise: tuple[float, float] | None) -> Series:
-    """The cached path through means; discovery requests the path of one series hundreds of times."""
-    return _through_means(key.series, noise)
+    """The cached path; discovery requests the path of one series hundreds of times."""
+    return _through_means(key.series, noise) if key.series.hold == MEAN else _held(key.series)
 
 
 def without_response(series: Series) -> Series:
@@ -93,7 +115,7 @@ def without_response(series: Series) -> Series:
 
 def centred(series: Series) -> Series:
     """Readings with interval means moved to the middle of their interval."""
-    if series.hold == LINEAR:
+    if series.hold != MEAN:
         return series
     return replace(series, time=series.time - 0.5 * series.interval_s, hold=LINEAR, interval_s=0.0)
 
@@ -152,6 +174,22 @@ def _weights(count: int, edge: float, block: int | None, noise_share: float) -> 
     system[:count, :count] = known + noise_share * np.eye(count)
     system[count, count] = 0.0
     return np.linalg.solve(system, np.append(wanted, 1.0))[:count]
+
+
+def _held(series: Series) -> Series:
+    """The path of values that hold from their stamps on: level, with steep pieces after their changes."""
+    time, value = series.known
+    if not len(time):
+        return series
+    gap = np.append(np.diff(time), np.inf)
+    held = np.minimum(series.held_s, 30 * DAY_S)  # a path has an end
+    ends = gap > held
+    changes = np.append(False, (value[1:] != value[:-1]) & ~ends[:-1])
+    steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, held))
+    times = np.concatenate([time[changes], time + np.where(changes, steep, 0.0), (time + held)[ends]])
+    order = np.argsort(times, kind="stable")
+    values = np.concatenate([value[np.flatnonzero(changes) - 1], value, value[ends]])
+    return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None)
 
 
 def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:

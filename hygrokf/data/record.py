@@ -16,12 +16,15 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-HOLDS = (LINEAR, ZERO_ORDER)
+BY_SIGNAL = "by the signal"
+"""The hold of a series that states none: that of means, else that of its signal's instants."""
+USUAL_STEPS, AGE_STEPS = 11, 3.0
+"""A value holds for the second times the median of the first steps before it, as a tracker knows in time."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,9 @@ class Series:
     signal: a name of the signal table.
     time: [s] (T,) since 1970-01-01T00:00Z, strictly increasing; for means the END of the interval.
     value: [SI unit of the signal table] (T,); NaN = missing.
-    hold: "linear" for instants, "zero-order" for means: the value holds over
-        (time - interval_s, time].
+    hold: "previous": a value holds from its time on, until the next one or `longest_hold_s`; "mean": over
+        (time - interval_s, time]; "linear": joined by straight lines. By default that of means with an
+        interval, else `Signal.hold_of_instants`. "zoh" and "foh" are previous and linear.
     interval_s: [s] averaging interval; 0 for instants.
     resolution: [SI unit] spacing of the readings' grid; 0 = none found.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
@@ -40,6 +44,7 @@ class Series:
     source: file and column, such as 'scada.csv, column "P"'.
     height_m: [m] height above ground of a wind whose file states it; None: not known.
     response_time_s: [s] stated time constant of the sensor; None: not stated.
+    longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -47,7 +52,7 @@ class Series:
     signal: str
     time: np.ndarray
     value: np.ndarray
-    hold: str = "linear"
+    hold: str = BY_SIGNAL
     interval_s: float = 0.0
     resolution: float = 0.0
     accuracy: float | None = None
@@ -55,6 +60,7 @@ class Series:
     source: str = ""
     height_m: float | None = None
     response_time_s: float | None = None
+    longest_hold_s: float | None = None
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -65,8 +71,18 @@ class Series:
         value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
         if time is not None and value is not None:
             faults += _reading_faults(time, value, row)
-        if self.hold not in HOLDS:
-            faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
+        if self.hold == BY_SIGNAL:
+            hold = MEAN if self.interval_s > 0.0 else LINEAR if row is None else row.hold_of_instants
+            object.__setattr__(self, "hold", hold)
+        try:
+            object.__setattr__(self, "hold", hold_named(self.hold))
+            if (self.hold == MEAN) != (self.interval_s > 0.0):
+                found = f"found hold {self.hold} and {self.interval_s} s"
+                faults.append(f"a mean has hold mean and its interval_s, {found}")
+        except ValueError as fault:
+            faults.append(str(fault))
+        if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
+            faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
         for name in ("interval_s", "resolution"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
@@ -117,13 +133,34 @@ class Series:
         there = ~self.missing
         return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
 
+    @cached_property
+    def held_s(self) -> np.ndarray:
+        """How long [s] each reading that is not missing holds at most, if it holds from its stamp on."""
+        time, _ = self.known
+        held = np.full(len(time), math.inf if self.longest_hold_s is None else self.longest_hold_s)
+        if self.longest_hold_s is None and len(time) > 1:
+            steps = np.concatenate([np.full(USUAL_STEPS - 1, np.nan), np.diff(time)])
+            windows = np.lib.stride_tricks.sliding_window_view(steps, USUAL_STEPS)
+            held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
+        return held
+
+    def held_at(self, time: np.ndarray) -> np.ndarray:
+        """Values that hold from their stamps on, at other times [s]; NaN before the first and if too old."""
+        known, value = self.known
+        last = np.searchsorted(known, time, side="right") - 1
+        return np.where((last >= 0) & (time - known[last] <= self.held_s[last]), value[last], np.nan)
+
     def window(self, start_s: float, end_s: float) -> Series | None:
-        """The readings with start_s ≤ time ≤ end_s [s]; None where there is none."""
+        """The readings with start_s ≤ time ≤ end_s [s], and one at start_s of a value that is held until
+        then; None where there is none."""
         first = np.searchsorted(self.time, start_s, side="left")
         last = np.searchsorted(self.time, end_s, side="right")
-        if last <= first:
-            return None
-        return dataclasses.replace(self, time=self.time[first:last], value=self.value[first:last])
+        time, value = self.time[first:last], self.value[first:last]
+        if self.hold == PREVIOUS and len(self.known[0]) and start_s not in time[:1] and start_s < end_s:
+            held = self.held_at(np.array([start_s]))
+            if np.isfinite(held[0]):
+                time, value = np.append(start_s, time), np.append(held, value)
+        return dataclasses.replace(self, time=time, value=value) if len(time) else None
 
     def to_frame(self) -> DataFrame:
         """The readings as a pandas frame over time in UTC, in a column named after the signal.
@@ -292,6 +329,7 @@ class Record:
     provenance: (file name, SHA-256) of every file read.
     compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
         those of the record, which reveals wrong clocks.
+    doubts: sentences about how it was put together, which `check` adds to its own.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -304,9 +342,10 @@ class Record:
     warnings: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
     compared: tuple[Series, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("series", "compared", "warnings", "provenance"):
+        for name in ("series", "compared", "warnings", "provenance", "doubts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         second = [one.signal for one in self.compared]
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from hygrokf.errors import suggestion
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
@@ -59,17 +60,26 @@ UNITS: dict[str, Unit] = {
 }
 
 _OTHER_SPELLINGS = {
-    **dict.fromkeys(("°c", "c", "celsius", "deg c", "deg_c"), "degC"),
-    **dict.fromkeys(("°f", "f"), "degF"),
+    **dict.fromkeys(("°c", "c", "celsius", "degc", "gradc", "grdc", "ºc", "℃"), "degC"),
+    **dict.fromkeys(("°f", "f", "degf"), "degF"),
     **dict.fromkeys(("kelvin", "k"), "K"),
-    **dict.fromkeys(("percent", "pct", "%rh"), "%"),
-    **dict.fromkeys(("-", ""), "1"),
+    **dict.fromkeys(("percent", "pct", "prozent", "%rh", "%rf", "rh%", "%rel"), "%"),
+    **dict.fromkeys(("-", "", "frac"), "1"),
     **dict.fromkeys(("g/m³", "g/m^3"), "g/m3"),
     **dict.fromkeys(("kg/m³", "kg/m^3"), "kg/m3"),
-    **dict.fromkeys(("w/m²", "w/m^2"), "W/m2"),
-    **{"mbar": "hPa", "pa": "Pa", "kw": "kW", "mw": "MW", "w": "W", "°": "deg", "1/min": "rpm"},
+    **dict.fromkeys(("w/m²", "w/m^2", "wm2", "w/qm"), "W/m2"),
+    **dict.fromkeys(("mps", "ms", "ms-1", "m/sec"), "m/s"),
+    **dict.fromkeys(("1/min", "u/min", "rpm", "min-1", "umin"), "rpm"),
+    **dict.fromkeys(("°", "deg", "grad"), "deg"),
+    **{"mbar": "hPa", "hpa": "hPa", "pa": "Pa", "kw": "kW", "mw": "MW", "w": "W"},
 }
 """Other spellings found in exports -> the name that a case file takes; used only for suggestions."""
+
+
+SWITCHED = (
+    "preheating", "heater_power", "heater_duty", "fan_duty", "pump_duty", "dehumidifier_duty", "door_open",
+)  # fmt: skip
+"""Signals that change only when something switches them."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +95,8 @@ class Signal:
     idle: [SI unit] range in which unchanged readings are ordinary (calm, night, standstill,
         saturated air), so that the frozen-sensor check leaves them alone; None: nowhere.
     also: units of another dimension whose numbers are taken as they stand.
-    hold: how the quantity itself goes on between two instants, as an input of a model and in a live source:
-        "linear", or "zero-order" for what is switched (power, speeds of machines, duties, flags), for rain
+    hold: how the quantity itself goes on between two instants in a live source, where the next one is still
+        to come: "linear", or "previous" for what jumps (power, speeds of machines, duties, flags), for rain
         and cloud cover, and for a direction, whose straight line may pass through all other directions.
     """
 
@@ -100,6 +110,11 @@ class Signal:
     idle: tuple[float, float] | None = None
     also: tuple[str, ...] = ()
     hold: str = LINEAR
+
+    @property
+    def hold_of_instants(self) -> str:
+        """How instants of a table or of a `Series` continue unless that is stated."""
+        return PREVIOUS if self.name in SWITCHED or self.dimension == "angle" else LINEAR
 
     @property
     def dimension(self) -> str:
@@ -133,17 +148,17 @@ def _irradiance(name: str, meaning: str) -> Signal:
 
 
 def _duty(name: str, meaning: str) -> Signal:
-    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=ZERO_ORDER)
+    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=PREVIOUS)
 
 
 def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
-    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=ZERO_ORDER)
+    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=PREVIOUS)
 
 
 def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
     """Speed of a machine; its name is its meaning."""
     part = name.removesuffix("_speed")
-    return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=ZERO_ORDER)
+    return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=PREVIOUS)
 
 
 _TURN = 2.0 * math.pi
@@ -172,7 +187,7 @@ _ROWS = (
     Signal("wind_speed", "m/s", 0.0, 75.0, "at hub height", display="m/s", idle=(0.0, 0.5)),
     Signal(
         "wind_direction", "rad", -_TURN, _TURN, "where the wind comes from, clockwise from north",
-        display="deg", idle=_ALWAYS, hold=ZERO_ORDER,
+        display="deg", idle=_ALWAYS, hold=PREVIOUS,
     ),
     _irradiance("global_horizontal_irradiance", "sun and sky on a horizontal plane"),
     _irradiance("diffuse_horizontal_irradiance", "sky alone on a horizontal plane"),
@@ -181,7 +196,7 @@ _ROWS = (
         "rain", "1", 0.0, 500.0,
         "0 = dry, above = wet: a flag, a share of the interval, or the depth in mm fallen in the reading's "
         "interval (taken as a plain number)",
-        display="1", idle=_ALWAYS, also=("mm",), hold=ZERO_ORDER,
+        display="1", idle=_ALWAYS, also=("mm",), hold=PREVIOUS,
     ),
     _duty("cloud_cover", "share of the sky that is covered"),
     _duty("preheating", "1 while the cabinet is heated before start-up, 0 else"),
@@ -224,7 +239,7 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
         return None
     choice = ", ".join(fitting)
     if unit not in UNITS:
-        known = _OTHER_SPELLINGS.get(unit.lower().strip())
+        known = unit_named(unit)
         hint = f'; did you mean "{known}"?' if known in fitting else suggestion(unit, fitting)
         return f'unknown unit "{unit}" for {row.name}; units that fit: {choice}{hint}'
     return (
@@ -257,10 +272,7 @@ def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
 def unit_named(text: str) -> str | None:
     """The name in `UNITS` of a unit as it is written in exports ("°C", "% RH", "W/m²"); None if unknown."""
     name = text.strip()
-    if name in UNITS:
-        return name
-    spelled = name.lower()
-    return _OTHER_SPELLINGS.get(spelled) or _OTHER_SPELLINGS.get(spelled.replace(" ", ""))
+    return name if name in UNITS else _OTHER_SPELLINGS.get(re.sub(r"[\s_.]", "", name.lower()))
 
 
 def from_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
@@ -363,7 +375,9 @@ def in_words(value: float, signal: str | Signal) -> str:
 def signal_table_markdown() -> str:
     """The page docs/reference/signals.md: the signal table."""
     over_water = "over liquid water, also below 0 °C"
-    held = ", ".join(f"`{row.name}`" for row in SIGNALS.values() if row.hold == "zero-order")
+    jumping = [row for row in SIGNALS.values() if row.hold == PREVIOUS]
+    live = ", ".join(f"`{row.name}`" for row in jumping if row.hold_of_instants != PREVIOUS)
+    held = ", ".join(f"`{row.name}`" for row in jumping if row.hold_of_instants == PREVIOUS)
     lines = [
         "# Signals",
         "",
@@ -373,8 +387,8 @@ def signal_table_markdown() -> str:
         "inside the package. Readings outside of the range are masked, with a warning. The accuracy (95 %) "
         f"is assumed where the case file states none. Humidities and dew points are {over_water}.",
         "",
-        f"Models and live sources hold these between two instants: {held}. All others are joined by straight "
-        "lines. Readings of a table follow their stamps instead ([case file](case_file.md)).",
+        f"Instants of {held} hold from their stamp on, from live sources also {live}; others are joined by "
+        "lines ([case file](case_file.md#stamps-and-holds)).",
         "",
         "| signal | units | range | accuracy | meaning |",
         "| --- | --- | --- | --- | --- |",

@@ -10,7 +10,7 @@ import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.columns import MISSING, Places, Table, TableFault, column_fault, numbered, table_of
+from hygrokf.data.columns import (
+    HEADER,
+    MISSING,
+    Places,
+    Table,
+    TableFault,
+    column_fault,
+    numbered,
+    table_of,
+)
+from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
+from hygrokf.data.quality import NOTHING_STATED, StatedQuality
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -43,11 +54,14 @@ def read_table(
     *,
     timezone: str | None = None,
     separator: str = ",",
-    decimal: str = ".",
+    decimal: str | None = None,
+    thousands: str | None = None,
+    meanings: Mapping[str, Meaning] | None = None,
     comment: str | None = None,
     missing: Sequence[str] = (),
     time_format: str | None = None,
     ignore_offset: bool = False,
+    quality: StatedQuality = NOTHING_STATED,
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
@@ -56,10 +70,13 @@ def read_table(
     time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
         above the one that holds this name are skipped.
     timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
-    separator, decimal: of a CSV file. comment: mark at the start of lines to skip.
+    separator: of a CSV file. comment: mark at the start of lines to skip.
+    decimal, thousands: marks of numbers in texts; by default a point, and none.
+    meanings: of the columns, by which units and flags are read.
     missing: texts that mean no reading, besides `MISSING`.
-    time_format: strptime format of the stamps.
+    time_format: strptime format of the stamps, or "excel".
     ignore_offset: read stamps without the offset that they carry, in `timezone`.
+    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
@@ -70,11 +87,14 @@ def read_table(
     content = file_bytes(file)
     wanted = list(dict.fromkeys(columns))
     if file.name.lower().endswith(".parquet"):
-        frame = _parquet_frame(content, wanted, time_column, faults)
+        frame, beside = _parquet_frame(content, wanted, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(content, file.name, separator, decimal, comment, tuple(missing))
-        frame = source.frame(wanted, time_column, faults)
+        source = _CsvSource(
+            content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
+        )
+        frame, beside = source.frame(wanted, time_column, quality, faults)
+        frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
@@ -86,11 +106,15 @@ def read_table(
         places,
         timezone=timezone,
         decimal=decimal,
+        thousands=thousands,
+        meanings=meanings,
         missing=missing,
         time_format=time_format,
         ignore_offset=ignore_offset,
         faults=faults,
         sha256=hashlib.sha256(content).hexdigest(),
+        quality=quality,
+        beside=beside,
     )
 
 
@@ -118,7 +142,7 @@ class _CsvSource:
         content: bytes,
         name: str,
         separator: str,
-        decimal: str,
+        marks: Marks | None,
         comment: str | None,
         missing: tuple[str, ...],
     ) -> None:
@@ -134,7 +158,7 @@ class _CsvSource:
         if content[:4] == b"PAR1":
             raise TableFault("is a Parquet file; name it .parquet")
         self.content, self.encoding = decodable(content)
-        self.separator, self.decimal, self.comment = separator, decimal, comment
+        self.separator, self.marks, self.comment = separator, marks, comment
         self.missing = missing
         self.layout = _Layout(0, ())
 
@@ -199,16 +223,20 @@ class _CsvSource:
                     return other
         return None
 
-    def frame(self, wanted: list[str], time_column: str, faults: list[str]) -> pandas.DataFrame:
-        """The wanted columns as pandas reads them; missing columns become faults."""
+    def frame(
+        self, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+    ) -> tuple[pandas.DataFrame, dict[str, str]]:
+        """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
         import pandas as pd
 
         layout = self._layout(time_column, faults)
         if layout is None:
-            return pd.DataFrame()
+            return pd.DataFrame(), {}
         self.layout = layout
         positions = {}
-        for name in dict.fromkeys([time_column, *wanted]):
+        beside = quality.beside(layout.names, wanted)
+        marks = dict.fromkeys(beside.values())
+        for name in dict.fromkeys([time_column, *wanted, *marks]):
             count = layout.names.count(name)
             if count == 1:
                 positions[name] = layout.names.index(name)
@@ -218,31 +246,39 @@ class _CsvSource:
                 holder = f"line {layout.header_line} has"
                 faults.append(column_fault(name, layout.names, holder))
         if not positions:
-            return pd.DataFrame()
+            return pd.DataFrame(), beside
         faults += self._width_faults(len(layout.names))
         order = sorted(positions, key=positions.__getitem__)
         try:
-            with python_warnings.catch_warnings():
-                python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
-                return pd.read_csv(
-                    io.BytesIO(self.content),
-                    encoding=self.encoding,
-                    sep=self.separator,
-                    decimal=self.decimal,
-                    comment=self.comment if self.comment and len(self.comment) == 1 else None,
-                    header=None,
-                    skiprows=layout.header_line,
-                    usecols=[positions[name] for name in order],
-                    names=order,
-                    index_col=False,
-                    dtype={time_column: object},
-                    keep_default_na=False,
-                    na_values=[*MISSING, *self.missing],
-                    skipinitialspace=True,
-                    low_memory=False,
-                )
+            texts = [time_column, *marks]
+            while True:
+                with python_warnings.catch_warnings():
+                    python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
+                    frame = pd.read_csv(
+                        io.BytesIO(self.content),
+                        encoding=self.encoding,
+                        sep=self.separator,
+                        decimal=(self.marks or POINT).decimal,
+                        comment=self.comment if self.comment and len(self.comment) == 1 else None,
+                        header=None,
+                        skiprows=layout.header_line,
+                        usecols=[positions[name] for name in order],
+                        names=order,
+                        index_col=False,
+                        dtype=dict.fromkeys(texts, object),
+                        keep_default_na=False,
+                        # a text that says that there is no reading may say so of its quality too
+                        na_values={n: [""] if n in marks else [*MISSING, *self.missing] for n in order},
+                        skipinitialspace=True,
+                        low_memory=False,
+                    )
+                floats = [one for one in frame if frame[one].dtype == float and self.marks is None]
+                doubtful = [one for one in floats if could_divide_thousands(frame[one].to_numpy())]
+                if not doubtful:
+                    return frame, beside
+                texts += doubtful  # only the texts tell what their points mean
         except pd.errors.EmptyDataError:
-            return pd.DataFrame({name: [] for name in order})
+            return pd.DataFrame({name: [] for name in order}), beside
         except (pd.errors.ParserError, UnicodeDecodeError) as broken:
             open_quote = re.search(r"EOF inside string starting at row (\d+)", str(broken))
             if open_quote is not None:
@@ -250,7 +286,7 @@ class _CsvSource:
                 faults.append(f"line {line}: a quotation mark is opened and never closed")
             else:
                 faults.append(f"cannot be read as CSV: {broken}")
-            return pd.DataFrame()
+            return pd.DataFrame(), beside
 
     def _width_faults(self, width: int) -> list[str]:
         """Fault of rows with more cells than the header, whose values would otherwise shift silently."""
@@ -312,8 +348,8 @@ def decodable(content: bytes) -> tuple[bytes, str]:
 
 
 def _parquet_frame(
-    content: bytes, wanted: list[str], time_column: str, faults: list[str]
-) -> pandas.DataFrame:
+    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+) -> tuple[pandas.DataFrame, dict[str, str]]:
     import pandas as pd
 
     try:
@@ -326,13 +362,15 @@ def _parquet_frame(
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
         found = list(file.schema_arrow.names)
-        there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
-        for name in dict.fromkeys([time_column, *wanted]):
-            if name not in found:
-                faults.append(column_fault(name, found, "the file has"))
+        beside = quality.beside(found, wanted)
+        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
+        there = [name for name in columns if name in found]
+        faults += [column_fault(name, found, "the file has") for name in columns if name not in found]
         if not there:
-            return pd.DataFrame()
-        return file.read(columns=there).to_pandas(ignore_metadata=True)
+            return pd.DataFrame(), beside
+        frame = file.read(columns=there).to_pandas(ignore_metadata=True)
+        frame.attrs[HEADER] = found
+        return frame, beside
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault(f"cannot be read as Parquet: {reason}") from None

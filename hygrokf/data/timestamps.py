@@ -22,7 +22,14 @@ MINUTE_S, HOUR_S, DAY_S, WEEK_S = 60.0, 3600.0, 86400.0, 604800.0
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
 _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
 _ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
-_DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}\s*$")
+_DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}([-/]\d{1,2})?\s*$")
+_HEADER_ZONE = re.compile(
+    r"(?<![A-Z])(UTC|GMT|CES?T|MES?Z)(?:\s?([+-]\d{1,2}):?(\d{2})?)?(?![A-Z])", re.IGNORECASE
+)
+_CENTRAL_EUROPE_H = {"CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2}
+EXCEL = "excel"
+"""The `time_format` of Excel's serial days: days since 1899-12-30, with their fraction."""
+_EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
 _CLOCK_CHANGES = (
     "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
@@ -114,6 +121,39 @@ def zone_named(text: str) -> tzinfo:
         ) from None
 
 
+def zone_in_header(text: str) -> str | None:
+    """The zone that the header of a column of stamps names: "+02:00" for "Time (CEST)"; None if none."""
+    found = _HEADER_ZONE.search(text.replace("_", " "))
+    if found is None:
+        return None
+    hours, minutes = int(found[2] or _CENTRAL_EUROPE_H.get(found[1].upper(), 0)), found[3] or "00"
+    return f"{hours:+03d}:{minutes}" if hours or int(minutes) else "UTC"
+
+
+def time_format_fault(form: str) -> str | None:
+    """The fault of a strptime format that reads the wrong hour, with the remedy; None if it has none."""
+    if "%H" in form and "%p" in form:
+        return f'time_format = "{form}": %p (AM, PM) is ignored beside %H: write %I for %H'
+    if "%I" in form and "%p" not in form:
+        return f'time_format = "{form}": %I counts to 12: add %p (AM, PM), or write %H for %I'
+    return None
+
+
+def midnight_of(text: str, form: str | None = None) -> str | None:
+    """A stamp at 24:00 as the 00:00 of its day, which is a day earlier; None for any other stamp.
+
+    form: its strptime format, None or "" for ISO 8601.
+    """
+    pattern = r"(.*\d[T ]+)24((?::?00(?::?00(?:\.0+)?)?)?(?:$|[Z+\- ].*))"
+    if form:
+        parts = [one for one in re.split(r"(%.)", form) if one]
+        known = {"%Y": r"\d{4}", "%H": ")24(", "%M": "00?", "%S": "00?", "%f": "0+"}
+        pattern = "".join(known.get(one, ".+?" if one[0] == "%" else re.escape(one)) for one in parts)
+        pattern = f"({pattern})" if "%H" in form else r"(?!)"
+    found = re.fullmatch(pattern, text.strip())
+    return None if found is None else f"{found[1]}00{found[2]}"
+
+
 def moment(value: Any) -> float:
     """Time of a stamp in the case file [s since 1970-01-01T00:00Z].
 
@@ -142,6 +182,7 @@ class Stamps:
     time: [s] (N,) since 1970-01-01T00:00Z; NaN where there is none.
     unreadable: (N,) True where the text is no stamp.
     naive: (N,) True where a stamp has no offset and no zone was given for it.
+    aware: whether all stamps carry their offset.
     warnings: stamps that were left out or disambiguated at summer-time changes.
     """
 
@@ -149,6 +190,7 @@ class Stamps:
     unreadable: np.ndarray
     naive: np.ndarray
     warnings: tuple[str, ...] = ()
+    aware: bool = False
 
 
 def read_stamps(
@@ -157,17 +199,20 @@ def read_stamps(
     *,
     time_format: str | None = None,
     ignore_offset: bool = False,
+    repeated: np.ndarray | None = None,
 ) -> Stamps:
     """Seconds of UTC from a column of stamps [s].
 
     column: (N,) text or datetimes, in the order of the file.
     zone: of stamps without an offset; None: every stamp must have one.
-    time_format: strptime format; None: ISO 8601 (also with slashes or a blank).
+    time_format: strptime format, or `EXCEL`; None: ISO 8601 (also with slashes or a blank).
     ignore_offset: read the stamps without their offset, in `zone`.
+    repeated: (N,) True for a row with the readings of the row before; None: for none.
 
-    At the end of summer time, the two passes of the doubled hour are distinguished by the order of
-    the stamps where the file has both. Ambiguous stamps of that hour, and stamps of the hour that
-    does not exist in spring, are left out (NaN) with a warning.
+    At the end of summer time, the two passes of the doubled hour are distinguished by the order of the stamps
+    where the file has both: the second begins where they step back, and the end of the hour (03:00) is of the
+    first pass before that.  Ambiguous stamps of that hour, and stamps of the hour that does not exist in
+    spring, are left out (NaN) with a warning.
     """
     import pandas as pd
 
@@ -186,37 +231,35 @@ def read_stamps(
     empty = parsed.isna().to_numpy()
     unreadable = empty & ~missing
     naive = naive & ~empty
+    aware = not naive.any() and not empty.all()
     if parsed.dt.tz is not None:
         seconds = _seconds(parsed.dt.tz_convert("UTC").dt.tz_localize(None))
     else:
         seconds = _seconds(parsed)
     nothing = np.zeros(len(column), dtype=bool)
     if not naive.any():
-        return Stamps(seconds, unreadable, nothing)
+        return Stamps(seconds, unreadable, nothing, aware=aware)
     if zone is None:
         return Stamps(seconds, unreadable, naive)
     local = np.where(naive, seconds, np.nan)
-    utc, warnings = _from_local(local, zone)
+    utc, warnings = _from_local(local, zone, nothing if repeated is None else repeated)
     return Stamps(np.where(naive, utc, seconds), unreadable, nothing, warnings)
 
 
-def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series, np.ndarray]:
+def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.ndarray]:
     """Datetimes (NaT where unreadable), and True for those without an offset."""
     import pandas as pd
 
-    if time_format is not None:
-        aware = "%z" in time_format
-        parsed = pd.to_datetime(text, format=time_format, errors="coerce", utc=aware)
-        return parsed, np.full(len(text), not aware)
-    parsed, naive = _parse_iso(text)
+    parsed, naive = _parse_as(text, form)
     failed = (parsed.isna() & text.notna()).to_numpy()
     if failed.any():
         # 24:00 and a trailing "UTC" are common in exports and unambiguous
         kept = text[failed].astype(str).str.strip()
-        midnight = kept.str.contains(r"[T ]24:00(?::00(?:\.0+)?)?(?:$|[Z+\- ])", regex=True)
-        plain = kept.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True)
-        plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
-        repaired, repaired_naive = _parse_iso(plain)
+        plain = kept.map(lambda one: midnight_of(one, form) or one)
+        midnight = plain != kept
+        if form is None:
+            plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
+        repaired, repaired_naive = _parse_as(plain, form)
         if repaired.notna().any():
             repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
             if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
@@ -225,6 +268,19 @@ def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series,
             parsed[failed] = repaired
             naive[failed] = repaired_naive
     return parsed, naive
+
+
+def _parse_as(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.ndarray]:
+    import pandas as pd
+
+    if form is None:
+        return _parse_iso(text)
+    if form == EXCEL:
+        days = pd.to_numeric(text.astype(str).str.replace(",", "."), errors="coerce")
+        seconds = (days.where(days.between(*_EXCEL_DAYS)) * DAY_S).round()
+        return pd.Timestamp("1899-12-30") + pd.to_timedelta(seconds, unit="s"), np.full(len(text), True)
+    aware = "%z" in form
+    return pd.to_datetime(text, format=form, errors="coerce", utc=aware), np.full(len(text), not aware)
 
 
 def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
@@ -268,21 +324,19 @@ def _seconds(naive: pandas.Series) -> np.ndarray:
     return seconds
 
 
-def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str, ...]]:
+def _from_local(
+    local: np.ndarray, zone: tzinfo, repeated: np.ndarray
+) -> tuple[np.ndarray, tuple[str, ...]]:
     """UTC seconds of local wall-clock seconds, and warnings [s]."""
     if not isinstance(zone, ZoneInfo):
         offset = zone.utcoffset(None)
         assert offset is not None  # such a zone has one fixed offset
         return local - offset.total_seconds(), ()
-    import pandas as pd
-
-    index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
-    shape = len(local)
-    # within a doubled hour, summer time (True) is the earlier moment
-    first = index.tz_localize(zone, ambiguous=np.ones(shape, bool), nonexistent="NaT")
-    second = index.tz_localize(zone, ambiguous=np.zeros(shape, bool), nonexistent="NaT")
-    first_s = _seconds(first.tz_convert("UTC").tz_localize(None).to_series())
-    second_s = _seconds(second.tz_convert("UTC").tz_localize(None).to_series())
+    # within a doubled hour, summer time is the earlier moment
+    first_s, second_s = (_localised(local, zone, summer) for summer in (True, False))
+    # the end of the first pass, which an interval of it may end at: as far behind what comes just before it
+    as_end = np.round(_localised(local - 1e-6, zone, True) + 1e-6, 6)
+    ends = (first_s == second_s) & np.isfinite(as_end) & (as_end < first_s)
     warnings = []
     absent = np.isnan(first_s) & np.isfinite(local)
     if absent.any():
@@ -293,18 +347,17 @@ def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str,
             f"in {zone} ({', '.join(days[:4])}{' …' if len(days) > 4 else ''}); if the clock does "
             f'not follow summer time, state its fixed offset, such as timezone = "+01:00"'
         )
-    doubtful = np.flatnonzero(first_s != second_s)
-    doubtful = doubtful[np.isfinite(first_s[doubtful])]
-    utc = first_s.copy()
+    earlier = np.where(ends, as_end, first_s)
+    utc = second_s.copy()
     told_apart, left_out = [], []
-    for group in _groups(local, doubtful):
-        order = _passes(local, group)
-        if order is None:
-            utc[group] = np.nan
-            left_out.append(group)
-        else:
-            utc[group[order]] = second_s[group[order]]
-            told_apart.append(group)
+    for group in _groups(local, np.flatnonzero(np.isfinite(first_s) & (earlier != second_s))):
+        second, ambiguous = _passes(local, group, repeated), group[~ends[group]]
+        if second is not None:
+            utc[group[~second]] = earlier[group[~second]]
+            told_apart.append(ambiguous)
+        elif len(ambiguous):
+            utc[ambiguous] = np.nan
+            left_out.append(ambiguous)
     if told_apart:
         days = sorted({stamp_text(local[group[0]])[:10] for group in told_apart})
         warnings.append(
@@ -321,6 +374,15 @@ def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str,
     return utc, tuple(warnings)
 
 
+def _localised(local: np.ndarray, zone: ZoneInfo, summer: bool) -> np.ndarray:
+    """UTC seconds of local seconds [s], those of a doubled hour in summer time or not; NaN where none is."""
+    import pandas as pd
+
+    index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
+    found = index.tz_localize(zone, ambiguous=np.full(len(local), summer), nonexistent="NaT")
+    return _seconds(found.tz_convert("UTC").tz_localize(None).to_series())
+
+
 def _groups(local: np.ndarray, doubtful: np.ndarray) -> list[np.ndarray]:
     """Indices of doubtful stamps, one array for each change date."""
     if not len(doubtful):
@@ -329,12 +391,17 @@ def _groups(local: np.ndarray, doubtful: np.ndarray) -> list[np.ndarray]:
     return np.split(doubtful, breaks)
 
 
-def _passes(local: np.ndarray, group: np.ndarray) -> np.ndarray | None:
-    """True for the stamps in the second pass of a doubled hour; None if the order does not tell."""
+def _passes(local: np.ndarray, group: np.ndarray, repeated: np.ndarray) -> np.ndarray | None:
+    """True for the stamps in the second pass of a doubled hour; None if the order does not tell.
+
+    An equal stamp is a repetition, unless one stamp makes a pass (hourly) and its readings are new.
+    """
     steps = np.diff(local[np.isfinite(local)])
     newest_first = len(steps) > 0 and np.median(steps) < 0.0
-    ordered = local[group][::-1] if newest_first else local[group]
-    back = np.flatnonzero(np.diff(ordered) <= 0.0)
+    rows = group[::-1] if newest_first else group
+    steps = np.diff(local[rows])
+    again = repeated[np.maximum(rows[1:], rows[:-1])] | bool(np.any((steps > 0.0) & (steps < HOUR_S)))
+    back = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & ~again))
     if len(back) != 1:
         return None
     second = np.arange(len(group)) > back[0]

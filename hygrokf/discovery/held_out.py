@@ -24,7 +24,7 @@ from hygrokf.discovery.model_selection import WORSE, Accepted, Selection, with_c
 from hygrokf.discovery.residuals import root_mean_square
 from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, seconds, simulation_values
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
+from hygrokf.evaluation.simulation import QUANTITIES, measured, settled, simulate
 from hygrokf.modelling.design import merged
 from hygrokf.modelling.inputs import prepare_run
 
@@ -134,6 +134,10 @@ def model_of(baseline: Baseline, record: Record, candidates: Sequence[Candidate]
     shifts = clock_shifts(candidates)
     design = merged([submodel.base for submodel in baseline.submodels.values()])
     run = prepare_run(design, shifted(record, *shifts))
+    submodels = baseline.submodels.values()
+    identified = {name: value for submodel in submodels for name, value in submodel.values.items()}
+    moved = {name: value for submodel in submodels for name, value in simulation_values(submodel).items()}
+    run = settled(design, identified, run, SIMULATION_STEP)
     time_s = seconds(run.timeline) - cabinet_moved(record, shifts)
     readings = measured(run)
 
@@ -150,9 +154,6 @@ def model_of(baseline: Baseline, record: Record, candidates: Sequence[Candidate]
                 errors[quantity] = (time_s[there], error[there])
         return Simulated(errors, math.inf if record.until_s is None else record.until_s)
 
-    submodels = baseline.submodels.values()
-    identified = {name: value for submodel in submodels for name, value in submodel.values.items()}
-    moved = {name: value for submodel in submodels for name, value in simulation_values(submodel).items()}
     return Model(simulated(identified), simulated(moved))
 
 

@@ -32,7 +32,7 @@ from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import CASCADE, HOLDS, design, extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.registry import name_faults
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
@@ -112,8 +112,11 @@ def form_faults(cause: Cause) -> list[str]:
     for name, pair in cause.features.items():
         if not is_feature(pair):
             faults.append(f"feature {name!r}: expected (function(record, time), hold), found {pair!r}")
-        elif pair[1] not in (LINEAR, ZERO_ORDER):
-            faults.append(f"feature {name!r}: expected the hold {LINEAR} or {ZERO_ORDER}, found {pair[1]!r}")
+        else:
+            try:
+                hold_named(pair[1])
+            except ValueError as fault:
+                faults.append(f"feature {name!r}: {fault}")
         if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
             faults.append(
                 f"feature {name!r}: the base models have an input of that name; choose another name"

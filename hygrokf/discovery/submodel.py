@@ -22,6 +22,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective
 from hygrokf.evaluation.self_switching import self_switched, switches_of
+from hygrokf.evaluation.simulation import settled
 from hygrokf.identification.estimation import DesignEstimate, Stage
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
@@ -179,9 +180,9 @@ def _best(runs: Iterable[_FreeRun]) -> _FreeRun:
 
 def _descended(submodel: Submodel, values: Mapping[str, float], steps: int, own: bool) -> _FreeRun:
     """The best of some steps; `own`: switches follow the simulation."""
-    best = None
+    best, known = None, settled(submodel.base, submodel.values, submodel.run)
     for _ in range(steps + 1):
-        run = self_switched(submodel.base, values, [submodel.run])[0] if own else submodel.run
+        run = self_switched(submodel.base, values, [known])[0] if own else known
         found = _free_run(submodel.base, run, values)
         if best is not None and not found.square < best.square:
             break

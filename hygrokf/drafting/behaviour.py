@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.data.signals import SIGNALS, fitting_units, share_in_range, to_si, unit_mistaken
+from hygrokf.data.signals import SIGNALS, SWITCHED, fitting_units, share_in_range, to_si, unit_mistaken
 from hygrokf.data.timestamps import HOUR_S
 
 _FIRST_CHOICE = (
@@ -96,7 +96,7 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
 def impossible(values: np.ndarray, unit: str, signal: str) -> str | None:
     """Why readings cannot be those of a signal, although its unit fits; None where they can."""
     finite = values[np.isfinite(values)]
-    if len(finite) < 20:
+    if len(finite) < (3 if signal in SWITCHED else 20):
         return "hardly any readings"
     if np.ptp(finite) == 0.0:
         return f"all readings are {finite[0]:g}"

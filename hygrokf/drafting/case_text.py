@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.files import DRAFT_DOUBT
+from hygrokf.data.input_paths import ON_CHANGE, on_change
 from hygrokf.data.readings import detect_resolution
+from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.drafting.layout import texts_in
 from hygrokf.drafting.mapping import Assigned, Source
+from hygrokf.physics.holds import LINEAR
 
 _WIDTH = 100
 
@@ -63,6 +65,9 @@ def lacking(case: Contents) -> tuple[str, ...]:
         lacks.append("no ambient temperature was found, and every model needs it: add its export")
     if not any(one.startswith("cabinet_") for one in signals):
         lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
+    humid = {one.partition("_")[0] for one in signals if "humidity" in one or "dew_point" in one}
+    if "cabinet" in humid and "ambient" not in humid and not case.weather:
+        lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
     if "active_power" not in signals:
         lacks.append(
             "no active power was found: the whole record would count as standstill; add its export, "
@@ -138,13 +143,19 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield f"separator = {_text(export.separator)}"
     if export.decimal != ".":
         yield f"decimal = {_text(export.decimal)}"
+    if export.thousands:
+        yield f"thousands = {_text(export.thousands)}"
     if export.comment is not None:
         yield f"comment = {_text(export.comment)}"
-    texts = set().union(*(texts_in(export, one.best.column) for one in lines))
+    texts = set().union(*(export.read(one.best.column)[1] for one in lines))
     if len(texts) > 8:
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:
         yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
+    for doubt in () if compare else source.quality_doubts:
+        yield from _doubt(doubt)
+    if source.vocabulary.name and any(one.best.column in source.quality for one in lines):
+        yield f"vocabulary = {_text(source.vocabulary.name)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
     for one in lines:
@@ -157,9 +168,14 @@ def _signal(source: Source, one: Assigned) -> Iterator[str]:
     best = one.best
     for doubt in one.doubts:
         yield from _doubt(doubt)
-    resolution = detect_resolution(source.values[best.column])
+    values = source.values[best.column]
+    resolution = detect_resolution(values)
+    lines = source.clock.stamp == "instant" and SIGNALS[best.signal].hold_of_instants == LINEAR
+    if lines and resolution and on_change(source.clock.time, values, resolution):
+        yield from _doubt(f"{best.signal} {ON_CHANGE}")
     note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)} }}"
+    quality = f", quality = {_text(source.quality.get(best.column, ''))}" * (best.column in source.quality)
+    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"
 
 

@@ -192,7 +192,7 @@ def _written(
         tuple(
             f"{file}: {doubt}"
             for file, source, doubts in zip(files, sources, clocks, strict=True)
-            for doubt in (*source.clock.doubts, *doubts)
+            for doubt in (*source.clock.doubts, *doubts, *source.quality_doubts)
         ),
         lacking(contents),
     )

@@ -14,20 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import MISSING, TableFault
+from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
 from hygrokf.data.signals import unit_named
 from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
 
 SEPARATORS = (";", "\t", ",", "|")
 _HEAD = 150
 _DATE = re.compile(
     r"\d{1,4}[-/.]\s?(\d{1,2}|[A-Za-z]{3})[-/.]\s?\d{1,4}(\D|$)"
-    r"|(19|20)\d{6}([ T]?\d{4,6})?$|1\d{9}(\.\d*)?$|1\d{12}$"
+    r"|(19|20)\d{6}([ T]?(\d\d|\d{4,6}))?$|1\d{9}(\.\d*)?$|1\d{12}$|[34]\d{4}[.,]\d+$"
 )
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$|[+-]?\d{1,3}(,\d{3})+\.\d+$")
 _OTHER_KINDS = (
     (
         b"\xd0\xcf\x11\xe0",
@@ -45,8 +46,8 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, comment: of a text file. missing: texts that are no readings, the row of units
-    included.
+    separator, decimal, thousands, comment: of a text file; doubts: of its marks. missing: texts that are no
+    readings, the row of units included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
     """
@@ -62,6 +63,14 @@ class Export:
     changes: tuple[str, ...] = ()
     label: str = ""
     preamble: str = ""
+    thousands: str = ""
+    doubts: tuple[str, ...] = ()
+
+    def read(self, column: str) -> tuple[np.ndarray, dict[str, Unread]]:
+        """Values (N,) of a column in the unit of its header, and the texts that are none, with the reason."""
+        unit = dict(zip(self.cells.columns, self.units, strict=False)).get(column, "")
+        meaning = Meaning("", unit_in_export(unit) or "", one=POLES[0])
+        return values_in(self.cells[column], Marks(self.decimal, self.thousands), meaning)
 
 
 def weather_format(file: Path) -> str | None:
@@ -129,19 +138,15 @@ def is_number(cell: str) -> bool:
     return _NUMBER.match(cell.strip()) is not None
 
 
+def is_value(cell: str) -> bool:
+    """Whether a cell is a number or a flag."""
+    return is_number(cell) or cell.strip().lower() in (*FLAGS, *POLES)
+
+
 def unit_in_export(text: str) -> str | None:
-    """The name in `UNITS` of a unit as exports write it; None if unknown."""
-    bare = re.sub(r"\s+", " ", text.strip().strip("[](){}").strip()).replace("_", " ")
-    spelled = bare.lower().replace(" ", "").replace(".", "")
-    known = {
-        "%rf": "%", "%rh": "%", "rh%": "%", "%rel": "%", "percent": "%", "pct": "%", "prozent": "%",
-        "degc": "degC", "gradc": "degC", "grdc": "degC", "ºc": "degC", "°c": "degC", "℃": "degC",
-        "degf": "degF",
-        "u/min": "rpm", "rpm": "rpm", "min-1": "rpm", "1/min": "rpm", "umin": "rpm", "mps": "m/s",
-        "ms": "m/s", "ms-1": "m/s", "m/sec": "m/s", "wm2": "W/m2", "w/m^2": "W/m2", "w/qm": "W/m2",
-        "deg": "deg", "grad": "deg", "hpa": "hPa", "mbar": "hPa", "frac": "1",
-    }.get(spelled)  # fmt: skip
-    return known or (unit_named(bare) if bare else None)
+    """The name in `UNITS` of a unit as headers write it, perhaps in brackets; None if unknown."""
+    bare = text.strip().strip("[](){}").strip()
+    return unit_named(bare) if bare else None
 
 
 _FURTHER_UNITS = re.compile(
@@ -246,45 +251,38 @@ def _framed(
         raise TableFault(f"expected readings, found {len(frame)} rows below the header")
     absent = {*MISSING, None}
     cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
-    decimal = _decimal(cells)
-    missing = tuple(sorted(words))
-    return Export(
-        file, cells, names, units or ("",) * len(names), separator, decimal, comment, missing, changes
+    marks, doubts = _marks(cells)
+    given = units or ("",) * len(names)
+    units = tuple(
+        one if one.strip("[](){} -") else unit_among(cells.iloc[:, number])
+        for number, one in enumerate(given)
     )
+    missing = tuple(sorted(words))
+    found = Export(file, cells, names, units, separator, marks.decimal, comment, missing, changes)
+    return replace(found, thousands=marks.thousands, doubts=doubts)
 
 
-def texts_in(export: Export, column: str) -> set[str]:
-    """Texts within a column of numbers, such as "Bad Input"."""
-    import pandas as pd
+def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:
+    """The marks of numbers by the evidence of all columns, and a doubt where it allows two readings.
 
-    given = export.cells[column].dropna()
-    texts = given[pd.to_numeric(given, errors="coerce").isna()]
-    texts = texts[~texts.isin(["true", "false", "True", "False"])]
-    return set(texts[~texts.str.fullmatch(_NUMBER.pattern)].unique()) if len(texts) else set()
-
-
-def _decimal(cells: pandas.DataFrame) -> str:
-    """The decimal mark.  Raises TableFault for thousands separators and where both marks occur."""
-    examples: dict[str, str] = {}
-    counts: Counter[str] = Counter()
-    for name in cells:
-        given = cells[name].dropna().iloc[:5000]
-        thousands = given[given.str.fullmatch(_THOUSANDS.pattern)]
-        if len(thousands):
-            raise TableFault(
-                f'column "{name}": found "{thousands.iloc[0]}": export without thousands separators'
-            )
-        for mark in ",.":
-            found = given[given.str.fullmatch(rf"[+-]?\d*[{mark}]\d+([eE][+-]?\d+)?")]
-            counts[mark] += len(found)
-            if len(found):
-                examples.setdefault(mark, f'"{found.iloc[0]}" in column "{name}"')
-    if len(examples) == 2:
+    Raises TableFault where both marks are decimal.
+    """
+    found = {(mark, evidence(cells[name], mark)): name for name in cells for mark in ",."}
+    decimal = [mark for mark in ",." if (mark, "decimal") in found]
+    if len(decimal) == 2:
+        comma, point = (found[mark, "decimal"] for mark in ",.")
         raise TableFault(
-            f"expected one decimal mark, found both: {examples[',']} and {examples['.']}; "
-            "export again with one of them"
+            f'expected one decimal mark, found both: a comma in column "{comma}" and a point in column '
+            f'"{point}"; export again with one of them'
         )
-    return "," if counts[","] else "."
+    thousands = [mark for mark in ",." if (mark, "thousands") in found and mark not in decimal]
+    for mark in ",.":
+        if (mark, "either") in found and not decimal and not thousands:
+            name = found[mark, "either"]
+            doubt = f'"{mark}" in column "{name}" may be decimal, as assumed, or divide thousands: state'
+            return Marks(mark), (f'{doubt} decimal = "{mark}" or thousands = "{mark}"',)
+    divided = "".join(thousands[:1])
+    return Marks("".join(decimal) or ("," if divided == "." else "."), divided), ()
 
 
 def _unique(names: list[str]) -> list[str]:

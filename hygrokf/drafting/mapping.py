@@ -8,6 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.data.numbers import POLES, flag_word
+from hygrokf.data.probes import copies, probe_of
+from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
+from hygrokf.data.record import Series
+from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.drafting.behaviour import (
     Hourly,
     hourly,
@@ -31,9 +36,12 @@ USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
 _FILLERS = (-99.0, -99.9, -999.0, -999.9, -9999.0, -99999.0, 9999.0, 99999.0)
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
-_QUANTITY_WORDS = re.compile(
-    r" (temperature|temp|tmp|t|rh|relative|rel|humidity|hum|rf|feuchte|temperatur)(?= )"
+COPIED = tuple(
+    f"{place}_{one}"
+    for place in ("cabinet", "ambient")
+    for one in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature")
 )
+"""Signals of which one column may pass for the cabinet's and for the air outside."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +79,9 @@ class Assigned:
 class Source:
     """An export whose columns are numbers.
 
-    values: column -> readings (N,). named: column -> what its name says. left: column -> why it holds no
-    signal.
+    values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
+    column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
+    quality_doubts: about them.
     """
 
     export: Export
@@ -80,6 +89,9 @@ class Source:
     values: dict[str, np.ndarray]
     named: dict[str, NamedColumn]
     left: dict[str, str] = field(default_factory=dict)
+    quality: dict[str, str] = field(default_factory=dict)
+    vocabulary: QualityVocabulary = UNSTATED
+    quality_doubts: tuple[str, ...] = ()
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
@@ -87,17 +99,13 @@ class Source:
 
 def numbers_of(export: Export, time: str) -> dict[str, np.ndarray]:
     """Columns of numbers: column -> readings (N,), NaN where a cell is no number."""
-    import pandas as pd
-
     found = {}
     for name in export.cells:
-        text = export.cells[name]
-        if name == time or text.notna().sum() < 2:
+        given = export.cells[name].notna().sum()
+        if name == time or given < 2:
             continue
-        if export.decimal == ",":
-            text = text.str.replace(",", ".", regex=False)
-        values = pd.to_numeric(text.replace({"true": "1", "false": "0"}), errors="coerce").to_numpy(float)
-        if np.isfinite(values).sum() > 0.5 * text.notna().sum():
+        values, _ = export.read(name)
+        if np.isfinite(values).sum() > 0.5 * given:
             found[name] = values
     return found
 
@@ -108,6 +116,12 @@ def source_of(export: Export, column: str) -> Source:
     Means over intervals are told by their names, or by what they are of.
     """
     values = numbers_of(export, column)
+    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
+    quality, vocabulary, doubts = drafted(marks, values)
+    values = {name: one for name, one in values.items() if name not in quality.values()}
+    for name, of in quality.items():
+        bad = export.cells[of].map(vocabulary.judge) == BAD
+        values[name] = np.where(bad, np.nan, values[name])
     several = {
         name
         for name, header in zip(export.cells, export.names, strict=False)
@@ -117,17 +131,25 @@ def source_of(export: Export, column: str) -> Source:
     empty = values.keys() - filled.keys()
     values = {name: one for name, one in filled.items() if name not in several or export.changes}
     units = dict(zip(export.cells.columns, export.units, strict=True))
-    named = {name: name_says(name.replace(export.label, "", 1), units[name]) for name in values}
+    named = {name: _said(export, name, units[name]) for name in values}
     left = {
         name: "several columns have this name" if name in several else _no_numbers(export, name, empty)
         for name in export.cells
         if name not in values and name != column
     }
+    left |= {of: f'quality of "{name}"' for name, of in quality.items()}
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
     reanalysis = any("ERA5" in one.why for one in named.values())
     clock = clock_of(export, column, (operation or averaged) and not reanalysis)
-    return Source(export, clock, values, named, left)
+    return Source(export, clock, values, named, left, quality, vocabulary, doubts)
+
+
+def _said(export: Export, name: str, unit: str) -> NamedColumn:
+    """What a column's name says; that of a flag, with the word that its 1 means too."""
+    bare = name.replace(export.label, "", 1)
+    said, word = name_says(bare, unit), flag_word(export.cells[name])
+    return name_says(f"{bare} {word}", unit) if word and not said.signal else said
 
 
 def _is_filler(values: np.ndarray) -> bool:
@@ -163,9 +185,9 @@ def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str
         air = 0.04 if " air " in sources[number].named[column].words else 0.0
         score = round(0.2 + 0.4 * likeness + air, 3)
         guesses.append(_candidate(sources, "cabinet_temperature", number, column, score, "by its readings"))
-    taken = _chosen([*sure, *guesses])
-    guesses += _humidities(sources, taken)
-    return _settled(sources, _checked([*sure, *guesses], sources))
+    guesses += _companions(sources, _chosen([*sure, *guesses]))
+    found = _paired(sources, _checked([*sure, *guesses], sources))
+    return _settled(sources, _of_their_own(sources, found))
 
 
 def _by_name(number: int, source: Source) -> list[Candidate]:
@@ -238,28 +260,80 @@ def _ambient_by_values(
     return found
 
 
-def _humidities(sources: list[Source], taken: dict[tuple[int, str], Candidate]) -> list[Candidate]:
-    """Humidities without a place: that of the temperature with the same name, or of the same logger."""
-    found = list(_by_file(sources, _unplaced(sources, "relative_humidity")))
-    done = {(one.source, one.column) for one in found}
-    for number, column in _unplaced(sources, "relative_humidity"):
-        if (number, column) in done:
+def _companions(sources: list[Source], taken: dict[tuple[int, str], Candidate]) -> list[Candidate]:
+    """Humidities and dew points without a place: that of the temperature of the same probe, or of the same
+    logger; a dew point alone in its file is one of the weather."""
+    found: list[Candidate] = []
+    for quantity in ("relative_humidity", "dew_point_temperature"):
+        unplaced = _unplaced(sources, quantity)
+        by_file = _by_file(sources, unplaced)
+        found += by_file
+        done = {(one.source, one.column) for one in by_file}
+        for number, column in (one for one in unplaced if one not in done):
+            alone = sum(n == number for n, _ in unplaced) == 1
+            beside = [other for (source, other) in taken if source == number]
+            for other in beside:
+                candidate = taken[number, other]
+                place, _, kind = candidate.signal.rpartition("_")
+                same = probe_of(other)[0] == probe_of(column)[0]
+                logger = alone and candidate.why != "by its name" and place in ("cabinet", "ambient")
+                if kind == "temperature" and not candidate.signal.endswith("point_temperature"):
+                    if same or logger:
+                        score, why = min(candidate.score, 0.75), f'beside "{other}"'
+                        signal = f"{place}_{quantity}"
+                        found.append(_candidate(sources, signal, number, column, score, why))
+            if quantity == "dew_point_temperature" and not _of_probe(sources[number], column):
+                signal = f"ambient_{quantity}"
+                found.append(_candidate(sources, signal, number, column, 0.85, "by its name"))
+    return [one for one in found if one.signal in SIGNALS]
+
+
+def _of_probe(source: Source, column: str) -> list[str]:
+    """Temperatures of the probe that a humidity or a dew point is of."""
+    probe = probe_of(column)[0]
+    return [one for one in source.values if probe_of(one) == (probe, "temperature")]
+
+
+def _paired(sources: list[Source], candidates: list[Candidate]) -> list[Candidate]:
+    """Candidates in which the temperature of a place is that of its humidity's probe, where it is there."""
+    taken, first = _chosen(candidates), []
+    for one in taken.values():
+        place, _, quantity = one.signal.rpartition("_relative_")
+        own = _of_probe(sources[one.source], one.column) if quantity == "humidity" else []
+        signal = f"{place}_temperature"
+        other = next((c for c in taken.values() if c.signal == signal), None)
+        if len(own) != 1 or other is None or (other.source, other.column) == (one.source, own[0]):
             continue
-        stem = _stem(sources[number].named[column].words)
-        for (source, other), candidate in taken.items():
-            place, _, quantity = candidate.signal.rpartition("_")
-            if source != number or quantity != "temperature":
-                continue
-            alone = len(_unplaced(sources[number : number + 1], "relative_humidity")) == 1
-            same = _stem(sources[number].named[other].words) == stem
-            if same or (alone and candidate.why != "by its name" and place in ("cabinet", "ambient")):
-                score, why = min(candidate.score, 0.75), f'beside "{other}"'
-                found.append(_candidate(sources, f"{place}_relative_humidity", number, column, score, why))
-    return found
+        if sources[one.source].named[own[0]].signal in ("", signal):
+            why = f'of the probe of "{one.column}"'
+            first.append(_candidate(sources, signal, one.source, own[0], other.score, why))
+    pairs = {(one.source, one.column) for one in first}
+    # of equal scores the first one is chosen
+    return [*first, *(one for one in candidates if (one.source, one.column) not in pairs)]
 
 
-def _stem(words: str) -> str:
-    return re.sub(r"\s+", " ", _QUANTITY_WORDS.sub(" ", words)).strip()
+def _of_their_own(sources: list[Source], candidates: list[Candidate]) -> list[Candidate]:
+    """Candidates without columns of the air outside that repeat the cabinet's own readings, or are computed
+    from them; their sources say so."""
+    while True:
+        taken = _chosen(candidates)
+        series = [_series(sources[one.source], one) for one in taken.values() if one.signal in COPIED]
+        wrong = {one.source: words for one, words in copies(series)}
+        if not wrong:
+            return candidates
+        for one in list(taken.values()):
+            place = f'{sources[one.source].export.file.name}, column "{one.column}"'
+            if place in wrong:
+                sources[one.source].left[one.column] = wrong[place]
+                candidates = [c for c in candidates if (c.source, c.column) != (one.source, one.column)]
+
+
+def _series(source: Source, one: Candidate) -> Series:
+    time, place = np.unique(source.clock.time, return_index=True)
+    known = np.isfinite(time)
+    value = to_si(source.values[one.column], one.unit, one.signal)[place]
+    where = f'{source.export.file.name}, column "{one.column}"'
+    return Series(one.signal, time[known], value[known], "linear", source=where)
 
 
 def _best(candidates: list[Candidate], signal: str) -> Candidate | None:
@@ -321,6 +395,10 @@ def _settled(
         # among the many temperatures of a turbine, one without a name may be that of any part
         needed = needed and (one.score > 0.65 or not turbine)
         active = one.score >= (NEEDED if needed else USED)
+        poles = flag_word(sources[one.source].export.cells[one.column]) == POLES[0]
+        if poles and one.signal != "door_open":
+            active = False
+            doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
         found.append(Assigned(one, active, False, tuple(doubts), near))
         for second in seconds[:1]:
             found.append(Assigned(second, True, True, second.doubts, ()))

@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hygrokf.data.columns import TableFault
-from hygrokf.drafting.layout import Export, is_number
-from hygrokf.drafting.stamps import as_text, time_columns
+from hygrokf.data.quality import quality_columns
+from hygrokf.drafting.layout import Export, is_value
+from hygrokf.drafting.stamps import as_text, time_columns, time_of_day
 from hygrokf.drafting.vocabulary import name_says, words_of
 from hygrokf.errors import suggestion
 
@@ -17,9 +18,9 @@ if TYPE_CHECKING:
 
 _TURBINE = re.compile(r"turbine|wtg| wec | wea |anlage|asset|device|station|maschine| unit id | plant ")
 _TAG = re.compile(
-    r" tag|signal|variable|channel|kanal|messstelle|parameter| point| sensor|quantity|groesse|^ name $"
+    r" tag|signal|variable|entity|channel|kanal|messstelle|parameter| point| sensor|quantity|groesse|^ name $"
 )
-_VALUE = re.compile(r"value|wert|reading|messwert")
+_VALUE = re.compile(r"value|wert|reading|messwert| state ")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
 _LOGGER_QUANTITIES = 3
 _LABEL = re.compile(
@@ -35,14 +36,16 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
     Returns the export, whose `changes` say why a copy is needed; its column of stamps; the turbine selected
     (None where the file holds one alone); doubts.  Raises TableFault.
     """
-    doubts: list[str] = []
+    doubts = list(export.doubts)
     column, hours = time_columns(export)
     export, chosen = _one_turbine(export, column, hours, turbine, doubts)
     if hours is not None:
-        joined = export.cells[column].str.cat(export.cells[hours], sep=" ")
+        of_day, ends = time_of_day(export.cells[hours])
+        joined = export.cells[column].str.cat(of_day, sep=" ")
         cells = export.cells.drop(columns=[column, hours])
-        export = _with(export, cells.assign(time=joined)[["time", *cells]], "date and time in two columns")
-        column = "time"
+        column = "time_end" if ends else "time"
+        named = cells.assign(**{column: joined})[[column, *cells]]
+        export = _with(export, named, "date and time in two columns")
     export = _wide(export, column)
     text, was = as_text(export.cells[column])
     if was is not None:
@@ -52,6 +55,10 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
             export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
         )
         column = "time"
+    header = dict(zip(export.cells, export.names, strict=False))
+    marks = quality_columns(list(export.cells), [one for one in export.cells if one != column]).values()
+    if not export.changes and any(export.names.count(header.get(one, one)) > 1 for one in marks):
+        export = _with(export, export.cells, "several columns of one name")
     export, labelled = _one_label(export, column, turbine, doubts)
     return export, column, chosen or labelled, tuple(doubts)
 
@@ -150,15 +157,21 @@ def _wide(export: Export, column: str) -> Export:
     rest = [one for one in cells if one != column]
     sample = {one: cells[one].dropna().iloc[:500] for one in rest}
     unit = next((one for one in rest if _UNIT.match(words_of(one))), None)
-    numbers = [one for one in rest if len(sample[one]) and sample[one].map(is_number).mean() > 0.9]
+    numbers = [one for one in rest if len(sample[one]) and sample[one].map(is_value).mean() > 0.9]
     values = [one for one in numbers if _VALUE.search(words_of(one))] or (
         numbers if len(numbers) == 1 else []
     )
     if not values:
         return export
-    tags = [one for one in rest if one not in (*numbers, unit) and 2 <= cells[one].nunique() <= 500]
+    quality = quality_columns(list(cells), values[:1]).get(values[0])
+    tags = [one for one in rest if one not in (*numbers, unit, quality) and 2 <= cells[one].nunique() <= 500]
     tags.sort(key=lambda one: _TAG.search(words_of(one)) is None)
-    if not tags or cells[column].duplicated().mean() < 0.3:
+    tagged = bool(tags) and (
+        cells[column].duplicated().mean() >= 0.3
+        # each tag has stamps of its own where a row comes when its value changes
+        or (len(numbers) == 1 and _TAG.search(words_of(tags[0])) and _VALUE.search(words_of(values[0])))
+    )
+    if not tagged:
         if unit is None or cells[unit].nunique() != 1:
             return export
         units = tuple(
@@ -168,7 +181,12 @@ def _wide(export: Export, column: str) -> Export:
         return replace(export, units=units)
     tag = tags[0]
     rows = cells.dropna(subset=[tag, column])
-    table = rows.pivot_table(index=column, columns=tag, values=values[0], aggfunc="first", sort=False)
+    if rows[column].str.match(r"\d{4}-").all():
+        rows = rows.sort_values(column, kind="stable")
+    how = {"index": column, "columns": tag, "aggfunc": "first", "sort": False}
+    table = rows.pivot_table(values=values[0], **how)
+    if quality is not None:
+        table = table.join(rows.pivot_table(values=quality, **how).add_suffix(" quality"))
     units_of = {} if unit is None else rows.dropna(subset=[unit]).groupby(tag)[unit].first().to_dict()
     table = table.reset_index().rename_axis(columns=None)
     return _with(export, table.where(table.notna(), None), "one row a value", units_of)

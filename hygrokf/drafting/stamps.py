@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, modal_step, read_stamps, zone_named
+from hygrokf.data.timestamps import (
+    DAY_S,
+    EXCEL,
+    HOUR_S,
+    MINUTE_S,
+    modal_step,
+    read_stamps,
+    zone_in_header,
+    zone_named,
+)
 from hygrokf.drafting.layout import Export, is_date
 
 if TYPE_CHECKING:
@@ -26,7 +35,8 @@ FORMATS = (
     "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
     "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
     "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
-    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H%M", "%Y%m%d %H:%M",
+    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M",
+    "%Y%m%d %H:%M", EXCEL,
 )  # fmt: skip
 """strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
@@ -35,8 +45,9 @@ _STATED_ZONE = re.compile(
     r"((?:utc|gmt)\s?[+-]\d{1,2}(?::?\d{2})?|[A-Za-z]+(?:/[A-Za-z_]+)?|[+-]\d{2}:?\d{2})",
     re.IGNORECASE,
 )
-_NAMED_ZONE = re.compile(r"(?:utc|gmt)\s?([+-]\d{1,2}(?::?\d{2})?)?(?![a-z])", re.IGNORECASE)
-_CENTRAL_EUROPE = re.compile(r"(?<![a-z])(mez|cet)(?![a-z])", re.IGNORECASE)
+_CENTRAL_EUROPE = re.compile(r"(?<![a-z])(mes?z|ces?t)(?![a-z])", re.IGNORECASE)
+_DATE_ALONE = r"\d{8}|\d{1,4}[-/.]\s?\d{1,2}[-/.]\s?\d{1,4}"
+_HOURS = re.compile(r"hour|hora|heure|stunde|uur|zeit|time|(?<![a-z])(hh?|hr|std)(?![a-z])", re.IGNORECASE)
 _CLOCKS_OF_MAKES = {"MESS_DATUM": ("UTC", "the files of DWD are in UTC")}
 """Column of stamps, its zone, and why: of services whose files never name their zone."""
 
@@ -76,8 +87,8 @@ def time_columns(export: Export) -> tuple[str, str | None]:
             continue
         if given.map(is_date).mean() > 0.9:
             words = name.lower()
-            numeric = given.str.fullmatch(r"[\d.]+").all() and not given.str.contains(r"\..*\.").any()
-            named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|ts\b|_ts|时间", words))
+            numeric = given.str.fullmatch(r"[\d.,]+").all() and not given.str.contains(r"\..*\.").any()
+            named = bool(re.search(r"time|date|datum|zeit|stamp|epoch|yyyymmdd|ts\b|_ts|时间", words))
             if numeric and not named:
                 continue
             utc = "utc" in words or "gmt" in words
@@ -89,16 +100,26 @@ def time_columns(export: Export) -> tuple[str, str | None]:
             f"{', '.join(sample)[:200]}"
         )
     column = max(found)[2]
-    if not sample[column].dropna().str.contains(":").any():
+    dates = sample[column].dropna()
+    if not dates.str.contains(":").any():
         for name in sample:
             given = sample[name].dropna()
-            if (
-                name != column
-                and len(given)
-                and given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9
-            ):
+            if name == column or not len(given):
+                continue
+            if given.map(lambda one: bool(_TIME_ALONE.match(one))).mean() > 0.9:
+                return column, name
+            hours = given.str.fullmatch(r"1?\d|2[0-4]|0\d").all() and given.nunique() > 2
+            if hours and _HOURS.search(name) and dates.str.fullmatch(_DATE_ALONE).all():
                 return column, name
     return column, None
+
+
+def time_of_day(hours: pandas.Series) -> tuple[pandas.Series, bool]:
+    """Times of day as text, from hours too; and whether these are 1 to 24, the ends of their intervals."""
+    if hours.str.contains(":").any():
+        return hours, False
+    numbers = hours.dropna().astype(int)
+    return hours.str.zfill(2) + ":00", bool(numbers.min() > 0 and numbers.max() == 24)
 
 
 def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
@@ -212,15 +233,16 @@ def _zone(
     remarks: list[str],
 ) -> str:
     """The zone of stamps without an offset, with what speaks for it."""
-    named = _NAMED_ZONE.search(" ".join((column.replace("_", " "), *export.units[:1])))
-    if named is not None:
+    heading = " ".join((column, *export.units[:1])).replace("_", " ")
+    named, central = zone_in_header(heading), _CENTRAL_EUROPE.search(heading)
+    if named is not None and not central:
         remarks.append(f'the zone is named in the header "{column}"')
-        return _offset_text(named[1])
+        return named
     stated = _STATED_ZONE.search(export.preamble)
     if stated is not None:
-        offset = _NAMED_ZONE.fullmatch(stated[1])
         with suppress(ValueError):
-            zone = stated[1] if offset is None else _offset_text(offset[1])
+            offset = None if _CENTRAL_EUROPE.search(stated[1]) else zone_in_header(stated[1])
+            zone = offset or stated[1]
             zone_named(zone)
             remarks.append("the zone is stated above the header")
             return zone
@@ -229,13 +251,13 @@ def _zone(
         remarks.append(why)
         return zone
     found, whole = holes
-    if _CENTRAL_EUROPE.search(column.replace("_", " ")) and not found:
+    if central and named is not None and not found:
         if not whole:
             doubts.append(
-                f'the header "{column}" names Central European Time: +01:00 is assumed; '
+                f'the header "{column}" names Central European Time: {named} is assumed; '
                 'state "Europe/Berlin" if the clock follows summer time'
             )
-        return "+01:00"
+        return named
     if found and not whole:
         zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
         where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
@@ -254,16 +276,6 @@ def _zone(
     else:
         doubts.append("the file does not state the zone of its stamps; UTC is assumed")
     return "UTC"
-
-
-def _offset_text(offset: str | None) -> str:
-    """The zone of a case file for an offset from UTC such as "+1", "+0530" or None."""
-    if not offset:
-        return "UTC"
-    hours, minutes = re.fullmatch(r"([+-]\d{1,2}):?(\d{2})?", offset).groups()  # type: ignore[union-attr]
-    if int(hours) == 0 and not int(minutes or 0):
-        return "UTC"
-    return f"{hours[0]}{int(hours[1:]):02d}:{minutes or '00'}"
 
 
 def _position(

@@ -268,8 +268,6 @@ def _signal(quantity: str, place: str, words: str) -> str:
     if quantity == "pressure":
         return "ambient_pressure"
     if quantity in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
-        if quantity == "dew_point_temperature" and not place:
-            place = "ambient"
         if place == "cabinet" and re.search(r" wall |wand", words):
             place = "cabinet_wall"
         named = f"{place}_{quantity}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Expression
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, PREVIOUS
 
 VECTOR, TRUTHS = vector(RUNS), vector(RUNS, TRUTH)
 ARGUMENTS = [("i64", "blocks")] + [
@@ -123,9 +123,10 @@ class _Emission:
         left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
         result = {}
         for c, name in enumerate(r.varying):
-            now = self._column("now", block, c)
+            hold = r.system.inputs[name]
+            now = self._column("before" if hold == PREVIOUS else "now", block, c)
             result[r.end[name].index] = now
-            if r.system.inputs[name] == LINEAR:
+            if hold == LINEAR:
                 before = self._column("before", block, c)
                 rise = w.value(f"fsub {VECTOR} {now}, {before}")
                 at = [

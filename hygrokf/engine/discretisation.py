@@ -12,7 +12,7 @@ remainder b = f − A (x − x₀) interpolated through them as b(t) = β + s t,
     P⁺ = e^Ω P e^Ω' + ∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ,    Q̄ = h Q + (√3/12) h² (D Q + Q D').
 
 Rows of a linear model have A₁ = A₂ and an exactly affine b.  For them every formula above is *exact* under
-the stated hold (zero-order or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are
+the stated hold (constant or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are
 computed only once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step
 and not with the distance of the state from zero (kelvins from absolute zero), which makes the error of a
 sub-step about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
@@ -102,7 +102,7 @@ def step(
 
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise` Q (n, n) [unit² per h]; `state` and
     `covariance` before the step; `start` and `end` the inputs just after its start and just before its end (a
-    zero-order input has the same node in both); `h` [h].
+    constant input has the same node in both); `h` [h].
     """
     n = len(state)
     field = _Field(graph, drift, n, start)

@@ -14,7 +14,7 @@ from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import LINEAR, PREVIOUS
 
 Names = dict[int, str]
 """Node -> the LLVM name of its value, or of the stack slot that holds it."""
@@ -147,8 +147,10 @@ class Emission:
         right = w.real("fmul", w.value(f"sitofp i64 {w.integer('add', j, 1)} to double"), part)
         result = {}
         for c, name in enumerate(r.varying):
-            value = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", row, c)))
-            if r.system.inputs[name] == LINEAR:
+            hold = r.system.inputs[name]
+            end = w.integer("add", before if hold == PREVIOUS else row, c)
+            value = w.load(SCALAR, w.at(SCALAR, "%u", end))
+            if hold == LINEAR:
                 old = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
                 rise = w.real("fsub", value, old)
                 for table, fraction in ((r.start, left), (r.end, right)):
@@ -190,8 +192,10 @@ class Emission:
         before = w.integer("sub", row, m)
         result = {}
         for c, name in enumerate(r.varying):
-            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", row, c)))
-            if r.system.inputs[name] == LINEAR:
+            hold = r.system.inputs[name]
+            end = w.integer("add", before if hold == PREVIOUS else row, c)
+            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", end))
+            if hold == LINEAR:
                 result[r.start[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
         return result
 

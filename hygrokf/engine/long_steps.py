@@ -37,7 +37,7 @@ from hygrokf.engine.discretisation import NODES
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Matrix, is_zero
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Values
 
 MOST = 10_000
@@ -208,19 +208,6 @@ def _rates(matrix: np.ndarray) -> np.ndarray:
     size = np.abs(matrix)
     pairs = np.sqrt(size * np.swapaxes(size, 1, 2))
     return pairs.sum(axis=2).max(axis=1)
-
-
-def inputs_between(
-    holds: Mapping[str, str],
-    before: Mapping[str, np.ndarray | float],
-    after: Mapping[str, np.ndarray | float],
-    share: np.ndarray | float,
-) -> dict[str, np.ndarray | float]:
-    """Inputs within a step: linear ones interpolated to `share`, others with their value over the step."""
-    return {
-        name: before[name] + share * (value - before[name]) if holds[name] == LINEAR else value
-        for name, value in after.items()
-    }
 
 
 def _vector(recursion: Recursion, known: Values, count: int) -> np.ndarray:

@@ -25,10 +25,11 @@ class Timeline:
 
     `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length
     [h] and regime inputs) that leads to each instant; `u` (T+1, m) inputs, whose first row belongs to the
-    instant before the first
-    one: a linear input has its value at the instant, a zero-order input its value over the step that ends
-    there; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the running means that restart
-    at the instant; `whole` inputs of the whole run, which a piece of the run keeps.
+    instant before the first one: a linear input has its value at the instant, one that holds from its stamp
+    on (previous) its value from there on, and a mean its value over the step that ends there; `y` (T, k)
+    readings, NaN where there is none; `reset` (T,) bits of the running means that restart at the instant;
+    `whole` inputs of the whole run, which a piece of the run keeps; `ends` (T,) True at the first step with
+    known inputs after a gap of them (`engine.pieces`), empty without gaps.
     """
 
     time: np.ndarray
@@ -42,6 +43,7 @@ class Timeline:
     outputs: tuple[str, ...]
     origin_s: float = 0.0
     whole: Mapping[str, np.ndarray] = field(default_factory=dict)
+    ends: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -106,6 +108,7 @@ class Timeline:
             u=np.ascontiguousarray(self.u[first : last + 1]),
             y=np.ascontiguousarray(self.y[part]),
             reset=np.ascontiguousarray(self.reset[part]),
+            ends=self.ends[part],
         )
 
 
@@ -116,12 +119,15 @@ def timeline(
     readings: Mapping[str, np.ndarray],
     resets: Mapping[str, np.ndarray] | None = None,
     origin_s: float = 0.0,
+    ends: np.ndarray | None = None,
 ) -> Timeline:
     """Timeline of a model.
 
     `time` (T,) [h], strictly increasing; `inputs[name]` (T,) and `readings[name]` (T,) as in `Timeline` (an
     output without readings may be omitted); `resets[name]` (T,) bool for outputs that are read as interval
-    means. Raises ValueError that lists every input that is missing or not finite.
+    means; `ends` (T,) as in `Timeline`.
+
+    Raises ValueError that lists every input that is missing or not finite.
     """
     time = np.asarray(time, dtype=float)
     count = len(time)
@@ -166,6 +172,7 @@ def timeline(
         regimes=regimes,
         outputs=model.outputs,
         origin_s=origin_s,
+        ends=np.empty(0, dtype=bool) if ends is None else ends,
     )
 
 

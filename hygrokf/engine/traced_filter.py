@@ -43,7 +43,7 @@ from hygrokf.physics.expression import (
     sqrt,
     where,
 )
-from hygrokf.physics.holds import LINEAR, REGIME
+from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
 from hygrokf.physics.model import Model, System, TracedOutput, Values
 
 DIFFUSE_TOLERANCE = 1e-9
@@ -82,9 +82,10 @@ class Recursion:
         self.state = [*self.mean, *self.packed, *self.infinite]
         self.start, self.end, self.now = {}, {}, {}
         for name in self.varying:
-            self.end[name] = self.now[name] = g.symbol(f"b:{name}")
-            linear = system.inputs[name] == LINEAR
-            self.start[name] = g.symbol(f"a:{name}") if linear else self.end[name]
+            hold = system.inputs[name]
+            self.now[name] = g.symbol(f"b:{name}")
+            self.start[name] = g.symbol(f"a:{name}") if hold in (LINEAR, PREVIOUS) else self.now[name]
+            self.end[name] = self.start[name] if hold == PREVIOUS else self.now[name]
         for table in (self.start, self.end, self.now):
             table.update(regime)
         self.reading = g.symbol("y")
@@ -298,6 +299,11 @@ class Recursion:
             [e.index for e in self.transition],
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
+
+
+def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
+    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
+    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
 
 
 def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:

@@ -15,10 +15,11 @@ from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.long_steps import MOST, TAIL, inputs_between, jump
+from hygrokf.engine.long_steps import MOST, TAIL, jump
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model
 
 

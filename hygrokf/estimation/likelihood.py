@@ -13,7 +13,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -22,10 +21,11 @@ from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep
 from hygrokf.engine.packing import pack, trace_width, unpack
+from hygrokf.engine.pieces import SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, traced
+from hygrokf.engine.traced_filter import Recursion, bounded_weight, traced
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
@@ -83,25 +83,6 @@ class Trace:
     last: Gaussian
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """Sub-steps: `keys` (distinct steps, 1 + regimes) with their length [h], `parts` their number; `long` the
-    instants that a long step leads to, of which the loops take the last `tail_h` [h]."""
-
-    keys: np.ndarray
-    parts: np.ndarray
-    long: tuple[int, ...] = ()
-    tail_h: float = 0.0
-
-    def pieces(self, part: slice) -> list[slice]:
-        """Stretches of instants that the loops take in one call; every long step begins a new one."""
-        cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
-        return [slice(a, b) for a, b in pairwise(cuts)]
-
-
-def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
-    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
 
 
 @dataclass(frozen=True)
@@ -200,7 +181,7 @@ class Likelihood:
         places |= {place for row in pairs for pair in row for place in pair}
         return sorted(places), pairs
 
-    def _steps(self, values: Mapping[str, float]) -> _Steps:
+    def _steps(self, values: Mapping[str, float]) -> SubSteps:
         """Sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
         steps = self.timeline.steps
         limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
@@ -208,7 +189,7 @@ class Likelihood:
         if not math.isfinite(rate):
             raise RatesFault(self._not_finite(values))
         if steps[:, 0].max() * rate <= limit:
-            return _Steps(steps, self._single)
+            return SubSteps(steps, self._single, tuple(self._gaps))
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         far = parts > MOST
@@ -220,7 +201,7 @@ class Likelihood:
                 raise RatesFault(self._too_fast(rate, long))
             keys[far, 0], parts[far] = tail_h, TAIL
         keys[:, 0] /= np.maximum(parts, 1)
-        return _Steps(keys, parts.astype(np.int32), long, tail_h)
+        return SubSteps(keys, parts.astype(np.int32), tuple(self._gaps), long, tail_h)
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
@@ -258,6 +239,10 @@ class Likelihood:
     def _single(self) -> np.ndarray:
         """One sub-step for every key, none where no time passes."""
         return (self.timeline.steps[:, 0] > 0).astype(np.int32)
+
+    @cached_property
+    def _gaps(self) -> dict[int, np.ndarray]:
+        return gap_variances(self.model, self.recursion, self.timeline)
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline
@@ -332,7 +317,7 @@ class Likelihood:
         return result
 
     def _common(
-        self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice
+        self, values: Mapping[str, float], steps: SubSteps, state: np.ndarray, part: slice
     ) -> tuple[np.ndarray | int, ...]:
         """Arguments that all compiled loops share, in their order (`filter_codegen.COMMON`)."""
         t = self.timeline
@@ -353,7 +338,7 @@ class Likelihood:
             state.copy(),
         )
 
-    def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
+    def _inputs(self, steps: SubSteps, part: slice) -> np.ndarray:
         """Inputs of these instants as a view; the compiled loop also reads the row in front of them.
 
         Where a long step leads to the first instant, that row holds the inputs at the start of its tail.
@@ -370,22 +355,24 @@ class Likelihood:
     def _whole(self) -> slice:
         return slice(0, len(self.timeline))
 
-    def _long(self, steps: _Steps, k: int) -> LongStep:
-        """The long step to instant k."""
-        t = self.timeline
-        hours, *held = t.steps[t.key[k]].tolist()
-        before, after = (
-            dict(zip((*t.regimes, *t.varying), (*held, *t.u[row].tolist()), strict=True))
-            for row in (k, k + 1)
-        )
-        tail = inputs_between(self.model.holds, before, after, 1.0 - steps.tail_h / hours)
-        return LongStep(self.recursion, before, tail, hours - steps.tail_h, steps.tail_h)
+    def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
+        """The state in front of instant k, with the variance that the end of a gap adds."""
+        if k in self._gaps:
+            n = len(self._gaps[k])
+            state = state.copy()
+            state[n - 1 + np.cumsum(np.arange(1, n + 1))] += self._gaps[k]
+        return state
 
     def _enter(
-        self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray
+        self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray | None:
-        """Move a state to the tail of the long step that a piece may begin with; returns the transition."""
+        """Move a state to where the loops take over a piece, behind the end of a gap and the jump of a long
+        step that it may begin with; returns the transition of the long step."""
+        state[:] = self._widened(part.start, state)
         return self._long(steps, part.start).take(values, state) if part.start in steps.long else None
+
+    def _long(self, steps: SubSteps, k: int) -> LongStep:
+        return long_step(self.model, self.recursion, self.timeline, steps, k)
 
     @cached_property
     def _store(self) -> np.ndarray:
@@ -405,7 +392,7 @@ class Likelihood:
         value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
         return value if math.isfinite(value) else -math.inf
 
-    def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
+    def _run(self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray) -> float:
         """ln L of a piece; moves `state` through it."""
         self._enter(values, steps, part, state)
         out = np.zeros(3)
@@ -457,14 +444,15 @@ class Likelihood:
             share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
             loglik, theta_bar = loglik + share, theta_bar + slopes
             if part.start in steps.long:
-                state_bar, slopes = self._long(steps, part.start).adjoints(values, state, state_bar)
+                before = self._widened(part.start, state)
+                state_bar, slopes = self._long(steps, part.start).adjoints(values, before, state_bar)
                 theta_bar = theta_bar + slopes
         return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
 
     def _pulled_back(
         self,
         values: Mapping[str, float],
-        steps: _Steps,
+        steps: SubSteps,
         part: slice,
         state: np.ndarray,
         state_bar: np.ndarray,
@@ -538,7 +526,7 @@ class Likelihood:
     def _tangent_part(
         self,
         values: Mapping[str, float],
-        steps: _Steps,
+        steps: SubSteps,
         part: slice,
         blocks: Blocks,
         gain: bool,
@@ -553,7 +541,8 @@ class Likelihood:
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in steps.long:
-                    dot[:] = self._long(steps, piece.start).tangents(values, state, dot, seed)
+                    before = self._widened(piece.start, state)
+                    dot[:] = self._long(steps, piece.start).tangents(values, before, dot, seed)
                 self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)

@@ -18,13 +18,16 @@ from functools import partial
 
 import numpy as np
 
+from hygrokf.engine.pieces import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Value
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 
 TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
+INSIDE = math.nextafter(1.0, 0.0)
+"""[1] the end of a step, before an input that is held from its stamp on changes."""
 
 
 def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[float, list[Gaussian]]:
@@ -38,8 +41,10 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     if likelihood.initial == "diffuse":
         raise ValueError("expected a proper initial state, found a diffuse state; state `initial`")
     first = likelihood.first_gaussian(values)
+    gaps = gap_variances(model, likelihood.recursion, line)
     m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
     for k, readings in enumerate(line.y):
+        P = P + np.diag(gaps.get(k, np.zeros(len(m))))
         m, P = predicted(likelihood, values, k, m, P)
         u = {name: float(line.input(name)[k]) for name in model.inputs}
         for name, y in zip(model.outputs, readings, strict=True):
@@ -76,9 +81,8 @@ def predicted(
 
     def inputs(share: float) -> dict[str, float]:
         ends = zip(line.varying, line.u[k], line.u[k + 1], strict=True)
-        return regimes | {
-            name: a + share * (b - a) if model.holds[name] == LINEAR else b for name, a, b in ends
-        }
+        within = min(share, INSIDE)
+        return regimes | {name: between(model.holds[name], a, b, within) for name, a, b in ends}
 
     def slopes(t: float, moments: np.ndarray) -> np.ndarray:
         u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)

@@ -23,7 +23,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.expression import Value
-from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 
@@ -163,8 +163,9 @@ def _pieces(model: Model, one: Run) -> _Pieces:
     begin = np.cumsum(count) - count
     hours, share = (np.concatenate([one[i] for one in kinds])[begin[kind] + inner] for i in (0, 1))
     before, now = t.u[:-1][owner], t.u[1:][owner]
-    linear = np.array([model.holds[name] == LINEAR for name in t.varying])
-    u = np.where(linear, before + share[:, None] * (now - before), now)
+    u = now.copy()
+    for c, name in enumerate(t.varying):
+        u[:, c] = between(model.holds[name], before[:, c], now[:, c], share)
     steps, key = np.unique(np.column_stack([hours, t.steps[kind, 1:]]), axis=0, return_inverse=True)
     made = replace(
         t,

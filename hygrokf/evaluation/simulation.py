@@ -6,7 +6,7 @@ Shapes: T instants, n states, k outputs, d parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from hygrokf.data.tabular import utc_index, with_units
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design
-from hygrokf.modelling.inputs import Run
+from hygrokf.modelling.inputs import Run, gap_ends
 from hygrokf.physics.model import Equations
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
@@ -91,6 +91,26 @@ def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
     near = (known[after] - known[before] <= 0.55) & (time >= known[0]) & (time <= known[-1])
     return np.where(near, np.interp(time, known, value[there]), np.nan)
+
+
+def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: float | None = None) -> Run:
+    """The run with `scored` False also until the free run has forgotten the gaps of its inputs.
+
+    design, values: the model and its parameters, in their units.  rate_step: [1] as in `Likelihood`.
+
+    A gap is forgotten where what its end adds to the variance of every predicted reading (see
+    `engine.pieces`) is at most what the reading has without it.
+    """
+    ends = gap_ends(run.scored)
+    if not ends.any():
+        return run
+    with_gaps, without = (
+        Likelihood(design.model, replace(run.timeline, ends=one), rate_step=rate_step)
+        .trace(values, gain=False)
+        .variance
+        for one in (ends, ends[:0])
+    )
+    return replace(run, scored=run.scored & (with_gaps <= 2.0 * without).all(axis=1))
 
 
 def project(

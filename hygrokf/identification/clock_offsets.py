@@ -8,9 +8,12 @@ order (Gauss–Newton),
     [ I_θθ  I_θδ        ] [Δθ]   [0  ]
     [ I_δθ  I_δδ + 1/σ² ] [Δδ] = [s_δ].
 
-Δθ is the effect of the most likely offsets on the parameters.  The inverse matrix contains the parameters'
-uncertainty including that of the offsets, which the readings determine better than the prior for every source
-that drives the cabinet.
+Δθ is the effect of the most likely offsets on the parameters.  Solved by elimination, with G = I_θθ⁻¹ I_θδ:
+
+    V_δ = (M + 1/σ²)⁻¹,   M = I_δδ − I_δθ G ≥ 0,     Δδ = V_δ s_δ,   Δθ = −G Δδ,   V_θ = I_θθ⁻¹ + G V_δ G'.
+
+Readings only add information, so that no offset is less certain than its prior: where the observed I_θθ is
+smaller than the innovations' slopes allow and M would be negative, it is zero.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.estimation.confidence import Uncertainty, positive_inverse
+from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
@@ -166,20 +169,20 @@ def _solved(
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
     cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted
-    information = np.block(
-        [[uncertainty.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]]
-    )
-    covariance = positive_inverse(information)
-    score = -(errors.reshape(-1) @ weighted)
-    step = covariance[:, len(uncertainty.names) :] @ score
-    added = np.maximum(np.diag(covariance)[: len(uncertainty.names)] - np.diag(uncertainty.wald), 0.0)
-    deviations = np.sqrt(np.diag(covariance)[len(uncertainty.names) :])
-    offsets = step[len(uncertainty.names) :]
+    carried = uncertainty.wald @ cross
+    # in units of the prior's standard deviations
+    values, vectors = np.linalg.eigh((flat.T @ weighted - cross.T @ carried) * np.outer(prior, prior))
+    vectors = prior[:, None] * vectors
+    covariance = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T
+    offsets = -covariance @ (errors.reshape(-1) @ weighted)
+    step = -carried @ offsets
+    added = np.einsum("ij,jk,ik->i", carried, covariance, carried)
+    deviations = np.sqrt(np.diag(covariance))
     return ClockOffsets(
         tuple(
             ClockOffset(name, float(before), float(offset), float(sd))
             for name, before, offset, sd in zip(names, prior, offsets, deviations, strict=True)
         ),
-        dict(zip(uncertainty.names, step.tolist(), strict=False)),
+        dict(zip(uncertainty.names, step.tolist(), strict=True)),
         dict(zip(uncertainty.names, added.tolist(), strict=True)),
     )

@@ -68,6 +68,30 @@ def nan_if_open(bound: float) -> float:
     return bound if math.isfinite(bound) else math.nan
 
 
+@dataclass(frozen=True)
+class Resolved:
+    """The range of time constants [h] that a record can tell apart: from a tenth of the median step between
+    its readings to ten times its length."""
+
+    shortest_h: float = 0.0
+    longest_h: float = 1e300
+
+    def bounds(self, lower_h: float, upper_h: float) -> tuple[float, float]:
+        """Bounds as results state them: those beyond the range are open, 0 below and NaN above."""
+        low, high = min(lower_h, self.longest_h), max(upper_h, self.shortest_h)
+        return (low if low >= self.shortest_h else 0.0), (high if high <= self.longest_h else math.nan)
+
+    def around(self, value_h: float, reach: float) -> tuple[float, float]:
+        """Bounds at a distance `reach` [1] on either side of the logarithm of a value."""
+        factor = math.exp(min(reach, LARGEST))
+        return self.bounds(value_h / factor, value_h * factor)
+
+
+ANY = Resolved()
+LARGEST = 600.0
+"""[1] distance of a bound from the logarithm of its value, beyond which numbers overflow."""
+
+
 def from_parts(scale: float, variance: float) -> Source:
     """`scale` is Birge's ratio of the parts' scatter, `variance` that of the logarithm by the bounds."""
     return Source(
@@ -117,22 +141,22 @@ def from_sampling(shift: float, step_h: float) -> Source:
 
 
 def compose_interval(
-    value: float, lower: float, upper: float, level: float, sources: Sequence[Source], scale: float = 1.0
+    value: float, lower: float, upper: float, level: float, sources: Sequence[Source], within: Resolved = ANY
 ) -> tuple[Step, ...]:
     """The profile's interval [h], and the interval after each source; the last is the headline interval.
 
-    An open side stays open.  scale: [h] per unit of `value` and its bounds.
-    """
+    An open side stays open, and a bound beyond `within` is open."""
     z, total = normal_quantile(level), 0.0
-    steps = [Step("profile", lower * scale, nan_if_open(upper) * scale)]
+    steps = [Step("profile", *within.bounds(lower, upper))]
     for source in sources:
         total += source.variance
-        low, high = _moved(value, lower, -z, total), nan_if_open(_moved(value, upper, z, total))
-        steps.append(Step(source.name, low * scale, high * scale, math.sqrt(source.variance), source.text))
+        ends = within.bounds(_moved(value, lower, -z, total), _moved(value, upper, z, total))
+        steps.append(Step(source.name, *ends, math.sqrt(source.variance), source.text))
     return tuple(steps)
 
 
 def _moved(value: float, bound: float, z: float, variance: float) -> float:
     if bound <= 0 or math.isinf(bound):
         return bound
-    return value * math.exp(math.copysign(math.hypot(math.log(bound / value), z * math.sqrt(variance)), z))
+    reach = math.hypot(math.log(bound / value), z * math.sqrt(variance))
+    return value * math.exp(math.copysign(min(reach, LARGEST), z))

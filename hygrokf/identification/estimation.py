@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,9 +29,10 @@ from hygrokf.estimation.optimiser import (
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.smoother import smooth
-from hygrokf.evaluation.simulation import air_temperature, project
+from hygrokf.evaluation.simulation import air_temperature, project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
+from hygrokf.identification.needed_inputs import WithoutInput, without_input
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.holds import LINEAR
@@ -49,7 +50,8 @@ class Stage:
 
     `bounds`: of its time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
     on them; `sampling`: their change (ln) with half as many ambient readings; `forms`: all competing forms,
-    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated.
+    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated;
+    `without`: the best model in which the input of each time constant does not act.
     """
 
     base: Design
@@ -61,6 +63,7 @@ class Stage:
     sampling: Mapping[str, float] | None = None
     forms: tuple[Form, ...] = ()
     response_stated: bool = False
+    without: Mapping[str, WithoutInput] = field(default_factory=dict)
 
     @property
     def likelihood(self) -> Likelihood:
@@ -143,7 +146,9 @@ def assess_stage(
     sampling = _sampling(early, found, tuple(bounds), say)
     moist = early[base.humidity] if base.humidity is not None and base.humidity in early else None
     stated = moist is not None and moist.response_time_s is not None
-    return Stage(base, run, estimate, spread, bounds, clock, sampling, forms, stated)
+    say("models without the input")
+    without = {name: without_input(name, base.model, run, estimate) for name in bounds}
+    return Stage(base, run, estimate, spread, bounds, clock, sampling, forms, stated, without)
 
 
 def _bounded(found: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
@@ -231,7 +236,9 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
 
     def free_run(one: Design) -> OutputError:
         start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
-        return fit_output_error(Likelihood(one.model, prepare_run(one, early).timeline), start)
+        run = settled(one, start, prepare_run(one, early))
+        known = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
+        return fit_output_error(Likelihood(one.model, known), start)
 
     return dict(zip(fitted, mapped(free_run, fitted.values()), strict=True))
 

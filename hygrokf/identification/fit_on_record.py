@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.evaluation.scoring import Scored, bands, baselines, scores, sensor_share
-from hygrokf.evaluation.simulation import Prediction, simulate
+from hygrokf.evaluation.simulation import Prediction, settled, simulate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
@@ -64,7 +64,7 @@ def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
     loggers."""
     base = read_as(fit.design, record)
-    run = prepare_run(base, record)
+    run = settled(base, fit.values, prepare_run(base, record))
     return base, run, simulate(base, fit.values, run, fit.covariance)
 
 

@@ -21,6 +21,7 @@ from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import Scored, Shares
 from hygrokf.identification.clock_offsets import ClockOffset
 from hygrokf.identification.composition import Step
+from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
 from hygrokf.identification.verdict_terms import Kind, Reason
 from hygrokf.modelling.design import Design
@@ -130,7 +131,7 @@ class TimeConstant(Interval):
     estimate, and `likelihood` that of the one-step predictions where the free run is the criterion;
     `disagreement` of the two; `range_h`: the constant over the record's temperatures, for the thermal one at
     the differences to the ambient `difference_K` of 10, 50 and 90 % of the readings; `modes` [h]: time
-    constants of all states.
+    constants of all states; `without_input`: the best model in which its input does not act.
     """
 
     level: float = math.nan
@@ -155,6 +156,7 @@ class TimeConstant(Interval):
     resistance_capacity: ResistanceCapacity | None = optional()
     response: SensorResponse | None = optional()
     modes: tuple[float, ...] = ()
+    without_input: WithoutInput | None = optional()
     verdict: Kind | None = None
     reasons: tuple[Reason, ...] = ()
 

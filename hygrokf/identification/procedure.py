@@ -22,7 +22,7 @@ from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share
-from hygrokf.evaluation.simulation import QUANTITIES, Prediction, measured, simulate
+from hygrokf.evaluation.simulation import QUANTITIES, Prediction, measured, settled, simulate
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
     LEVEL,
@@ -223,7 +223,7 @@ def assemble_fit(
         for stage in stages
         for p in stage.estimate.coordinates.parameters
     }
-    run = prepare_run(whole, record)
+    run = settled(whole, values, prepare_run(whole, record), rate_step)
     spread = _covariance(stages, whole, by_free_run, values)
     predicted = simulate(whole, values, run, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)

@@ -13,7 +13,9 @@ from hygrokf.estimation.confidence import Bounds, normal_quantile, parts_scale
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
+    ANY,
     Alternative,
+    Resolved,
     Source,
     compose_interval,
     from_clocks,
@@ -21,7 +23,6 @@ from hygrokf.identification.composition import (
     from_free_run,
     from_parts,
     from_sampling,
-    nan_if_open,
 )
 from hygrokf.identification.estimation import LEVEL, Stage
 from hygrokf.identification.fit_results import (
@@ -36,6 +37,8 @@ from hygrokf.identification.fit_results import (
     TimeConstant,
 )
 from hygrokf.identification.forms import Form
+from hygrokf.identification.wording import interval
+from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
@@ -74,7 +77,7 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
     return replace(
         entry,
         reference=Reference(definition),
-        range_h=courses,
+        range_h=None if _unbounded(entry) else courses,
         difference_K=quantiles,
         resistance_capacity=_resistance_capacity(stage, entry, exponent),
         modes=tuple(thermal_poles(stage.base, stage.estimate.values)),
@@ -95,7 +98,9 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     return replace(
         entry,
         reference=Reference("R_D*·V* = k (273 K)^1.8 / (T_conv,a T_amb^0.8)", cabinet, ambient),
-        range_h=(float(k / factor.max()), float(k / factor.min())) if there.any() else None,
+        range_h=(float(k / factor.max()), float(k / factor.min()))
+        if there.any() and not _unbounded(entry)
+        else None,
         response=_response(stage),
         modes=(entry.value_h,),
     )
@@ -128,8 +133,11 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
         sources.append(from_forms(math.log(value), variance, forms))
+    if _unbounded(entry):
+        return ResistanceCapacity(value, 0.0, exponent=exponent)
     reach = normal_quantile(entry.level) * math.sqrt(variance)
-    steps = compose_interval(value, value * math.exp(-reach), value * math.exp(reach), entry.level, sources)
+    ends = ANY.around(value, reach)
+    steps = compose_interval(value, *ends, entry.level, sources, _resolved(stage, THERMAL))
     return ResistanceCapacity(value, steps[-1].lower_h, steps[-1].upper_h, exponent)
 
 
@@ -145,8 +153,20 @@ def _response(stage: Stage) -> SensorResponse:
     name = next(p for p in stage.estimate.values if p.endswith("_response"))
     value, variance = stage.estimate.values[name], _variance(stage, name)
     reach = normal_quantile(LEVEL) * math.sqrt(variance)
-    ends = (60.0 * value * math.exp(sign * reach) for sign in (-1.0, 1.0))
-    return SensorResponse("estimated", 60.0 * value, *ends)
+    return SensorResponse("estimated", 60.0 * value, *ANY.around(60.0 * value, reach))
+
+
+def _unbounded(entry: TimeConstant) -> bool:
+    return not (entry.lower_h > 0 or math.isfinite(entry.upper_h))
+
+
+def _resolved(stage: Stage, name: str) -> Resolved:
+    """The time constants [h] that a stage's readings and length can tell apart."""
+    t = stage.run.timeline
+    output = TEMPERATURE if name == THERMAL else stage.base.humidity
+    steps = np.diff(t.time[np.isfinite(t.reading(output))]) if output in t.outputs else t.time[:0]
+    shortest = 0.1 * float(np.median(steps)) if len(steps) else 0.0
+    return Resolved(shortest, 10.0 * float(t.time[-1] - t.time[0]))
 
 
 def _variance(stage: Stage, name: str) -> float:
@@ -166,19 +186,25 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         statement = re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", statement)
     other = simulated.get(name)
     free = _by_free_run(other, name)
-    steps = compose_interval(b.value, b.lower, b.upper, b.level, _sources(stage, name, free), scale)
-    ends = (b.value * scale, b.lower * scale, nan_if_open(b.upper) * scale)
+    resolved, without = _resolved(stage, name), stage.without.get(name)
+    sources = _sources(stage, name, free)
+    value, low, high = (scale * one for one in (b.value, b.lower, b.upper))
+    steps = compose_interval(value, low, high, b.level, sources, resolved)
+    shown = (steps[-1].lower_h, steps[-1].upper_h)
+    if without is not None and not without.enough:
+        shown = (0.0, math.nan)
+    closed = shown[0] > 0 and math.isfinite(shown[1])
     sampling = stage.sampling
     return TimeConstant(
-        value_h=b.value * scale,
-        lower_h=steps[-1].lower_h,
-        upper_h=steps[-1].upper_h,
+        value_h=value,
+        lower_h=shown[0],
+        upper_h=shown[1],
         level=b.level,
         method="composed" if b.method == "profile" else b.method,
-        statement=statement,
-        profile=Profile(*ends, b.method, statement),
+        statement=statement if closed or statement else interval(value, *shown)[0],
+        profile=Profile(value, steps[0].lower_h, steps[0].upper_h, b.method, statement),
         composition=steps,
-        forms=tuple(_form(form, name, scale, b.level) for form in stage.forms),
+        forms=tuple(_form(form, name, scale, b.level, resolved) for form in stage.forms),
         parts=_parts(stage, name, scale),
         limited_by=b.limited_by,
         factor=factor,
@@ -186,8 +212,9 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         curve=np.array([[float(x) * scale, float(y)] for x, y in b.curve]).reshape(-1, 2),
         clock=stage.clock.sources or None,
         sampling=None if sampling is None else Sampling(sampling["step_h"], sampling[name]),
-        simulation=None if other is None else _simulation(other, free, name, scale),
+        simulation=None if other is None else _simulation(other, free, name, scale, resolved),
         disagreement=None if other is None else _disagreement(b, other, free, name, scale),
+        without_input=without,
     )
 
 
@@ -230,13 +257,15 @@ def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
     return None if wide else Alternative("free run", math.log(found.values[name]), variance)
 
 
-def _simulation(found: OutputError, free: Alternative | None, name: str, scale: float) -> OtherEstimate:
+def _simulation(
+    found: OutputError, free: Alternative | None, name: str, scale: float, resolved: Resolved
+) -> OtherEstimate:
     """The free run's estimate of a time constant."""
     value = found.values[name] * scale
     if free is None:
         return OtherEstimate(value, 0.0, statement="not identifiable from the free run")
     low, high = found.bounds(name, positive=True)
-    return OtherEstimate(value, low * scale, high * scale)
+    return OtherEstimate(value, *resolved.bounds(low * scale, high * scale))
 
 
 def _disagreement(
@@ -258,11 +287,10 @@ def _disagreement(
     )
 
 
-def _form(form: Form, name: str, scale: float, level: float) -> FormEstimate:
+def _form(form: Form, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
     value = form.estimate.values[name] * scale
     reach = normal_quantile(level) * math.sqrt(form.variance({name: 1.0}))
-    ends = (value * math.exp(-reach), value * math.exp(reach))
-    return FormEstimate(value, *ends, form.name, form.weight, form.gain)
+    return FormEstimate(value, *resolved.around(value, reach), form.name, form.weight, form.gain)
 
 
 def _parts(stage: Stage, name: str, scale: float) -> QuarterEstimates | None:
@@ -280,12 +308,13 @@ def by_simulation(entry: TimeConstant | None) -> TimeConstant | None:
     """The entry with the output-error estimate as its value and the likelihood's as an addition."""
     if entry is None or entry.simulation is None:
         return entry
-    free = entry.simulation
+    free, without = entry.simulation, entry.without_input
+    needed = without is None or without.enough
     return replace(
         entry,
         value_h=free.value_h,
-        lower_h=free.lower_h,
-        upper_h=free.upper_h,
+        lower_h=free.lower_h if needed else 0.0,
+        upper_h=free.upper_h if needed else math.nan,
         statement=free.statement,
         method="output error, sandwich",
         likelihood=OtherEstimate(entry.value_h, entry.lower_h, entry.upper_h, entry.method),

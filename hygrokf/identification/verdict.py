@@ -156,7 +156,10 @@ def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
             "not determine it",
             {"value_h": value},
         )
-    if not math.isfinite(value) or not (low > 0 or math.isfinite(high)):
+    if data.without_input is not None and not data.without_input.enough:
+        gain = {"gain": data.without_input.gain, "required": data.without_input.required}
+        yield Reason("input_not_needed", REJECT, data.without_input.sentence, gain)
+    elif not math.isfinite(value) or not (low > 0 or math.isfinite(high)):
         yield Reason("not_identifiable", REJECT, "the record bounds it on neither side")
     elif not low > 0:
         yield Reason(

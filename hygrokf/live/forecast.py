@@ -31,6 +31,7 @@ from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.live.water import on_the_safe_side
 from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.physics.holds import LINEAR, MEAN
 
 LIMIT = 0.8
 """Default limit of relative humidity [1]; a forecast gives the probability of exceeding it."""
@@ -148,15 +149,12 @@ def _member_moments(
 
 
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:
-    """A driver of a member; a signal that is averaged over intervals is constant over each step of the
+    """A driver of a member; a signal that is not joined by lines is constant over each step of the
     scenarios."""
-    stepped = signal in OPERATION or (
-        plan.form(signal).hold == "zero-order" and not signal.startswith("ambient_")
-    )
+    stepped = signal in OPERATION or (plan.form(signal).hold != LINEAR and not signal.startswith("ambient_"))
     step_s = float(scenarios.time_s[1] - scenarios.time_s[0])
-    return Series(
-        signal, scenarios.time_s, values, "zero-order" if stepped else "linear", step_s if stepped else 0.0
-    )
+    hold = (MEAN, step_s) if stepped else (LINEAR, 0.0)
+    return Series(signal, scenarios.time_s, values, *hold)
 
 
 def mixture(found: Sequence[Condition]) -> Condition:

@@ -6,17 +6,19 @@ import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
+from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
+from hygrokf.data.numbers import stated_marks
+from hygrokf.data.quality import UNSTATED, QualityVocabulary, stated_vocabulary
 from hygrokf.data.signals import Signal
-from hygrokf.data.timestamps import duration, zone_named
+from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import GOOD, PayloadMapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import MEAN, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
@@ -36,9 +38,11 @@ def _zone(value: object) -> datetime.tzinfo:
 
 def _time_form(value: object) -> str:
     """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
-    if value == "":
-        return ""
+    if value in ("", EXCEL):
+        return str(value)
     if isinstance(value, str):
+        if fault := time_format_fault(value):
+            raise ValueError(fault)
         try:
             found = datetime.datetime.strptime(SAMPLE.astimezone().strftime(value), value)
             if found.replace(tzinfo=None) == SAMPLE:
@@ -57,6 +61,8 @@ class SignalForm(StatedSensor):
     signal: Signal = setting(help="a signal of docs/reference/signals.md", read=stated_signal)
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float = setting(0.0, "length averaged over", read=duration)
+    hold: str | None = setting(None, HOLD_HELP, read=hold_named)
+    longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
     scale: float = setting(
         1.0, "by which the number is multiplied", fits=bool, expected="a number other than 0"
     )
@@ -68,11 +74,17 @@ class SignalForm(StatedSensor):
             return None
         return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
 
+    @across("hold", "stamp", "interval")
+    def hold_of_stamp(self) -> str | None:
+        if self.hold is None or (self.hold == MEAN) == (self.stamp != "instant"):
+            return None
+        return f'hold = "{self.hold}" with stamp = "{self.stamp}": a mean has both, "mean" and its stamp'
+
     def to_field(self) -> Field:
         """The field of a payload."""
-        hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
-        form = Form(hold, self.interval_s, **self.settings)
-        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset)
+        hold = self.hold or (MEAN if self.interval_s > 0 else self.signal.hold)
+        form = Form(hold, self.interval_s, **self.settings, longest_hold_s=self.longest_hold_s)
+        return Field(self.signal.name, self.unit, form, self.stamp, self.scale, self.offset, self.one or "")
 
 
 @dataclass(frozen=True)
@@ -86,11 +98,15 @@ class MappingForm:
     timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=_zone)
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
-    good: tuple[str, ...] = setting(GOOD, "marks of a reading that counts", read=texts)
+    vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
+    good: QualityVocabulary | None = setting(
+        None, "good marks, in place of a vocabulary", read=stated_vocabulary
+    )
+    use_uncertain: bool = setting(True, "use readings of uncertain quality")
     tag: str = setting("", "field with the name, where a record is one reading")
     value: str = setting("", "field with the value, where a record is one reading")
     tag_pattern: str = setting("", "of tags or, without tag, of the names of the fields")
-    decimal: str = setting(".", "mark of numbers in texts", choices=(".", ","))
+    decimal: str | None = setting(None, "mark of numbers in texts", choices=(".", ","))
     signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
 
     @across("tag", "value")
@@ -135,6 +151,7 @@ class MappingForm:
     def to_mapping(self) -> PayloadMapping:
         """The mapping, without rows that cannot be used and without turbines yet."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
+        zone = zone_in_header(self.time) if self.timezone is None else None
         return PayloadMapping(
             {name: one.to_field() for name, one in valid.items()},
             turbine=self.turbine,
@@ -142,12 +159,13 @@ class MappingForm:
             quality=self.quality,
             tag=self.tag,
             value=self.value,
-            good=tuple(one.strip().lower() for one in self.good),
+            vocabulary=self.good or self.vocabulary,
+            use_uncertain=self.use_uncertain,
             form=self.format,
             records=self.records,
             tag_pattern="" if pattern_fault(self.tag_pattern) else self.tag_pattern,
-            clock=Clock(self.timezone, self.time_format),
-            comma=self.decimal == ",",
+            clock=Clock(self.timezone if zone is None else zone_named(zone), self.time_format),
+            marks=stated_marks(self.decimal, None),
         )
 
 

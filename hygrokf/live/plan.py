@@ -13,14 +13,14 @@ from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.gate import REACH_S, Scale
 from hygrokf.data.input_paths import readings_ahead
-from hygrokf.data.record import Site
+from hygrokf.data.record import USUAL_STEPS, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.design import HOLDS, SETTLING_H, Design, extended
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.modelling.design import HOLDS, Design, extended
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -32,7 +32,7 @@ AMBIENT_HUMIDITIES = (
 )
 """Signals of which one is enough to know the ambient's humidity."""
 FEATURES_H = 48.0
-BEFORE = 12
+BEFORE = USUAL_STEPS + 1
 """Readings of each signal kept from before the context, to know its usual step and so recognise long gaps."""
 LATENESS_S = 1800.0
 """[s] a reading may be older than the newest one and still be used."""
@@ -59,13 +59,15 @@ MARGIN = 1.5
 @dataclass(frozen=True)
 class Form:
     """How a source reports a signal: `hold` between readings, averaging `interval_s` [s], `resolution` and
-    `accuracy` [SI unit], and `response_time_s` [s] of the sensor, None if unknown."""
+    `accuracy` [SI unit], `response_time_s` [s] of the sensor, None if unknown, and `longest_hold_s` [s], all
+    as in a `Series`."""
 
-    hold: str = "linear"
+    hold: str = LINEAR
     interval_s: float = 0.0
     resolution: float = 0.0
     accuracy: float | None = None
     response_time_s: float | None = None
+    longest_hold_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,11 @@ class Plan:
 
     def form(self, signal: str) -> Form:
         """The form of a signal; by default instantaneous readings."""
-        return self.forms.get(signal, Form())
+        return self.forms.get(signal) or Form(SIGNALS[signal].hold_of_instants)
+
+    def looks_back(self, signal: str) -> bool:
+        """Whether an input at a time depends on readings up to that time alone."""
+        return self.form(signal).hold == PREVIOUS and HOLDS[signal] == MEAN
 
     def scale(self, signal: str) -> Scale | None:
         """The scale by which the gate judges readings of a signal; None where the fit has none."""
@@ -124,18 +130,15 @@ class Plan:
         """Number of later readings, besides the next one, on which an input's path depends; 0 for a step
         signal."""
         form = self.form(signal)
-        if HOLDS[signal] == ZERO_ORDER:
+        if HOLDS[signal] == MEAN:
             return 0
         return readings_ahead(form.interval_s, form.response_time_s or 0.0)
 
     @property
     def context_s(self) -> float:
-        """[s] before a final estimate for which readings are kept, because inputs look back over gaps and
-        settling times.
-
-        Features may look back over a day, and the gate over the time for which a signal may stay still.
-        """
-        hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0
+        """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
+        a day, the gate over the time for which a signal may stay still."""
+        hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
         still_s = max((still_s for _, still_s, _ in self.design.scales.values()), default=0.0)
         return max(HOUR_S * hours, still_s + 2.0 * REACH_S)
 

@@ -339,14 +339,15 @@ class Tracker:
     def _final(self) -> float:
         """Time [s] up to which no future reading can change the estimates.
 
-        Between two readings a driver depends on both.  A path through means, or one corrected for a sensor's
-        response, depends on further readings, too.  Whether a gap is bridged is known once it ends or is too
-        long.
+        Between two readings a driver depends on both, unless it holds from its stamp on.  A path through
+        means, or one corrected for a sensor's response, depends on further readings, too.  Whether a gap is
+        bridged is known once it ends or is too long.
         """
         final = self._limit
         for signal, (times, _) in self._accepted.items():
             place = int(times.searchsorted(self._limit, side="right"))
-            if place and not signal.startswith("cabinet_") and not self._stale(signal):
+            steps = signal.startswith("cabinet_") or self.plan.looks_back(signal)
+            if place and not steps and not self._stale(signal):
                 last = place - 1 - self.plan.readings_ahead(signal)
                 final = (
                     min(final, times[last] - self.plan.form(signal).interval_s) if last >= 0 else -math.inf
@@ -358,7 +359,7 @@ class Tracker:
         """Whether a driver's last reading is so old that the gap after it will not be bridged."""
         times, _ = self._accepted[signal]
         place = int(times.searchsorted(self._limit, side="right"))
-        if place < len(times) or not place:
+        if place < len(times) or not place or self.plan.looks_back(signal):
             return False
         age, bridge_s = self._limit - times[-1], HOUR_S * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:

@@ -56,7 +56,7 @@ from hygrokf.live.properties import (
     states_of,
 )
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, SourceState
 from hygrokf.live.states import States
@@ -113,6 +113,7 @@ class Fleet:
         self._warned: dict[str, float] = {}
         self._judged: dict[str, dict[str, float]] = defaultdict(dict)
         self._contradictions: dict[str, dict[str, Level]] = defaultdict(dict)
+        self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)
@@ -170,7 +171,7 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                found = mapping.read(one.content, one.received, one.topic)
+                found = mapping.read(one.content, one.received, one.topic, self._orders[source])
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue

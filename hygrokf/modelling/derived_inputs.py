@@ -21,7 +21,7 @@ from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at
 from hygrokf.data.input_paths import Same, input_path
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.model import Feature
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
@@ -195,17 +195,17 @@ FEATURES: dict[str, Feature] = {
     "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
-    "heavy_rain": (heavy_rain, ZERO_ORDER),
-    "standstill": (standstill, ZERO_ORDER),
-    "after_step": (after_step, ZERO_ORDER),
-    "door_open": (door_open, ZERO_ORDER),
-    "cooling": (cooling, ZERO_ORDER),
-    "heating": (heating, ZERO_ORDER),
-    "throttled_heating": (throttled, ZERO_ORDER),
-    "venting": (throttled, ZERO_ORDER),
-    "scheduled": (scheduled, ZERO_ORDER),
-    "open_hours": (scheduled, ZERO_ORDER),
-    "drying": (drying, ZERO_ORDER),
+    "heavy_rain": (heavy_rain, MEAN),
+    "standstill": (standstill, MEAN),
+    "after_step": (after_step, MEAN),
+    "door_open": (door_open, MEAN),
+    "cooling": (cooling, MEAN),
+    "heating": (heating, MEAN),
+    "throttled_heating": (throttled, MEAN),
+    "venting": (throttled, MEAN),
+    "scheduled": (scheduled, MEAN),
+    "open_hours": (scheduled, MEAN),
+    "drying": (drying, MEAN),
     **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
 }
 """Features, with their holds, by the name of the input that they provide."""
@@ -214,7 +214,7 @@ FEATURES: dict[str, Feature] = {
 def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
     """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
     function, hold = FEATURES[name]
-    if hold == ZERO_ORDER:
+    if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return function(record, time, **settings)
 

@@ -23,18 +23,18 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
 from hygrokf.modelling.derived_inputs import FEATURES, without_settings
 from hygrokf.modelling.registry import origins
-from hygrokf.physics.holds import LINEAR, REGIME, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, REGIME
 from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose, fields_alone
 from hygrokf.physics.parameters import Prior
 
 HOLDS = {
-    **{one.name: one.hold for one in SIGNALS.values()},
+    **{one.name: MEAN if one.hold == PREVIOUS else LINEAR for one in SIGNALS.values()},
     "exchange_factor": LINEAR,
-    "operating": ZERO_ORDER,
+    "operating": MEAN,
     "power_unknown": REGIME,
-    **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
+    **{f"power_{k}": MEAN for k in range(1, 6)},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
 """Holds of inputs between their own times: every signal, the inputs of the base models, and features."""
@@ -42,9 +42,6 @@ TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
 """[h] longest gap of the power bridged by the preceding value; in longer gaps the power is unknown."""
-SETTLING_H = 12.0
-"""[h] time after a long gap of the ambient series for which readings are left out, until the state has
-forgotten the gap."""
 BOUND = 4.0
 """Standard deviations of its prediction from which a reading counts no more: a Gaussian reading lies beyond
 once in 16,000."""
@@ -124,6 +121,8 @@ class Design:
     def from_json(cls, data: Mapping[str, Any]) -> Design:
         """A design from the data of `to_json`; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
+        holds = known.get("holds", {})  # earlier versions called a mean zero-order
+        known["holds"] = {key: MEAN if hold == "zero-order" else hold for key, hold in holds.items()}
         wrong = [name for name, _ in known.get("mechanisms", ()) if not isinstance(name, str)]
         if wrong:
             raise ValueError(f"expected names of mechanisms, found {wrong}")

@@ -12,8 +12,8 @@ from hygrokf.data.input_paths import input_path, without_response
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
-from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, SETTLING_H, TEMPERATURE, Design, power_features
-from hygrokf.physics.holds import LINEAR
+from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, TEMPERATURE, Design, power_features
+from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 
 IDENTIFIED_ON = {
@@ -29,7 +29,8 @@ class Run:
     """A timeline with flags for its instants.
 
     `operating` (T,) is True where the turbine feeds power (a record without power counts as standstill);
-    `scored` (T,) is False where an input is unknown or was unknown until shortly before.
+    `scored` (T,) is False where an input is unknown, after `evaluation.simulation.settled` also until
+    the free run has forgotten it.
     """
 
     timeline: Timeline
@@ -42,6 +43,10 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     time = series.time
     if series.interval_s > 0:
         time = np.concatenate([time, time - series.interval_s])
+    elif series.hold == PREVIOUS:
+        known, _ = series.known
+        ends = known + series.held_s
+        time = np.concatenate([time, ends[ends < np.append(known[1:], np.inf)]])
     return time[(time >= first) & (time <= last)]
 
 
@@ -76,7 +81,8 @@ def prepare_run(design: Design, record: Record, *, beyond: bool = False) -> Run:
         for name in ("active_power", "preheating")
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
-    further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    others = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    further = [input_path(s) if s.hold == PREVIOUS and model.holds[s.signal] == LINEAR else s for s in others]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))
@@ -90,11 +96,17 @@ def prepare_run(design: Design, record: Record, *, beyond: bool = False) -> Run:
         values[name] = feature(record, name, design.features[name], time)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
         values[name] = _further(record, name, time, model.holds[name], design.actuator_means.get(name))
-    near = _spread(time, unknown_ambient, SETTLING_H)
-    readings, resets = _readings(design, record, outputs, time, near)
-    run = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
-    scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
-    return Run(run, operating, scored)
+    readings, resets = _readings(design, record, outputs, time, unknown_ambient)
+    ends = gap_ends(~unknown_ambient)
+    run = timeline(model, (time - first) / 3600.0, values, readings, resets, first, ends)
+    return Run(run, operating, ~unknown_ambient & ~unknown_power)
+
+
+def gap_ends(known: np.ndarray) -> np.ndarray:
+    """True at the instants (T,) with known inputs, those of whose predecessors are unknown; empty without
+    any."""
+    ends = known & np.append(False, ~known[:-1])
+    return ends if ends.any() else ends[:0]
 
 
 def _courses(design: Design, record: Record) -> dict[str, Series]:
@@ -138,7 +150,7 @@ def _common_span(record: Record, ambient: dict[str, Series], beyond: bool) -> tu
 
 
 def _readings(
-    design: Design, record: Record, outputs: list[str], time: np.ndarray, near: np.ndarray
+    design: Design, record: Record, outputs: list[str], time: np.ndarray, unknown: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Readings (T,) of every output, NaN where there is none or an input is unknown; flags (T,) where running
     means restart."""
@@ -151,10 +163,14 @@ def _readings(
         inside = (series.time >= first) & (series.time <= last)
         scale = 1e3 if name == "cabinet_absolute_humidity" else 1.0
         at[place[inside]] = series.value[inside] * scale
-        at[near] = np.nan
+        at[unknown] = np.nan
         readings[name] = at
         if name in design.averaged:
             start = _beginnings(series, first)
+            # a mean over a time with unknown inputs cannot be predicted, either
+            count = np.append(0, np.cumsum(unknown))
+            begun = np.searchsorted(time, np.nan_to_num(start, nan=first))
+            start[inside] = np.where((count[place] > count[begun])[inside], np.nan, start[inside])
             readings[name][place[inside & np.isnan(start)]] = np.nan
             begin = np.zeros(len(time), bool)
             begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True
@@ -264,9 +280,10 @@ def _bridged(record: Record, name: str, time: np.ndarray) -> np.ndarray:
 def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:
     """Values of a series over the step that ends at each instant; NaN outside the series and in longer gaps.
 
-    Instants are joined by straight lines, whose mean over a step is the value in its middle.
+    The mean of a straight line over a step is the value in its middle, and so is a value that holds from its
+    stamp on, since its stamps are instants.
     """
-    if series.hold == LINEAR:
+    if series.hold != MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return at_times(series, time, longest_h)
 
@@ -285,12 +302,6 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str, mean: float
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
     path = input_path(without_response(series))
     value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    if hold == PREVIOUS:  # over the step that begins at each instant
+        value = np.append(value[1:], value[-1:])
     return np.where(np.isnan(value), np.nanmean(series.value) if mean is None else mean, value)
-
-
-def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:
-    """True at instants where the flag holds or held within the last `hours`."""
-    if not flag.any():
-        return flag
-    last = np.where(flag, time, -np.inf)
-    return time - np.maximum.accumulate(last) <= hours * 3600.0

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 
 from hygrokf.data.signals import SIGNALS
 from hygrokf.modelling.derived_inputs import FEATURES
+from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.model import Feature
 
@@ -47,14 +48,15 @@ def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]
 def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], origin: Origin) -> None:
     """Add factories and features to the package's tables, replacing those that a user brought before.
 
-    Raises ValueError for names of the package.
+    Raises ValueError for names of the package, and for unknown holds.
     """
     faults = name_faults(mechanisms, features)
     if faults:
         raise ValueError("; ".join(faults))
+    held = {name: (function, hold_named(hold)) for name, (function, hold) in features.items()}
     withdraw((*mechanisms, *features))
     LIBRARY.update(mechanisms)
-    FEATURES.update(features)
+    FEATURES.update(held)
     _origins.update({name: dict(origin) for name in (*mechanisms, *features)})
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.modelling.design import Design
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import MEAN
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import expect_values
 
@@ -33,7 +33,7 @@ def _network(design: Design) -> Model:
         inputs=("heat_release",),
         contributions=lambda p, x, u, q: {"heat_release": u.heat_release},
     )
-    return compose([*parts, drive], dict.fromkeys(INPUTS, ZERO_ORDER))
+    return compose([*parts, drive], dict.fromkeys(INPUTS, MEAN))
 
 
 AT_K = 283.15

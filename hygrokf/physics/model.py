@@ -24,6 +24,7 @@ import numpy as np
 
 from hygrokf.errors import suggestion
 from hygrokf.physics.expression import Matrix, Value
+from hygrokf.physics.holds import holds_named
 from hygrokf.physics.parameters import Parameter, unique
 
 Space = SimpleNamespace
@@ -115,10 +116,10 @@ class Mechanism:
 class System:
     """A continuous-time model as functions of expressions, ready to be traced.
 
-    `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct
-    values); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs
-    (name, function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that
-    are running means of an output, set to zero where an averaging interval begins; `bound` is the model's.
+    `inputs` maps names to holds (`physics.holds`); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n)
+    intensity [1/h]; `outputs` are pairs (name, function (x, u, p) -> (prediction, noise variance)); `resets`
+    are the indices of the states that are running means of an output, set to zero where an averaging interval
+    begins; `bound` is the model's.
     """
 
     parameters: tuple[str, ...]
@@ -136,7 +137,7 @@ class Model:
     """States, inputs, outputs and equations, put together from mechanisms (`compose` makes a model).
 
     mechanisms: in any order.
-    holds: input → its hold: linear, zero-order, or regime (piecewise constant with few distinct values).
+    holds: input → its hold, as `compose` takes it.
     averaged: outputs that are read as interval means → the interval [h].
     bound: standard deviations of its prediction beyond which a reading moves the state no further, with a
         whole number as its square; infinity: every reading counts in full, the exact Gaussian likelihood.
@@ -144,7 +145,7 @@ class Model:
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
     outside the library must then be those of a module.
-    Raises ValueError at first use where mechanisms do not fit together.
+    Raises ValueError for an unknown hold, and at first use where mechanisms do not fit together.
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -153,6 +154,9 @@ class Model:
     bound: float = math.inf
 
     __getstate__ = fields_alone
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "holds", holds_named(self.holds))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -357,12 +361,12 @@ def compose(
     """Compose a model from mechanisms.
 
     mechanisms: in any order; each brings its parameters, states, inputs and contributions.
-    holds: input → how it runs between two readings: "linear", "zero-order" or "regime" (piecewise constant
-        with few distinct values).
+    holds: input → how it continues between its values at two instants: "previous" ("zoh", held from an
+        instant on), "mean" (constant over the step that ends at an instant) or "linear" ("foh").
     averaged: output → interval [h] over which its readings are means.
 
-    Returns the model.  Its equations are put together at first use.  Raises ValueError, then, for two states
-    of one name, for a sum that nobody reads, and for an input without a hold.
+    Returns the model.  Its equations are put together at first use.  Raises ValueError for an unknown hold
+    and, then, for two states of one name, for a sum that nobody reads, and for an input without a hold.
     """
     return Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
 
@@ -372,7 +376,7 @@ def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None =
 
     model: that of `compose`, or of a fit (`fit.design.model`).
     mechanism: with state names of its own; model units are h, K, g/m³ and 1.
-    holds: how the mechanism's own inputs run between two readings, as in `compose`.
+    holds: how the mechanism's own inputs continue between two instants, as in `compose`.
 
     Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood
     ratio compares them.  Raises ValueError at first use, as `compose` does.

@@ -12,7 +12,7 @@ from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
-from hygrokf.evaluation.simulation import measured
+from hygrokf.evaluation.simulation import measured, settled
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import rated_power_mismatch
 from hygrokf.identification.procedure import expect_readings
@@ -147,9 +147,9 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     if held:
         statements.append(f"this record holds no information about {', '.join(held)}: kept unchanged")
     statements += rated_power_mismatch(origin.design, record)
-    return Baseline(
-        origin, record, early, base, prepare_run(base, record), early_run, held, groups
-    ), statements
+    values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
+    run = settled(base, values, prepare_run(base, record))
+    return Baseline(origin, record, early, base, run, early_run, held, groups), statements
 
 
 def _three_quarters(record: Record) -> float:

@@ -32,7 +32,7 @@ _COLUMNS = {
     "global_horizontal_irradiance": (13, "W/m2", 9999.0, "hour"),
     "direct_normal_irradiance": (14, "W/m2", 9999.0, "hour"),
     "diffuse_horizontal_irradiance": (15, "W/m2", 9999.0, "hour"),
-    "wind_direction": (20, "deg", 999.0, "held"),
+    "wind_direction": (20, "deg", 999.0, "instant"),
     "wind_speed": (21, "m/s", 999.0, "instant"),
     "cloud_cover": (22, "1", 99.0, "instant"),
     "rain": (33, "mm", 999.0, "hour"),

@@ -205,14 +205,7 @@ class _Making:
             return None
         points = self.points
         source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
-        hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
-        # a direction holds over the hour before its stamp: a straight line between two directions may turn
-        # the wrong way
-        return Series(
-            signal, self.time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0),
-            source=source,
-            height_m=height_m,
-        )  # fmt: skip
+        return Series(signal, self.time, number, interval_s=interval_s, source=source, height_m=height_m)
 
 
 def _values(made: _Making, places: np.ndarray) -> dict[str, np.ndarray]:
@@ -226,8 +219,10 @@ def _values(made: _Making, places: np.ndarray) -> dict[str, np.ndarray]:
                 made.warnings.append(f"{name}: {int(endless.sum())} values are infinite, taken as missing")
             value[short] = _converted(short, name, np.where(endless, np.nan, raw), one.unit, made.faults)
             made.faults += _power_for_energy(short, name, one.unit, made.time, value[short])
-    for short in _ACCUMULATED:
-        if short in value and _since_midnight(made.time, value[short]):
+    daily = {one: _since_midnight(made.time, value[one]) for one in _ACCUMULATED if one in value}
+    for short, told in daily.items():
+        # a field that hardly ever changes is written as the others of its file
+        if told or (told is None and True in daily.values()):
             name = made.given[short][0]
             step = modal_step(made.time)[0]
             if step > HOUR_S:
@@ -348,28 +343,38 @@ def _wind(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]
     ]
 
 
-def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
-    """Whether an accumulated field is summed since 00:00 UTC: then it never falls within a day.
+def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool | None:
+    """Whether an accumulated field is summed since 00:00 UTC; None where it hardly ever changes.
 
-    Sums over single hours fall within 24 hours wherever the sun sets or rain ends.
+    time: [s] (T,) increasing. value: (T,).  Sums since 00:00 fall at the end of the day alone, and within it
+    by no more than the noise of their packing (16 bits, whose step grows with the field's range); sums of
+    single hours fall at every hour.  The squares of both falls, over the whole field, tell which it is.
     """
-    # the sum at 00:00 is the last of the day before, that at 01:00 the first of the new one
-    inside = np.diff(np.ceil(np.round(time) / DAY_S)) == 0.0
-    steps = np.diff(value)
-    inside &= np.isfinite(steps)
-    top = float(np.nanmax(value)) if np.isfinite(value).any() else 0.0
-    if inside.sum() < 24 or top <= 0.0:
-        return False
-    rises, falls = ((sign * steps[inside] > 1e-6 * top).sum() for sign in (1.0, -1.0))
-    return bool(rises >= 4 and falls < 0.02 * rises)
+    steps = np.nan_to_num(np.diff(value))
+    falls = np.square(np.minimum(steps, 0.0))
+    at_end = np.diff(_day_of(time)) > 0.0
+    if np.count_nonzero(steps**2 > 1e-3 * np.max(steps**2, initial=0.0)) < 6:
+        return None
+    return bool(np.sum(falls[~at_end]) < 0.01 * np.sum(falls[at_end]))
+
+
+def _day_of(time: np.ndarray) -> np.ndarray:
+    """Number of the day (T,) whose sum a stamp [s] belongs to: that at 00:00 is the last of the day before,
+    that at 01:00 the first of the new one."""
+    return np.ceil(np.round(time) / DAY_S)
 
 
 def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Sums of each hour from sums since 00:00 UTC; NaN after a gap."""
-    first = np.round(np.mod(time, DAY_S)) == HOUR_S
-    before = np.append(np.nan, value[:-1])
+    """Sums of each hour from sums since 00:00 UTC; NaN after a gap.
+
+    A rise that a later sum of the day takes back is noise of the packing.
+    """
+    days = np.split(value, np.flatnonzero(np.diff(_day_of(time))) + 1)
+    least = np.concatenate([np.fmin.accumulate(day[::-1])[::-1] for day in days])
+    least[np.isnan(value)] = np.nan
+    before = np.append(np.nan, least[:-1])
     before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
-    return np.where(first, value, np.maximum(value - before, 0.0))
+    return np.where(np.round(np.mod(time, DAY_S)) == HOUR_S, least, np.maximum(least - before, 0.0))
 
 
 def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str]:

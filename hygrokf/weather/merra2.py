@@ -91,7 +91,7 @@ def _content_record(one: Content, file: str, site: Site | None, digest: str) -> 
             continue
         source = f'{file}, column "{names}"' + (f" at {points.place}" if points.place else "")
         series.append(
-            Series(signal, time, number[order], "zero-order", HOUR_S, source=source, height_m=height_m)
+            Series(signal, time, number[order], interval_s=HOUR_S, source=source, height_m=height_m)
         )
     if faults:
         raise TableFault(*faults)

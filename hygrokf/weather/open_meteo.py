@@ -113,10 +113,9 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
         if beyond := impossible_range(finite, row):
             faults.append(f"{name}: {beyond}: the file states {answer.unit.get(name)}; fetch it again")
             continue
-        hold = "zero-order" if held else "linear"
         source = f'{file.name}, column "{name}" at {place}'
         series.append(
-            Series(signal, time, number, hold, HOUR_S if held else 0.0, source=source, height_m=height_m)
+            Series(signal, time, number, interval_s=HOUR_S if held else 0.0, source=source, height_m=height_m)
         )
     if "ambient_temperature" not in {made.signal for made in series} and not faults:
         faults.append("no temperature_2m: ask for it in hourly=…")
@@ -296,7 +295,7 @@ def _signals(
             kind = "speed" if match[1] == "speed" else "angle"
             number = _converted(answer, name, kind, faults)
             # a straight line between two directions may turn the wrong way: they hold
-            made[f"wind_{match[1]}"] = (name, number, kind == "angle", float(heights[0]))
+            made[f"wind_{match[1]}"] = (name, number, False, float(heights[0]))
     if heights and heights[0] <= 10:
         warnings.append(
             f"wind_speed is measured at {heights[0]} m, not at hub height: ask for wind_speed_100m"

@@ -34,7 +34,7 @@ _SIGNALS = {
     # signal: column, unit, whether it holds over the hour
     "ambient_temperature": ("t", "degC", False),
     "ambient_pressure": ("p", "hPa", False),
-    "wind_direction": ("WR", "deg", True),
+    "wind_direction": ("WR", "deg", False),
     "wind_speed": ("WG", "m/s", False),
     "cloud_cover": ("N", "1", False),
     "diffuse_horizontal_irradiance": ("D", "W/m2", True),

@@ -79,8 +79,7 @@ def hourly_series(
         signal,
         time,
         value,
-        "zero-order" if mean else "linear",
-        HOUR_S if mean else 0.0,
+        interval_s=HOUR_S if mean else 0.0,
         source=source,
         height_m=WIND_HEIGHT_M if signal.startswith("wind_") else None,
     )

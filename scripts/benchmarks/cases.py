@@ -35,8 +35,8 @@ HOLDS = {
     "ambient_temperature": "linear",
     "ambient_absolute_humidity": "linear",
     "exchange_factor": "linear",
-    "operating": "zero-order",
-    "power_1": "zero-order",
+    "operating": "mean",
+    "power_1": "mean",
 }
 
 
@@ -229,7 +229,7 @@ def two_masses(time: np.ndarray, ambient: np.ndarray, power: np.ndarray, reading
         lambda p: {"T1": exp(2.0 * p.ls1), "T2": exp(2.0 * p.ls2)},
         lambda p, u: {"T1": (15.0, 0.1), "T2": (15.0, 0.1)},
     )
-    model = compose([network], {"ambient": "zero-order", "power": "zero-order"})
+    model = compose([network], {"ambient": "mean", "power": "mean"})
     held = {"ambient": ambient, "power": power}
     held = {name: np.concatenate([v[:1], v[:-1]]) for name, v in held.items()}
     return Likelihood(model, timeline(model, time, held, {"y": reading}))

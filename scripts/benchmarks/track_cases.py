@@ -46,7 +46,7 @@ def record(days: float = 6.0, end_s: float = 1.7e9) -> Record:
         "cabinet_temperature": inside,
         "cabinet_relative_humidity": np.minimum(relative_humidity(vapour * outside / inside, inside), 1.0),
     }
-    power = Series("active_power", time, 2e6 * share, hold="zero-order", interval_s=STEP_S)
+    power = Series("active_power", time, 2e6 * share, hold="mean", interval_s=STEP_S)
     series = (*(Series(name, time, values) for name, values in course.items()), power)
     return Record("made", series, Site(52.0, 1.0), 2e6)
 

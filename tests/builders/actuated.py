@@ -93,7 +93,7 @@ def _means(signal: str, duty: np.ndarray, time: np.ndarray) -> Series:
         signal,
         time[STEP_MIN::STEP_MIN][:count],
         held[: count * STEP_MIN].reshape(count, STEP_MIN).mean(axis=1),
-        hold="zero-order",
+        hold="mean",
         interval_s=60.0 * STEP_MIN,
         source="actuators",
     )

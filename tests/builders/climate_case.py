@@ -112,4 +112,4 @@ def climate_of(weather: Record | None = None, power: Record | None = None, **mor
 def hourly_power(weather: Record, value: np.ndarray) -> Record:
     """A turbine of 2 MW with a power [W] at each hour of a weather record."""
     time = weather["wind_speed"].time
-    return Record("p", (Series("active_power", time, value, "zero-order", HOUR_S),), rated_power_W=2e6)
+    return Record("p", (Series("active_power", time, value, "mean", HOUR_S),), rated_power_W=2e6)

@@ -45,7 +45,7 @@ def cabinet_record(days: float, seed: int = 1, moisture: float = 0.0) -> Record:
     inside = np.minimum(
         relative_humidity(vapour * kelvin / air, air) + 0.005 * random.standard_normal(count), 1.0
     )
-    means = {"hold": "zero-order", "interval_s": STEP_S}
+    means = {"hold": "mean", "interval_s": STEP_S}
     return Record(
         "made",
         (

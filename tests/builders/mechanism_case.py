@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.model import Mechanism, Model, compose
 
@@ -34,7 +35,7 @@ def host(mechanism: Mechanism) -> Model:
     mechanisms = [*made, mechanism]
     inputs = {name for m in mechanisms for name in m.inputs}
     steps = {"operating", "preheating", "power_1", "power_2"}
-    holds = {name: "zero-order" if name in steps else "linear" for name in inputs} | {POWER_UNKNOWN: "regime"}
+    holds = {name: "mean" if name in steps else "linear" for name in inputs} | {POWER_UNKNOWN: REGIME}
     return compose(mechanisms, holds)
 
 

@@ -19,7 +19,7 @@ def weather(days: float = 12.0, cabinet: bool = True, step: float = 600.0) -> Re
     hours = (time - START) / HOUR
     series = [
         Series("ambient_temperature", time, 275.0 + 6.0 * np.sin(hours * 2.0 * np.pi / 24.0)),
-        Series("active_power", time, np.where(hours < 100.0, 0.0, 1.0e6), interval_s=step, hold="zero-order"),
+        Series("active_power", time, np.where(hours < 100.0, 0.0, 1.0e6), interval_s=step, hold="mean"),
     ]
     if cabinet:
         series.append(Series("cabinet_temperature", time, np.full(len(time), 285.15 + 10.0)))

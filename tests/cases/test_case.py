@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import pickle
+import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from builders.faults import faults_of
 from builders.measured import DATA, measured
 
 from hygrokf.cases.case_file import CaseFault, read_case
+from hygrokf.cases.doubts import doubts
+from hygrokf.cases.frames import read_frames
+from hygrokf.data.ambient import at_times
+from hygrokf.data.input_paths import on_change
+from hygrokf.data.record import Record, Series
+from hygrokf.modelling.design import design, extended
+from hygrokf.modelling.inputs import prepare_run
 
 START = datetime(2020, 6, 1, tzinfo=UTC)
 COUNT = 3000
@@ -112,13 +123,16 @@ def test_a_case_becomes_a_record(folder):
     ("stamp", "hold", "shift", "found"),
     [
         ("instant", None, 0.0, ("linear", 0.0)),
-        ("start", None, 600.0, ("zero-order", 600.0)),
-        ("middle", None, 300.0, ("zero-order", 600.0)),
-        ("end", None, 0.0, ("zero-order", 600.0)),
+        ("start", None, 600.0, ("mean", 600.0)),
+        ("middle", None, 300.0, ("mean", 600.0)),
+        ("end", None, 0.0, ("mean", 600.0)),
         ("start", "linear", 300.0, ("linear", 0.0)),
         ("middle", "linear", 0.0, ("linear", 0.0)),
         ("end", "linear", -300.0, ("linear", 0.0)),
-        ("instant", "zero-order", 0.0, ("zero-order", 600.0)),
+        ("end", "mean", 0.0, ("mean", 600.0)),
+        ("end", "foh", -300.0, ("linear", 0.0)),
+        ("instant", "zoh", 0.0, ("previous", 0.0)),
+        ("instant", "previous", 0.0, ("previous", 0.0)),
     ],
 )
 def test_stamps_and_holds(folder, stamp, hold, shift, found):
@@ -126,6 +140,71 @@ def test_stamps_and_holds(folder, stamp, hold, shift, found):
     power = read(folder, ('stamp = "start"', stated))["active_power"]
     assert power.time[0] == START.timestamp() + shift
     assert (power.hold, power.interval_s) == found
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ('hold = "zero-order"', r"two meanings: held from its stamp on .*\"previous\".*ends at its stamp"),
+        ('hold = "Linear"', r"expected the hold previous, mean or linear, found 'Linear'; did you mean"),
+        ('hold = ""', r"expected the hold previous, mean or linear, found ''"),
+        ('hold = "mean"', r"a mean needs to know where in it the stamp is"),
+        ('stamp = "end"\nhold = "zoh"', r'hold = "previous" is for stamp = "instant"'),
+        ('hold = "zoh"\nlongest_hold = "long"', r"longest_hold"),
+        ('hold = "zoh"\nlongest_hold = "0s"', r"longest_hold"),
+    ],
+)
+def test_a_hold_that_is_not_one_is_refused(folder, stated, said):
+    (found,) = faults(folder, ('stamp = "start"', stated))
+    assert re.search(said, found) and "case.toml, line 1" in found
+
+
+def test_a_door_that_is_told_when_it_moves_is_open_in_between(tmp_path):
+    """Closed at 0 h, open at 6 h, closed at 7 h."""
+    told = pd.Series([0.0, 1.0, 0.0], pd.to_datetime(["2024-03-01T00Z", "2024-03-01T06Z", "2024-03-01T07Z"]))
+    told.to_csv(tmp_path / "door.csv", header=["door"], index_label="t")
+    hours = pd.date_range("2024-03-01T00Z", periods=49, freq="1h")
+    climate = pd.DataFrame({"in": 20.0 + np.arange(49) % 3, "out": 10.0 + np.arange(49) % 5}, hours)
+    climate.to_csv(tmp_path / "climate.csv", index_label="t")
+    (tmp_path / "case.toml").write_text(
+        'name = "box"\n[[source]]\nfile = "climate.csv"\ntime = "t"\n'
+        'signals.cabinet_temperature = { column = "in", unit = "degC" }\n'
+        'signals.ambient_temperature = { column = "out", unit = "degC" }\n'
+        '[[source]]\nfile = "door.csv"\ntime = "t"\nsignals.door_open = { column = "door", unit = "1" }\n'
+    )
+    frames = {"climate": climate, "door": told.to_frame("door")}
+    units = {"climate": {"in": "degC", "out": "degC"}, "door": {"door": "1"}}
+    signals = {
+        "climate": {"in": "cabinet_temperature", "out": "ambient_temperature"},
+        "door": {"door": "door_open"},
+    }
+    for record in (read_case(tmp_path / "case.toml"), read_frames(frames, signals=signals, units=units)):
+        door = record["door_open"]
+        assert (door.hold, door.longest_hold_s) == ("previous", math.inf)
+        at = record.start_s + 3600.0 * np.array([0.0, 3.0, 5.999, 6.0, 6.999, 7.0, 40.0])
+        assert at_times(door, at, 6.0).tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+        made = design(record, kind="thermal")
+        made = extended(made, [("open_loss", {})])
+        run = prepare_run(made, record).timeline
+        assert run.input("door_open")[run.seconds <= record.start_s + 9 * 3600.0].tolist() == [
+            *[0.0] * 7, 1.0, 0.0, 0.0,
+        ]  # fmt: skip
+
+
+def test_a_signal_that_comes_on_change_and_is_joined_by_lines_is_said(folder):
+    """A coarse temperature without any repetition; regular or repeating readings are not on change."""
+    random = np.random.default_rng(3)
+    value = 20.0 + 0.1 * np.cumsum(random.choice([-1.0, 1.0], 300))
+    time = np.cumsum(random.uniform(60.0, 3600.0, 300))
+    assert on_change(time, value, 0.1)
+    assert not on_change(600.0 * np.arange(300.0), value, 0.1)  # regular
+    assert not on_change(time, np.repeat(value, 2)[:300], 0.1)  # repeating
+    assert not on_change(time[:12], value[:12], 0.1)  # few enough for chance
+    assert not on_change(time, random.normal(size=300), 1e-6)  # noise on a fine grid never repeats
+    made = Record("x", (Series("cabinet_temperature", time, value + 273.15, resolution=0.1),))
+    assert any("comes only when it changes" in one for one in doubts(made))
+    held = Record("x", (dataclasses.replace(made.series[0], hold="zoh"),))
+    assert not any("comes only when it changes" in one for one in doubts(held))
 
 
 def test_a_stated_interval_counts_instead_of_the_step(folder):
@@ -144,8 +223,7 @@ def test_directions_are_held_and_not_interpolated(folder):
     turning = 'signals.wind_direction = { column = "T", unit = "deg" }\n'
     flag = 'signals.rain = { column = "T", unit = "mm" }\n'
     record = read(folder, (ambient, ambient + turning + flag))
-    assert record["wind_direction"].hold == "zero-order"
-    assert record["wind_direction"].interval_s == 600.0
+    assert (record["wind_direction"].hold, record["wind_direction"].interval_s) == ("previous", 0.0)
     assert record["rain"].hold == "linear"
 
 

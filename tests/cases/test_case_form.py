@@ -8,6 +8,8 @@ import pytest
 
 from hygrokf.cases.form import stated_case
 from hygrokf.cases.places import CaseLines
+from hygrokf.data.numbers import Meaning
+from hygrokf.data.quality import StatedQuality
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0
@@ -67,10 +69,13 @@ def test_the_form_is_read():
         "timezone": "+01:00",
         "separator": ";",
         "decimal": ",",
+        "thousands": None,
+        "meanings": {"P": Meaning("active_power", "kW")},
         "comment": None,
         "missing": ("bad",),
         "time_format": None,
         "ignore_offset": False,
+        "quality": StatedQuality({"P": None}),
     }
 
 

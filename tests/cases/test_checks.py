@@ -38,7 +38,7 @@ def good(days: float = 60.0) -> Record:
             series("cabinet_relative_humidity", 0.45 + 0.01 * random.normal(0, 1, count)),
             series("ambient_temperature", outside),
             series("ambient_relative_humidity", 0.75 + 0.01 * random.normal(0, 1, count)),
-            series("active_power", power, hold="zero-order", interval_s=600.0),
+            series("active_power", power, hold="mean", interval_s=600.0),
         ),
         Site(52.4, -0.95),
         2.05e6,
@@ -259,7 +259,7 @@ def test_description_counts_what_is_there():
     assert one.unit == "degC"
     assert one.mean == pytest.approx(np.nanmean(value) - 273.15, rel=1e-4)
     assert one.accuracy == 0.3
-    assert described.signals[4].hold == "zero-order"
+    assert described.signals[4].hold == "mean"
     assert described.signals[4].interval_s == 600.0
 
 
@@ -306,6 +306,21 @@ def test_the_table_is_aligned_and_complete():
     start = next(n for n, line in enumerate(lines) if line.startswith("signal") and "step" in line)
     column = lines[start].index("hold")
     for line in lines[start + 1 : start + 6]:
-        assert line[column:].startswith(("linear", "zero-order 10 min"))
+        assert line[column:].startswith(("linear", "mean 10 min"))
     assert "warnings: none" in text
     assert "doubts: none" in text
+
+
+def test_readings_lost_in_gaps_of_the_ambient_are_counted():
+    """Outside, nothing from 21:00 to 9:00: half of the cabinet's readings have no known input."""
+    record = good()
+    day = [one.time % DAY for one in record.series[2:4]]
+    series = [
+        replace(one, value=np.where((at > 9 * 3600.0) & (at < 21 * 3600.0), one.value, np.nan))
+        for one, at in zip(record.series[2:4], day, strict=True)
+    ]
+    said = [one for one in doubts(record.replace_series(*series)) if "are not used" in one]
+    assert len(said) == 2 and not [one for one in doubts(record) if "are not used" in one]
+    lost = [int(one.split()[0]) for one in said]
+    assert all(0.48 < one / len(record["cabinet_temperature"]) < 0.52 for one in lost)
+    assert all("ambient temperature and humidity" in one for one in said)

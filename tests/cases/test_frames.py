@@ -133,6 +133,36 @@ MESSY_OPTIONS = {
 }
 
 
+def test_texts_and_serial_days_are_read_as_in_files() -> None:
+    """Thousands marks, units and flags in texts; Excel's days as numbers; a zone in the name of the index."""
+    plain = made(stamp=None, timezone={"scada": "UTC"})
+    power = scada().round(0)
+    texts = power.assign(
+        P=[f"{one:,.0f}".replace(",", ".") for one in power["P"]],
+        door=["open" if k % 50 == 0 else "closed" for k in range(COUNT)],
+        heater=["ON" if k % 7 else "off" for k in range(COUNT)],
+    )
+    days = (texts.index - pd.Timestamp("1899-12-30")) / pd.Timedelta("1D")
+    texts.index = pd.Index(days + 1.0 / 24.0, name="Zeit (MEZ)")
+    logger = cabinet().assign(T=lambda frame: [f"{one} °C" for one in frame["T"]])
+    told = {
+        "signals": {**SIGNALS, "door": "door_open", "heater": "heater_duty"},
+        "units": {**UNITS, "door": "1", "heater": "1"},
+        "timezone": None, "stamp": None, "time_format": {"scada": "excel"},
+    }  # fmt: skip
+    frames = {"cabinet": logger, "scada": texts}
+    with pytest.raises(CaseFault, match=r'may be 1\d{3} or 1\.\d+, as .*state thousands = "\."'):
+        made(frames, **told)
+    record = made(frames, **told, thousands={"scada": "."})
+    for signal in ("cabinet_temperature", "active_power"):
+        np.testing.assert_array_equal(record[signal].time, plain[signal].time)
+    np.testing.assert_array_equal(record["cabinet_temperature"].value, plain["cabinet_temperature"].value)
+    np.testing.assert_allclose(record["active_power"].value, 1e3 * power["P"].to_numpy())
+    np.testing.assert_array_equal(record["door_open"].value, np.arange(COUNT) % 50 == 0)
+    np.testing.assert_array_equal(record["heater_duty"].value, np.arange(COUNT) % 7 > 0)
+    assert any('read at "+01:00"' in said for said in record.warnings)
+
+
 def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     frames = messy()
     for name, frame in frames.items():
@@ -264,7 +294,7 @@ def test_periods_are_means_over_themselves() -> None:
     found = made({"cabinet": cabinet(), "scada": frame}, stamp=None)
     stated = made(interval={"scada": "10min"})
     assert found["active_power"] == stated["active_power"]
-    assert (found["active_power"].hold, found["active_power"].interval_s) == ("zero-order", 600.0)
+    assert (found["active_power"].hold, found["active_power"].interval_s) == ("mean", 600.0)
     assert found["active_power"].time[0] == INDEX[0].timestamp() + 600.0
     # with a zone that has summer time, and hours of which some are missing: the length is the period's, not
     # the step's
@@ -426,3 +456,29 @@ def test_a_power_alone_is_a_record_when_asked_for() -> None:
     assert power.signals == ("active_power",) and power["active_power"] == made()["active_power"]
     with pytest.raises(CaseFault, match="nothing in the cabinet to identify"):
         read_frames({"scada": scada()}, **alone, ambient=False)
+
+
+def test_a_dew_point_of_the_logger_is_not_the_air_outside():
+    """The logger's own dew point given as the ambient's: the columns are named."""
+    frame = cabinet()
+    gamma = np.log(frame["RH"] / 100.0) + 17.27 * frame["T"] / (237.7 + frame["T"])
+    frame["DP"] = (237.7 * gamma / (17.27 - gamma)).round(2)
+    frames, units = {"cabinet": frame, "scada": scada()}, UNITS | {"DP": "degC"}
+    with pytest.raises(CaseFault, match="computed from the cabinet's own readings") as raised:
+        made(frames, signals=SIGNALS | {"DP": "ambient_dew_point_temperature"}, units=units)
+    assert all(f'column "{one}"' in str(raised.value) for one in ("T", "RH", "DP"))
+    inside = made(frames, signals=SIGNALS | {"DP": "cabinet_dew_point_temperature"}, units=units)
+    assert "cabinet_dew_point_temperature" in inside
+
+
+def test_a_humidity_beside_another_probe_s_temperature_is_doubted():
+    """The logger's own temperature stays unused, and that of the controller stands in for it."""
+    logger = cabinet()
+    controller = logger.assign(Tc=logger["T"] + 2.0)[["Tc"]]
+    signals = {"RH": "cabinet_relative_humidity", "Tc": "cabinet_temperature", "P": "active_power"}
+    units = {"RH": "%", "Tc": "degC", "ambient_temperature": "degC", "P": "kW"}
+    frames = {"cabinet": logger, "controller": controller, "scada": scada()}
+    record = made(frames, signals=signals, units=units)
+    (said,) = [one for one in all_doubts(record) if "own temperature is there" in one]
+    assert all(f'"{one}"' in said for one in ("Tc", "RH", "T")) and said.touches == ("hygric",)
+    assert not [one for one in all_doubts(made()) if "own temperature" in one]

@@ -104,7 +104,7 @@ def hourly_power(first: str, days: int, value: np.ndarray | None = None) -> Seri
         "active_power",
         time,
         np.arange(24.0 * days) if value is None else value,
-        "zero-order",
+        "mean",
         3600.0,
         source="p.csv",
     )

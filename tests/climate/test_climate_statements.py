@@ -41,7 +41,7 @@ def test_a_typical_year_is_repeated_for_each_year_of_power(tmp_path: Path) -> No
     hour = np.arange(1, 24 * 731)
     value = np.where(hour <= 24 * 365, 0.0, 2e6)
     power = Record(
-        "p", (Series("active_power", begin + 3600.0 * hour, value, "zero-order", 3600.0),), rated_power_W=2e6
+        "p", (Series("active_power", begin + 3600.0 * hour, value, "mean", 3600.0),), rated_power_W=2e6
     )
     found = climate_of(read_region("typical", [file], power).weather, power)
     assert sorted(round(year.operating_share) for year in found.years) == [0, 1]

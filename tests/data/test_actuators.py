@@ -108,7 +108,7 @@ def _record(**courses: np.ndarray) -> Record:
         Series("cabinet_temperature", hour, 293.0 + np.sin(hour / 20000.0)),
         Series("ambient_temperature", hour, 283.0 + np.sin(hour / 14000.0)),
     ]
-    series += [Series(name, hour, value, "zero-order", 3600.0) for name, value in courses.items()]
+    series += [Series(name, hour, value, "mean", 3600.0) for name, value in courses.items()]
     return Record("made by hand", tuple(series))
 
 

@@ -147,7 +147,7 @@ def test_smoothing_brings_noisy_readings_nearer_to_the_truth():
 def test_nothing_to_smooth():
     series = walk(4, 300, 0.06, 0.05)
     assert smoothed(series, None) is series
-    means = replace(series, hold="zero-order", interval_s=STEP_S)
+    means = replace(series, hold="mean", interval_s=STEP_S)
     assert smoothed(means, (1e-5, 1e-3)) is means
     two = replace(series, time=series.time[:2], value=series.value[:2])
     assert smoothed(two, (1e-5, 1e-3)) is two
@@ -183,11 +183,11 @@ def test_a_mean_humidity_meets_the_temperature_of_the_middle_of_its_interval():
     """Hourly means of both at their ends: each humidity goes with the temperature of the same hour."""
     end = START_S + 3600.0 * np.arange(1, 49)
     kelvin = 283.0 + 6.0 * np.sin(np.arange(48) / 4.0)
-    warm = Series("ambient_temperature", end, kelvin, "zero-order", 3600.0)
-    moist = Series("ambient_relative_humidity", end, np.full(48, 0.7), "zero-order", 3600.0)
+    warm = Series("ambient_temperature", end, kelvin, "mean", 3600.0)
+    moist = Series("ambient_relative_humidity", end, np.full(48, 0.7), "mean", 3600.0)
     found = outside(moist, warm)
     assert_allclose(found.value, absolute_humidity(0.7, kelvin), rtol=1e-12)
-    assert (found.hold, found.interval_s) == ("zero-order", 3600.0)
+    assert (found.hold, found.interval_s) == ("mean", 3600.0)
     assert_allclose(centred(found).time, end - 1800.0)
 
 
@@ -206,7 +206,7 @@ def test_a_humidity_without_temperature_is_missing():
 
 
 def test_means_become_instants_in_the_middle_of_their_interval():
-    means = replace(walk(1, 20, 0.1, 0.0), hold="zero-order", interval_s=STEP_S, resolution=0.1)
+    means = replace(walk(1, 20, 0.1, 0.0), hold="mean", interval_s=STEP_S, resolution=0.1)
     found = centred(means)
     assert_array_equal(found.time, means.time - 300.0)
     assert (found.hold, found.interval_s, found.resolution) == ("linear", 0.0, 0.1)
@@ -219,7 +219,7 @@ def test_the_limit_of_bridges_never_falls_below_the_own_step():
 
     assert bridge_h(instants(600.0), 6.0) == 6.0
     assert bridge_h(instants(8 * 3600.0), 6.0) == 12.0
-    assert bridge_h(instants(7200.0, hold="zero-order", interval_s=7200.0), 1.0) == 1.0
+    assert bridge_h(instants(7200.0, hold="mean", interval_s=7200.0), 1.0) == 1.0
     assert bridge_h(Series("ambient_temperature", [0.0], [283.0]), 6.0) == 6.0
 
 
@@ -248,7 +248,7 @@ def by_definition(series: Series, when: float, bridge: float) -> float:
 @settings(max_examples=60)
 @given(
     st.integers(0, 10_000),
-    st.sampled_from(["linear", "zero-order"]),
+    st.sampled_from(["linear", "mean"]),
     st.sampled_from([0.0, 0.3, 0.7]),
     st.sampled_from([0.2, 1.0, 6.0]),
 )
@@ -257,10 +257,28 @@ def test_every_value_is_the_one_by_definition(seed, hold, missing, bridge):
     time = START_S + np.cumsum(random.choice([600.0, 1200.0, 5400.0, 20_000.0], 40))
     value = 283.15 + random.normal(size=40)
     value[random.random(40) < missing] = np.nan
-    series = Series("ambient_temperature", time, value, hold, 600.0 if hold == "zero-order" else 0.0)
+    series = Series("ambient_temperature", time, value, hold, 600.0 if hold == "mean" else 0.0)
     asked = np.sort(np.concatenate([time, time - 600.0, random.uniform(time[0] - 9e3, time[-1] + 9e3, 60)]))
     found = at_times(series, asked, bridge)
     assert_allclose(found, [by_definition(series, when, bridge) for when in asked], atol=1e-9)
+
+
+def test_a_held_value_is_known_from_its_stamp_on_until_it_is_too_old():
+    """Three times the median of the steps before it, whatever comes later; or the stated age; or for ever."""
+    time = START_S + 60.0 * np.array([0, 1, 2, 3, 4, 5, 15, 16, 17, 18, 100])
+    value = np.arange(11.0)
+    door = Series("ambient_temperature", time, 280.0 + value, "previous")
+    minutes = [-0.01, 0.0, 0.99, 1.0, 5.5, 8.0, 8.01, 14.99, 15.0, 21.0, 21.01, 103.0]
+    asked = START_S + 60.0 * np.array(minutes)
+    expected = [np.nan, 0, 0, 1, 5, 5, np.nan, np.nan, 6, 9, np.nan, 10]
+    assert_array_equal(at_times(door, asked, 6.0) - 280.0, expected)
+    stated, endless = (replace(door, longest_hold_s=age) for age in (120.0, np.inf))
+    young = [np.nan, 0, 0, 1, 5, np.nan, np.nan, np.nan, 6, np.nan, np.nan, np.nan]
+    assert_array_equal(at_times(stated, asked, 6.0) - 280.0, young)
+    assert_array_equal(at_times(endless, asked, 6.0) - 280.0, [np.nan, 0, 0, 1, 5, 5, 5, 5, 6, 9, 9, 10])
+    for count in range(2, 11):  # by earlier readings alone
+        part = replace(door, time=time[:count], value=door.value[:count])
+        assert_array_equal(part.held_s, door.held_s[:count])
 
 
 def test_an_empty_series_is_unknown_everywhere():

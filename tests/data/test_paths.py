@@ -19,7 +19,17 @@ FINE = 40
 def means(values, width=600.0, start=START_S):
     """Adjacent interval means as a series."""
     ends = start + width * np.arange(1, len(values) + 1)
-    return Series("ambient_temperature", ends, values, hold="zero-order", interval_s=width)
+    return Series("ambient_temperature", ends, values, hold="mean", interval_s=width)
+
+
+def test_the_path_of_held_values_jumps_after_their_stamps_and_ends_with_their_age():
+    time = START_S + np.array([0.0, 600.0, 1200.0, 1800.0, 9000.0, 9000.5])
+    held = Series("ambient_temperature", time, 280.0 + np.array([1.0, 2.0, 2.0, 3.0, 4.0, 5.0]), "zoh")
+    path = input_path(held)
+    assert path.hold == "linear"
+    nodes = [0, 600, 601, 1200, 1800, 1801, 3600, 9000, 9000.5, 9001.5, 10800.5]
+    assert (path.time - START_S).tolist() == nodes
+    assert (path.value - 280.0).tolist() == [1, 1, 2, 2, 2, 3, 3, 4, 4, 5, 5]
 
 
 def dense(count: int, noise: float = 0.0):

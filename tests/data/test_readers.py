@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hygrokf.data.columns import TableFault
+from hygrokf.data.numbers import Meaning
 from hygrokf.data.table_readers import read_table
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
@@ -152,12 +153,97 @@ def test_truth_values_are_numbers(write):
     ("old", "new", "remedy"),
     [
         ("20.5", "°C", "units"),
-        ("22.5", '"1,022.5"', "thousands"),
+        ("22.5", '"1,022.5"', 'thousands = ","'),
         ("\n2020-01-01T00:02:00Z,22.5,52", "\ntime,T,RH", "header is repeated"),
     ],
 )
 def test_common_texts_get_their_own_remedy(write, old, new, remedy):
     assert any(remedy in fault for fault in faults(write(GOOD.replace(old, new))))
+
+
+def power(*texts: str, separator: str = ",") -> str:
+    rows = [f"{stamp}{separator}{one}" for stamp, one in zip(stamps(len(texts)), texts, strict=True)]
+    return table(rows, f"time{separator}P")
+
+
+def test_a_point_beside_a_decimal_comma_divides_thousands(write):
+    path = write(power("998,5", "1.003", "1.250", "2.050", separator=";"))
+    for stated in ({"decimal": ","}, {"thousands": "."}):
+        read = read_table(path, ["P"], "time", separator=";", **stated)
+        np.testing.assert_array_equal(read.values["P"], [998.5, 1003.0, 1250.0, 2050.0])
+    wrong = write(power("998,5", "21.5", separator=";"), "b.csv")
+    (fault,) = faults(wrong, ["P"], separator=";", decimal=",")
+    assert 'line 3 "21.5"' in fault and 'state decimal = "."' in fault
+
+
+@pytest.mark.parametrize(
+    ("texts", "advised"),
+    [
+        (("998", '"1,003"', '"2,050"'), 'state thousands = ","'), (("998", '"21,5"'), 'state decimal = ","'),
+        (("30", '"1,003"', "32"), 'state decimal = "," or thousands = ","'),
+        (("998", "1.003", "1.117"), '"1.003" may be 1003 or 1.003'),
+    ],
+)  # fmt: skip
+def test_the_advice_on_marks_is_right(write, texts, advised):
+    path = write(power(*texts))
+    (fault,) = faults(path, ["P"])
+    assert advised in fault
+    if "thousands = " in fault:
+        mark = "," if "," in texts[1] else "."
+        right = [float(one.strip('"').replace(mark, "")) for one in texts]
+        np.testing.assert_array_equal(read_table(path, ["P"], "time", thousands=mark).values["P"], right)
+
+
+def test_a_point_that_both_readings_allow_is_a_doubt_until_stated(write):
+    path = write(power("30", "1.003", "32"))
+    read = read_table(path, ["P"], "time")
+    (doubt,) = read.warnings
+    assert '"1.003" may be 1003 or 1.003' in doubt and 'thousands = "." or decimal = "."' in doubt
+    assert read_table(path, ["P"], "time", decimal=".").warnings == ()
+    assert read_table(path, ["P"], "time", thousands=".").values["P"][1] == 1003.0
+
+
+def test_texts_with_units_and_flags_are_numbers(write):
+    path = write(table([f"{stamps()[0]},21.5 °C,45%,ON,open", f"{stamps()[1]},unavailable,0.46,off,closed"],
+                       "time,T,RH,H,D"))  # fmt: skip
+    meanings = {
+        "T": Meaning("cabinet_temperature", "degC"), "RH": Meaning("cabinet_relative_humidity", "1"),
+        "H": Meaning("heater_duty", "1"), "D": Meaning("door_open", "1"),
+    }  # fmt: skip
+    read = read_table(path, [*meanings], "time", meanings=meanings)
+    found = np.array([*read.values.values()])
+    np.testing.assert_array_equal(found, [[21.5, np.nan], [0.45, 0.46], [1.0, 0.0], [1.0, 0.0]])
+    fan = {"D": Meaning("fan_duty", "1")}
+    (fault,) = faults(path, ["D"], meanings=fan)
+    assert 'one = "open" or "closed"' in fault
+    closed = {"D": Meaning("fan_duty", "1", "closed")}
+    np.testing.assert_array_equal(read_table(path, ["D"], "time", meanings=closed).values["D"], [0.0, 1.0])
+
+
+def test_a_repeated_row_within_the_repeated_hour_is_no_second_pass(write):
+    minutes = ["01:50", "02:00", "02:10", "02:10", "02:20", "02:50", "04:00"]
+    rows = [f"2021-10-31 {one},{k - (k > 2)}" for k, one in enumerate(minutes)]
+    read = read_table(write(table(rows, "time,T")), ["T"], "time", timezone="Europe/Berlin")
+    np.testing.assert_array_equal(read.values["T"], [0.0, 5.0])
+    assert any("5 stamps left out" in said for said in read.warnings)
+    hours = [f"2021-10-31 {one}" for one in ("01:00,0", "02:00,1", "02:00,1")]
+    read = read_table(write(table(hours, "time,T"), "b.csv"), ["T"], "time", timezone="Europe/Berlin")
+    np.testing.assert_array_equal(read.values["T"], [0.0])
+
+
+def test_forms_and_headers_of_stamps(write):
+    ampm = write(table(["2/1/2022 12:04 AM,1", "2/1/2022 01:05 PM,2"], "time,T"))
+    (fault,) = faults(ampm, ["T"], time_format="%m/%d/%Y %H:%M %p", timezone="UTC")
+    assert "write %I for %H" in fault
+    read = read_table(ampm, ["T"], "time", time_format="%m/%d/%Y %I:%M %p", timezone="UTC")
+    np.testing.assert_array_equal(np.diff(read.time), 13 * 3600 + 60)
+    serial = write(table(["43831.0,1", "43831.5,2"], "Time (CEST),T"), "b.csv")
+    assert 'time_format = "excel"' in faults(serial, ["T"], "Time (CEST)", timezone="UTC")[0]
+    read = read_table(serial, ["T"], "Time (CEST)", time_format="excel")
+    np.testing.assert_array_equal(read.time, BASE - 7200.0 + np.array([0.0, 43200.0]))
+    assert any('read at "+02:00"' in said for said in read.warnings)
+    months = write(table(["2022-01,1", "2022-02,2"], "time,T"), "c.csv")
+    assert read_table(months, ["T"], "time", timezone="UTC").warnings == ()
 
 
 def test_missing_columns_are_all_named_with_near_names(write):

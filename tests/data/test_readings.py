@@ -322,7 +322,7 @@ TURBINES = [
 @measured
 @pytest.mark.parametrize(("file", "column", "signal", "step"), ATTIC + TURBINES)
 def test_clean_measured_series_lose_nothing(file, column, signal, step):
-    """One departure in 14,000 readings is suspected over all series, three times as many in any one of them."""
+    """One reading in 14,000 is suspected over all series, four times as many in any one of them."""
     one = series(signal, _column(file, column), step)
     kept, said = mask_gated(one)
     assert (kept.missing & ~one.missing).sum() <= max(2, 3e-4 * len(one))

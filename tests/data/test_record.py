@@ -28,7 +28,7 @@ def test_arrays_are_copied_and_read_only():
     with pytest.raises(ValueError, match="read-only"):
         one.value[0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
-        one.hold = "zero-order"
+        one.hold = "mean"
 
 
 def test_everything_wrong_with_a_series_is_said_at_once():
@@ -135,7 +135,32 @@ def test_equality_looks_at_the_readings():
     one = series(value=[281.0, np.nan, 283.0])
     assert one == series(value=[281.0, np.nan, 283.0])
     assert one != series(value=[281.0, np.nan, 284.0])
-    assert one != series(value=[281.0, np.nan, 283.0], hold="zero-order")
+    assert one != series(value=[281.0, np.nan, 283.0], hold="zoh")
+
+
+def test_a_hold_is_one_word_and_a_mean_has_its_interval():
+    assert (series().hold, series("door_open").hold) == ("linear", "previous")
+    assert series(interval_s=60.0).hold == series(interval_s=60.0, hold="mean").hold == "mean"
+    assert (series(hold="zoh").hold, series("door_open", hold="foh").hold) == ("previous", "linear")
+    for more in ({"hold": "mean"}, *({"hold": word, "interval_s": 60.0} for word in ("linear", "zoh"))):
+        with pytest.raises(ValueError, match="a mean has hold mean and its interval_s"):
+            series(**more)
+    for word in ("zero-order", "zero_order_hold", "Linear", "", "regime", None):
+        with pytest.raises(ValueError, match="hold"):
+            series(hold=word)
+    with pytest.raises(ValueError, match="longest_hold_s must be a number > 0"):
+        series(hold="zoh", longest_hold_s=0.0)
+
+
+def test_a_window_begins_with_the_value_that_is_held_until_then():
+    door = series("door_open", 3600.0 * np.array([0.0, 6.0, 7.0]), [0.0, 1.0, 0.0], longest_hold_s=math.inf)
+    for start, end, hours, values in ((3, 8, [3, 6, 7], [0, 1, 0]), (6, 6.5, [6], [1]), (8, 9, [8], [0])):
+        part = door.window(3600.0 * start, 3600.0 * end)
+        assert (part.time / 3600.0).tolist() == hours and part.value.tolist() == values
+    assert door.window(-7200.0, -3600.0) is None
+    aged = dataclasses.replace(door, longest_hold_s=3600.0)
+    assert aged.window(3 * 3600.0, 8 * 3600.0).value.tolist() == [1.0, 0.0]
+    assert aged.window(9 * 3600.0, 10 * 3600.0) is None
 
 
 def test_a_record_finds_its_signals():
@@ -167,7 +192,7 @@ def test_a_site_is_on_earth(site, word):
 
 
 def test_span_includes_the_interval_of_the_first_mean():
-    mean = series("active_power", (600.0, 1200.0), hold="zero-order", interval_s=600.0)
+    mean = series("active_power", (600.0, 1200.0), hold="mean", interval_s=600.0)
     record = Record("x", (series(time=(30.0, 90.0)), mean))
     assert record.start_s == 0.0
     assert record.end_s == 1200.0

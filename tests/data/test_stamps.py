@@ -21,6 +21,8 @@ from hygrokf.data.timestamps import (
     read_stamps,
     stamp_text,
     summer_time_holes,
+    time_format_fault,
+    zone_in_header,
     zone_named,
 )
 
@@ -153,6 +155,53 @@ def test_midnight_at_the_end_of_a_day():
     np.testing.assert_array_equal(np.diff(naive.time), 3600.0)
 
 
+@pytest.mark.parametrize(
+    ("form", "texts"),
+    [
+        ("%d.%m.%Y %H:%M", ("01.01.2020 23:00", "01.01.2020 24:00", "02.01.2020 01:00")),
+        ("%Y%m%d%H", ("2020010123", "2020010124", "2020010201")),
+        ("%H:%M:%S %d/%m/%y", ("23:00:00 01/01/20", "24:00:00 01/01/20", "01:00:00 02/01/20")),
+        ("%Y-%m-%d %H:%M%z", ("2020-01-01 23:00Z", "2020-01-01 24:00+0000", "2020-01-02 01:00Z")),
+        ("excel", ("43831.9583333", "43832", "43832.0416667")),
+        ("excel", ("43831,9583333", "43832,0", "43832,0416667")),
+        ("excel", (43831.9583333, 43832, 43832.0416667)),
+    ],
+)
+def test_midnight_at_the_end_of_a_day_in_any_form(form, texts):
+    stamps = read_stamps(column(*texts), UTC, time_format=form)
+    assert stamps.time[0] == datetime(2020, 1, 1, 23, tzinfo=UTC).timestamp()
+    np.testing.assert_array_equal(np.diff(stamps.time), 3600.0)
+
+
+def test_24_10_is_no_time():
+    assert read_stamps(column("01.01.2020 24:10"), UTC, time_format="%d.%m.%Y %H:%M").unreadable.all()
+    assert read_stamps(column("300", "2020-01-01"), UTC, time_format="excel").unreadable.all()
+
+
+def test_months_carry_no_offset():
+    stamps = read_stamps(column("2022-01", "2022-02"), UTC)
+    assert not stamps.aware
+    np.testing.assert_array_equal(np.diff(stamps.time), 31 * 86400.0)
+    assert read_stamps(column("2022-01-01T00Z")).aware
+
+
+@pytest.mark.parametrize(
+    ("header", "zone"),
+    [("Time (UTC)", "UTC"), ("Time (UTC+1)", "+01:00"), ("time_utc", "UTC"), ("Zeit [GMT-03:30]", "-03:30"),
+     ("Time (CEST)", "+02:00"), ("Zeit MEZ", "+01:00"), ("time", None), ("price_cent", None)],
+)  # fmt: skip
+def test_a_zone_in_a_header(header, zone):
+    assert zone_in_header(header) == zone
+
+
+@pytest.mark.parametrize(
+    ("form", "word"), [("%m/%d/%Y %H:%M %p", "%I for %H"), ("%d.%m.%Y %I:%M", "%H for %I"), ("%H:%M", None)]
+)
+def test_hours_of_a_form_that_would_be_read_wrongly(form, word):
+    fault = time_format_fault(form)
+    assert fault is None if word is None else word in fault
+
+
 def test_stated_form():
     stamps = read_stamps(column("31.12.2020 23:00"), UTC, time_format="%d.%m.%Y %H:%M")
     assert stamps.time[0] == datetime(2020, 12, 31, 23, tzinfo=UTC).timestamp()
@@ -219,6 +268,51 @@ def test_a_doubled_hour_shown_once_is_left_out():
 def test_a_doubled_hour_in_pairs_is_left_out():
     text = column(*[f"2020-10-25 02:{10 * k:02d}" for k in range(6) for _ in range(2)])
     assert np.isnan(read_stamps(text, BERLIN).time).all()
+
+
+def test_a_repeated_row_is_no_return_of_the_clock():
+    """One pass of the repeated hour with one row twice: nothing tells the pass."""
+    expected, text = local_stamps("2021-10-30T23:40", 6, 10)
+    later = [f"2021-10-31 {hour}" for hour in ("04:00", "04:10")]
+    rows = column(*text[:3], text[2], *text[3:], "2021-10-31 02:40", "2021-10-31 02:50", *later)
+    stamps = read_stamps(rows, BERLIN)
+    inside = rows.str.contains(" 02:").to_numpy()
+    assert inside.sum() == 7
+    assert np.isnan(stamps.time[inside]).all()
+    np.testing.assert_array_equal(stamps.time[:2], expected[:2])
+    assert np.isfinite(stamps.time[~inside]).all()
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_repeated_row_between_two_passes_stays_in_its_own(newest_first):
+    expected, text = local_stamps("2021-10-30T23:00", 24, 10)
+    order = np.repeat(np.arange(24), np.where(np.isin(np.arange(24), (8, 14)), 2, 1))
+    order = order[::-1] if newest_first else order
+    stamps = read_stamps(text[order].reset_index(drop=True), BERLIN)
+    np.testing.assert_array_equal(stamps.time, expected[order])
+
+
+def test_hours_tell_their_passes_by_new_readings():
+    text = column("2021-10-31 01:00", "2021-10-31 02:00", "2021-10-31 02:00", "2021-10-31 03:00")
+    base = datetime(2021, 10, 30, 23, tzinfo=UTC).timestamp()
+    new = read_stamps(text, BERLIN, repeated=np.zeros(4, bool))
+    np.testing.assert_array_equal(new.time, base + 3600.0 * np.arange(4))
+    same = read_stamps(text, BERLIN, repeated=np.array([False, False, True, False]))
+    np.testing.assert_array_equal(same.time, [base, np.nan, np.nan, base + 3 * 3600.0])
+
+
+@pytest.mark.parametrize("step", [15, 30, 60])
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_ends_of_intervals_within_the_repeated_hour(step, newest_first):
+    """The last end of the first pass is written 03:00, before the stamps step back."""
+    before, within = ["2021-10-31 01:00", "2021-10-31 02:00"], range(step, 61, step)
+    one = [f"2021-10-31 {2 + minute // 60:02d}:{minute % 60:02d}" for minute in within]
+    rows = column(*before, *one, *one, "2021-10-31 04:00")
+    ends = [-60.0, 0.0, *within, *(60.0 + minute for minute in within), 180.0]
+    expected = datetime(2021, 10, 31, tzinfo=UTC).timestamp() + 60.0 * np.array(ends)
+    if newest_first:
+        rows, expected = rows[::-1].reset_index(drop=True), expected[::-1]
+    np.testing.assert_array_equal(read_stamps(rows, BERLIN).time, expected)
 
 
 def test_a_clock_without_summer_time_is_noticed_in_spring():

@@ -169,7 +169,7 @@ def test_half_an_interval_is_what_the_place_of_a_stamp_looks_like(
 ) -> None:
     time = np.arange(1.0, 9.0) * 3600.0
     means = Series(
-        "active_power", time, time, interval_s=interval_s, hold="zero-order", source="scada.csv, power"
+        "active_power", time, time, interval_s=interval_s, hold="mean", source="scada.csv, power"
     )
     other = Series("ambient_temperature", time, time, source="station.csv")
     record = Record("two", (means, other))

@@ -148,7 +148,7 @@ def late(record, time):
 def warm(p, x, u, q):
     return {"heat_release": p.late_heat * u.late * u.standstill}
 
-brought = {"late": (late, "zero-order")}
+brought = {"late": (late, "mean")}
 factory = made(warm, ("late_heat",), "late_warmth", ("late", "standstill"), features=brought)
 LATE = hygrokf.cause_of("late_warmth", thermal=factory, **WORDS)
 """
@@ -188,12 +188,8 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
     wider = extended(base, [("everything", {})])
     assert set(names) <= set(wider.model.inputs)
     t = prepare_run(wider, record).timeline
-    np.testing.assert_allclose(t.input("heater_duty")[1:], _means(record["heater_duty"].value))
+    np.testing.assert_allclose(t.input("heater_duty")[1:], record["heater_duty"].value[:-1])
     np.testing.assert_allclose(t.input("tower_temperature"), record["tower_temperature"].value)
-
-
-def _means(value: np.ndarray) -> np.ndarray:
-    return 0.5 * (value[1:] + value[:-1])
 
 
 def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() -> None:
@@ -331,7 +327,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove), features={'glow': (lambda r, t: t, "
             "'cubic')}, **WORDS)",
-            "feature 'glow': expected the hold linear or zero-order, found 'cubic'",
+            "feature 'glow': expected the hold previous, mean or linear, found 'cubic'",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.stove_heat * "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +182,188 @@ def test_the_copy_of_an_earlier_draft_is_no_export(tmp_path):
     with pytest.raises(DraftFault, match="leave it out"):
         draft_case([path, Path(copy)], tmp_path / "case.toml")
     assert Path(copy).read_bytes() == before
+
+
+CLIMATE = {"Outside (degC)": "ambient_temperature", "Cabinet (degC)": "cabinet_temperature"}
+
+
+def climate(path, header, stamps, separator=",", decimal="."):
+    """A table of both temperatures whose stamps are texts, perhaps of two columns."""
+    rows = [f"{separator.join([header, *CLIMATE])}"]
+    for row, stamp in enumerate(stamps):
+        cells = [f"{TRUTH[key][row]:g}".replace(".", decimal) for key in CLIMATE.values()]
+        rows.append(separator.join([stamp, *cells]))
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def hourly(form):
+    """Stamps of hours as a make writes them, the first at midnight."""
+    first = TIMES[0].replace(hour=0, minute=0)
+    return [f"{first + k * timedelta(hours=1):{form}}" for k in range(len(TIMES) // 3)]
+
+
+def excel_day(moment):
+    return (moment.replace(tzinfo=None) - datetime(1899, 12, 30)) / timedelta(days=1)
+
+
+@pytest.mark.parametrize(
+    ("header", "stamps", "separator", "decimal"),
+    [
+        ("Time (UTC+1)", hourly("%Y%m%d%H"), ",", "."),
+        ("Zeit (MEZ)", hourly("%d.%m.%Y %H:%M"), ";", ","),
+        ("Time (UTC+1),Hour", hourly("%Y-%m-%d,%-H"), ",", "."),
+        ("Time (CET)", [f"{excel_day(datetime.fromisoformat(one)):.6f}" for one in hourly("%Y-%m-%d %H:%M")],
+            ",", "."),
+        ("Zeit MEZ", [f"{excel_day(datetime.fromisoformat(one)):.6f}".replace(".", ",")
+                      for one in hourly("%Y-%m-%d %H:%M")], ";", ","),
+    ],
+)  # fmt: skip
+def test_stamps_of_many_forms(header, stamps, separator, decimal, tmp_path):
+    export = climate(tmp_path / "o.csv", header, stamps, separator, decimal)
+    _, found = drafted(tmp_path, export)
+    if "Hour" in header:  # a copy names its column "time": the zone is to state
+        text = (tmp_path / "case.toml").read_text()
+        (tmp_path / "case.toml").write_text(text.replace('timezone = "UTC"', 'timezone = "+01:00"'))
+    assert set(found) == set(CLIMATE.values())
+    time = read_case(tmp_path / "case.toml")["ambient_temperature"].time
+    begin = TIMES[0].replace(hour=0, minute=0).timestamp() - 3600.0
+    np.testing.assert_array_equal(time, begin + 3600.0 * np.arange(len(stamps)))
+
+
+def test_hours_from_1_to_24_are_ends_of_intervals(tmp_path):
+    days = len(TIMES) // 72
+    first = TIMES[0].replace(hour=0, minute=0)
+    stamps = [f"{first + timedelta(days=day):%Y%m%d},{hour}" for day in range(days) for hour in range(1, 25)]
+    export = climate(tmp_path / "o.csv", "YYYYMMDD,HH", stamps)
+    drafted(tmp_path, export)
+    text = (tmp_path / "case.toml").read_text()
+    assert 'stamp = "end"' in text
+    series = read_case(tmp_path / "case.toml")["ambient_temperature"]
+    np.testing.assert_array_equal(series.time, first.timestamp() + 3600.0 * np.arange(1, 24 * days + 1))
+
+
+def test_a_day_that_ends_at_24_is_read_in_any_form(tmp_path):
+    first = TIMES[0].replace(hour=0, minute=0)
+    days = [first + timedelta(days=day) for day in range(12)]
+    stamps = [f"{day:%d.%m.%Y} {hour:02d}:00" for day in days for hour in range(1, 25)]
+    drafted(tmp_path, climate(tmp_path / "o.csv", "time", stamps))
+    time = read_case(tmp_path / "case.toml")["ambient_temperature"].time
+    np.testing.assert_array_equal(time, first.timestamp() + 3600.0 * np.arange(1, len(stamps) + 1))
+
+
+# -- numbers -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("separator", "mark"), [(";", "."), (";", ","), (",", "'")])
+def test_whole_numbers_with_thousands_marks_are_drafted_as_they_are(separator, mark, tmp_path):
+    power = np.round(900.0 + 700.0 * np.sin(np.arange(len(TIMES)) / 40.0))
+    rows = [f"{stamp}{separator}{one:,.0f}".replace(",", mark if separator != "," else ",")
+            for stamp, one in zip(STAMPS, power, strict=True)]  # fmt: skip
+    if separator == ",":
+        rows = [f'{stamp},"{one:,.0f}"' for stamp, one in zip(STAMPS, power, strict=True)]
+    (tmp_path / "p.csv").write_text("\n".join([f"time{separator}Active power (kW)", *rows]) + "\n")
+    draft, found = drafted(tmp_path, tmp_path / "p.csv")
+    assert "active_power" in found and not any("thousands" in one for one in draft.doubts)
+    series = read_case(tmp_path / "case.toml", cabinet=False, ambient=False)["active_power"]
+    np.testing.assert_array_equal(series.value, 1e3 * power)
+
+
+def test_marks_that_both_readings_allow_are_a_doubt(tmp_path):
+    power = ["30" if k % 3 else "1.003" for k in range(len(TIMES))]
+    rows = [f"{stamp};{one}" for stamp, one in zip(STAMPS, power, strict=True)]
+    (tmp_path / "p.csv").write_text("\n".join(["time;Active power (kW)", *rows]) + "\n")
+    draft, _ = drafted(tmp_path, tmp_path / "p.csv")
+    assert any('thousands = "."' in one and "divide thousands" in one for one in draft.doubts)
+
+
+def test_an_export_of_grafana_with_units_in_its_cells(tmp_path):
+    keys = [*CLIMATE.values(), "cabinet_relative_humidity", "active_power"]
+    rows = [
+        f"{stamp},{TRUTH[keys[0]][k]:g} °C,{TRUTH[keys[1]][k]:g} °C,{TRUTH[keys[2]][k]:g}%,"
+        + (f"{TRUTH[keys[3]][k] / 1e3:g} MW" if TRUTH[keys[3]][k] >= 1e3 else f"{TRUTH[keys[3]][k]:g} kW")
+        for k, stamp in enumerate(STAMPS)
+    ]
+    header = "Time,Outside temperature,Cabinet temperature,Cabinet humidity,Active power"
+    (tmp_path / "g.csv").write_text("\n".join([header, *rows]) + "\n")
+    _, found = drafted(tmp_path, tmp_path / "g.csv")
+    assert set(found) == set(keys)
+    record = read_case(tmp_path / "case.toml")
+    np.testing.assert_allclose(record["cabinet_temperature"].value, TRUTH[keys[1]] + 273.15)
+    read = np.isfinite(record["active_power"].value)
+    assert read.mean() > 0.9
+    power = 1e3 * TRUTH["active_power"]
+    np.testing.assert_allclose(record["active_power"].value[read], power[read], rtol=1e-12)
+
+
+def test_a_history_of_home_assistant_has_one_row_a_value(tmp_path):
+    entities = {"sensor.outdoor_temperature": "ambient_temperature",
+                "sensor.cabinet_temperature": "cabinet_temperature",
+                "sensor.cabinet_humidity": "cabinet_relative_humidity"}  # fmt: skip
+    rows = [
+        f"{name},{TRUTH[key][k] if k % 50 else 'unavailable'},{moment:%Y-%m-%dT%H:%M}:{k % 60:02d}.{place}16Z"
+        for place, (name, key) in enumerate(entities.items())
+        for k, moment in enumerate(TIMES)
+    ]
+    (tmp_path / "h.csv").write_text("\n".join(["entity_id,state,last_changed", *rows]) + "\n")
+    _, found = drafted(tmp_path, tmp_path / "h.csv")
+    assert {one.column: signal for signal, one in found.items()} == entities
+    series = read_case(tmp_path / "case.toml")["cabinet_temperature"]
+    kept = np.arange(len(TIMES)) % 50 > 0
+    np.testing.assert_allclose(series.value, TRUTH["cabinet_temperature"][kept] + 273.15)
+
+
+def test_flags_in_words_are_drafted_and_an_unstated_polarity_is_not_used(tmp_path):
+    rows = [
+        f"{stamp},{TRUTH['ambient_temperature'][k]:g},{'open' if k % 90 < 5 else 'closed'},"
+        f"{'ON' if k % 40 < 9 else 'OFF'},{'open' if k % 30 < 9 else 'closed'}"
+        for k, stamp in enumerate(STAMPS)
+    ]
+    (tmp_path / "f.csv").write_text("\n".join(["time,Outside (degC),Door,Heater,Fan on", *rows]) + "\n")
+    draft, found = drafted(tmp_path, tmp_path / "f.csv")
+    assert {"door_open", "heater_duty"} <= set(found) and "fan_duty" not in found
+    (fan,) = [one for one in draft.signals if one.signal == "fan_duty"]
+    assert any('one = "open"' in doubt for doubt in fan.doubts)
+    path = tmp_path / "case.toml"
+    record = read_case(path, cabinet=False)
+    number = np.arange(len(TIMES))
+    np.testing.assert_array_equal(record["door_open"].value, number % 90 < 5)
+    np.testing.assert_array_equal(record["heater_duty"].value, number % 40 < 9)
+    line = '# signals.fan_duty = { column = "Fan on", unit = "1"'
+    assert line in path.read_text()
+    path.write_text(path.read_text().replace(line, line[2:] + ', one = "closed"'))
+    np.testing.assert_array_equal(read_case(path, cabinet=False)["fan_duty"].value, number % 30 >= 9)
+def a_logger(path, header="Date-Time (UTC),Temperature (°C),RH (%),Dew Point (°C)"):
+    """A logger in the cabinet that exports a dew point of its own readings."""
+    warm, moist = TRUTH["cabinet_temperature"], TRUTH["cabinet_relative_humidity"]
+    gamma = np.log(moist / 100.0) + 17.62 * warm / (243.12 + warm)
+    dew = 243.12 * gamma / (17.62 - gamma)
+    rows = [f"{s},{a:.2f},{b:.1f},{c:.2f}" for s, a, b, c in zip(STAMPS, warm, moist, dew, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("name", ["cabinet.csv", "20457722.csv"])
+def test_a_logger_s_dew_point_is_the_logger_s(tmp_path, name):
+    outside = written(tmp_path / "mast.csv", "time (UTC),Outside (°C)", ["ambient_temperature"])
+    draft, found = drafted(tmp_path, a_logger(tmp_path / name), outside)
+    assert found["cabinet_dew_point_temperature"].column == "Dew Point (°C)"
+    assert not [one for one in draft.signals if one.signal == "ambient_dew_point_temperature"]
+    assert any("humidity of the air outside" in one for one in draft.lacks)
+
+
+def test_a_dew_point_computed_inside_is_not_read_as_the_outside_s(tmp_path):
+    outside = written(tmp_path / "mast.csv", "time (UTC),Outside (°C)", ["ambient_temperature"])
+    header = "Date-Time (UTC),Temperature (°C),RH (%),Ambient dew point (°C)"
+    draft, found = drafted(tmp_path, a_logger(tmp_path / "cabinet.csv", header), outside)
+    assert "ambient_dew_point_temperature" not in found
+    (left,) = [one for one in draft.left if "computed from the cabinet's own" in one.why]
+    assert left.column == "Ambient dew point (°C)"
+
+
+def test_the_temperature_of_a_place_is_of_its_humidity_s_probe(tmp_path):
+    columns = ["active_power", "ambient_temperature", "oil"]
+    header = "time,Power (kW),Outside (°C),Ambient temperature (converter) (°C)"
+    scada = written(tmp_path / "scada.csv", header, columns)
+    draft, _ = drafted(tmp_path, a_logger(tmp_path / "cabinet.csv"), scada)
+    used = {one.signal: one for one in draft.signals if one.active and not one.compare}
+    assert used["cabinet_temperature"].column == "Temperature (°C)"
+    assert used["cabinet_relative_humidity"].file == used["cabinet_temperature"].file

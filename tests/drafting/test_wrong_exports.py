@@ -25,7 +25,6 @@ WRONG = {
         b"time;T;RH\n2020-01-01 00:00;1,5;40.5\n2020-01-01 00:10;1,6;40.6\n",
         "one decimal mark",
     ),
-    "thousands": (b"time;P\n2020-01-01 00:00;1.234,5\n2020-01-01 00:10;1.236,5\n", "thousands"),
     "JSON": (b'{"time": ["2020-01-01"]}', "JSON"),
     "PDF": (b"%PDF-1.7\n1 0 obj", "PDF"),
     "header alone": (b"time,T\n", "column of stamps"),

@@ -57,7 +57,7 @@ def traced_step(a: np.ndarray, q: np.ndarray, b: np.ndarray, h: float, hold: str
     x = [graph.symbol(f"x{i}") for i in range(n)]
     cov = [[graph.symbol(f"P{max(i, j)}{min(i, j)}") for j in range(n)] for i in range(n)]
     end = {f"u{j}": graph.symbol(f"end{j}") for j in range(m)}
-    start = end if hold == "zero-order" else {f"u{j}": graph.symbol(f"start{j}") for j in range(m)}
+    start = end if hold == "mean" else {f"u{j}": graph.symbol(f"start{j}") for j in range(m)}
 
     def drift(x: list, u: dict) -> list:
         return [
@@ -90,7 +90,7 @@ def test_one_sub_step_of_a_network_is_exact(seed: int, share: float) -> None:
     a, b, q = network(seed)
     h = share * CONSTANT_RATES.rate_step / np.abs(np.linalg.eigvals(a)).max()
     f, gain = zero_order(a, b, h)
-    found = traced_step(a, q, b, h, "zero-order")
+    found = traced_step(a, q, b, h, "mean")
     close(found["F"], f)
     close(found["response"], f)
     close(found["end"], gain)
@@ -146,7 +146,7 @@ def test_compiled_steps_from_a_second_to_a_fortnight_are_exact(seed: int, h: flo
         return found.transition[1], found.prior_mean[1], found.prior_covariance[1]
 
     f, gain = zero_order(a, b, length)
-    transition, _, noise = run(np.zeros((2, m)), "zero-order")
+    transition, _, noise = run(np.zeros((2, m)), "mean")
     # rounding of up to thousands of sub-steps adds to the 1e-12
     rounding = EXACT + 2e-16 * 20 * np.abs(a).max() * length
     close(transition, f, rounding)
@@ -154,7 +154,7 @@ def test_compiled_steps_from_a_second_to_a_fortnight_are_exact(seed: int, h: flo
     first, last = linear_hold(a, b, length)
     for j in range(m):
         unit = np.eye(m)[j]
-        close(run(np.array([0 * unit, unit]), "zero-order")[1], gain[:, j], rounding)
+        close(run(np.array([0 * unit, unit]), "mean")[1], gain[:, j], rounding)
         close(run(np.array([unit, 0 * unit]), "linear")[1], first[:, j], rounding)
         close(run(np.array([0 * unit, unit]), "linear")[1], last[:, j], rounding)
     mean = np.arange(1.0, n + 1)

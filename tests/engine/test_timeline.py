@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hygrokf.engine.timeline import timeline
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
@@ -21,7 +22,7 @@ def room(averaged: dict[str, float] | None = None) -> Model:
         {"y": lambda p, x, u: (x.x, 0.1), "z": lambda p, x, u: (2 * x.x, 0.2)},
         lambda p: {"x": 0.1}, lambda p, u: {"x": (0.0, 1.0)},
     )  # fmt: skip
-    return compose([made], {"sun": "linear", "fan": "zero-order", "mode": "regime"}, averaged)
+    return compose([made], {"sun": "linear", "fan": "mean", "mode": REGIME}, averaged)
 
 
 TIME = np.array([0.0, 0.25, 0.5, 1.0, 1.25, 1.2500002])

@@ -27,6 +27,7 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.physics.expression import where
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.mechanisms.sensors import temperature_sensor
 from hygrokf.physics.mechanisms.thermal import heat_release, thermal_diffusion, thermal_network
@@ -279,7 +280,7 @@ def switched(at: Callable, place: str) -> Model:
                 lambda p, u: {"s": (0.5, 1.0)},
             )
         ],
-        {"r": "regime", "c": "linear"},
+        {"r": REGIME, "c": "linear"},
     )
 
 

@@ -47,7 +47,7 @@ def swing(period: float = 5.0, decay: float = 8.0) -> tuple[Likelihood, Estimate
         lambda p: {"x": 0.01, "y": 0.01, "level": 0.001},
         lambda p, u: {"x": (1.0, 0.01), "y": (0.0, 0.01), "level": (0.0, 0.01)},
     )
-    model = compose([made], {"push": "zero-order"})
+    model = compose([made], {"push": "mean"})
     random = np.random.default_rng(11)
     time = 0.5 * np.arange(400.0)
     push = np.repeat(random.normal(size=40), 10)
@@ -119,7 +119,7 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
         lambda p: {"air": 1e-4, "wall": 1e-4},
         lambda p, u: {"air": (0.0, 1.0), "wall": (0.0, 1.0)},
     )
-    model = compose([made], {"ambient": "zero-order"})
+    model = compose([made], {"ambient": "mean"})
     random = np.random.default_rng(3)
     time = 0.25 * np.arange(4000.0)
     ambient = np.repeat(random.normal(size=200).cumsum(), 20)

@@ -235,7 +235,7 @@ def stiff() -> Likelihood:
         lambda p, u: {"x": (0.0, 1.0)},
     )
     random = np.random.default_rng(7)
-    model = compose([lag], {"u": "zero-order"})
+    model = compose([lag], {"u": "mean"})
     course = random.normal(size=100).cumsum()
     read = course + 0.1 * random.normal(size=100)
     return Likelihood(model, timeline(model, np.arange(100.0), {"u": course}, {"y": read}))

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import uncertainty
@@ -125,7 +126,7 @@ def thermal10k() -> tuple[Likelihood, dict]:
         lambda p: {"T1": exp(2.0 * p.ls1), "T2": exp(2.0 * p.ls2)},
         lambda p, u: {"T1": (15.0, 0.1), "T2": (15.0, 0.1)},
     )
-    model = compose([made], {"Ta": "zero-order", "P": "zero-order"})
+    model = compose([made], {"Ta": "mean", "P": "mean"})
     # the file states what holds from each instant on; a timeline what held over the step that ends there
     inputs = {name: np.concatenate([data[name][:1], data[name][:-1]]) for name in ("Ta", "P")}
     likelihood = Likelihood(model, timeline(model, data["t"], inputs, {"y": data["y"]}))
@@ -249,7 +250,7 @@ def test_armadillo_needs_its_hold(armadillo: tuple) -> None:
     """Under the wrong hold the same parameters are far from likely: holds are not a detail."""
     likelihood, expected = armadillo
     theta = expected["notebook_fit_frequentist"]["theta"]
-    model = replace(likelihood.model, holds={"outside": "zero-order", "heat": "zero-order"})
+    model = replace(likelihood.model, holds={"outside": "mean", "heat": "mean"})
     wrong = Likelihood(
         model,
         timeline(
@@ -280,25 +281,55 @@ def ornstein(hold: str) -> tuple[Likelihood, dict]:
         lambda p, u: {"x1": (3.0, 0.1), "x2": (3.0, 0.1)},
     )
     model = compose([made], {"u": hold})
-    # held from a row on in the file, until an instant in a timeline; a linear input is the value at the
-    # instant
-    u = data["u"] if hold == "linear" else np.concatenate([data["u"][:1], data["u"][:-1]])
-    likelihood = Likelihood(model, timeline(model, data["t"], {"u": u}, {y: data[y] for y in ("y1", "y2")}))
+    run = timeline(model, data["t"], {"u": data["u"]}, {y: data[y] for y in ("y1", "y2")})
+    likelihood = Likelihood(model, run)
     return likelihood, json.loads((folder / "expected.json").read_text(encoding="utf-8"))
 
 
 def test_ornstein_log_likelihood_at_the_stated_parameters() -> None:
-    likelihood, expected = ornstein("zero-order")
+    likelihood, expected = ornstein("zoh")
     stated = expected["negative_loglik"]["zero_order_hold_at_parameters"]
     assert -likelihood.value(expected["parameters_zero_order"]) == pytest.approx(stated, abs=1e-10)
 
 
 def test_ornstein_maximum_between_linear_inputs() -> None:
-    likelihood, expected = ornstein("linear")
+    likelihood, expected = ornstein("foh")
     found = maximise(likelihood)
     assert found.converged
     stated = expected["negative_loglik"]["first_order_hold_maximum"]
     assert -found.objective == pytest.approx(stated, abs=1e-5)  # a climb ends within so much of its maximum
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_ornstein_series_drives_control_and_scipy_alike(hold: str) -> None:
+    """The series as it stands in the file: states and a reading with feedthrough, to rounding."""
+    import control
+    from scipy import signal
+
+    theta, alpha, d = 6.0, 1.6, 0.5
+    data = columns(reference("ornstein2d") / "orn.csv")
+    time, u, dt = data["t"], data["u"], 0.1
+    assert np.abs(np.diff(time) - dt).max() < 1e-9
+    made = linear_network(
+        "drift", [Parameter("q", "1", 0.0, -1.0, 1.0)], ["x1", "x2"], ["u"],
+        lambda p, x, u: {"x1": theta * (u.u - x.x1), "x2": alpha * (x.x1 - x.x2)},
+        {"y": lambda p, x, u: (x.x2 + d * u.u, 1.0)}, lambda p: {"x1": p.q**2},
+        lambda p, u: {"x1": (0.0, 0.0), "x2": (0.0, 0.0)},
+    )  # fmt: skip
+    model = compose([made], {"u": hold})
+    trace = Likelihood(model, timeline(model, time, {"u": u}, {})).trace({"q": 0.0})
+    matrices = [[-theta, 0.0], [alpha, -alpha]], [[theta], [0.0]], np.eye(2), np.zeros((2, 1))
+    plant = control.ss(*matrices)
+    if hold == "zoh":  # sampled; python-control joins the inputs of a continuous system by lines
+        plant = control.sample_system(plant, dt, "zoh")
+    grid = dt * np.arange(len(u))
+    expected = control.forced_response(plant, grid, u).states.T
+    assert_allclose(signal.lsim(matrices, u, grid, interp=hold == "foh")[2], expected, atol=1e-10)
+    if hold == "zoh":
+        sampled = signal.cont2discrete(matrices, dt, "zoh")
+        assert_allclose(signal.dlsim(sampled, u)[2], expected, atol=1e-10)
+    assert_allclose(trace.mean, expected, atol=1e-10)
+    assert_allclose(trace.prediction[:, 0], expected[:, 1] + d * u, atol=1e-10)
 
 
 # -- FlexHouse: four nested models of a heated building ------------------------------------------------------
@@ -361,7 +392,7 @@ def building(order: str, data: dict[str, np.ndarray]) -> Likelihood:
         noise,
         lambda p, u: {s: (getattr(p, f"{s}0"), v / 12.0) for s, v in noise(p).items()},
     )
-    model = compose([made], dict.fromkeys(("Ta", "Ps", "Ph"), "zero-order"))
+    model = compose([made], dict.fromkeys(("Ta", "Ps", "Ph"), "mean"))
     inputs = {name: np.concatenate([data[name][:1], data[name][:-1]]) for name in ("Ta", "Ps", "Ph")}
     return Likelihood(model, timeline(model, data["t"], inputs, {"yTi": data["yTi"]}))
 

@@ -242,7 +242,7 @@ def test_loggers_that_average_are_simulated_as_such(fit, record):
     """Hourly means of the cabinet, a fit of instants: the rows at the readings are means of the free run."""
     inside = record["cabinet_temperature"]
     hours = np.arange(record.start_s + HOUR, record.end_s, HOUR)
-    means = replace(inside, time=hours, value=np.full(len(hours), 295.0), hold="zero-order", interval_s=HOUR)
+    means = replace(inside, time=hours, value=np.full(len(hours), 295.0), hold="mean", interval_s=HOUR)
     _, times, averaged = parsed(simulation_csv(fit, record.replace_series(means)))
     _, base, instants = parsed(simulation_csv(fit, record))
     place = np.searchsorted(times, hours[(hours > times[0] + HOUR) & (hours <= times[-1])])

@@ -64,13 +64,13 @@ def random_record(seed: int, days: float = 12.0, cabinet_hold: str = "linear") -
     power[random.random(len(power)) < 0.01] = np.nan
     cabinet[random.random(len(cabinet)) < 0.01] = np.nan
     cabinet[200:230] = np.nan
-    cabinet_interval = 900.0 if cabinet_hold == "zero-order" else 0.0
+    cabinet_interval = 900.0 if cabinet_hold == "mean" else 0.0
     return Record(
         "random",
         (
             Series("cabinet_temperature", START_S + cabinet_time, cabinet, cabinet_hold, cabinet_interval),
             Series("ambient_temperature", START_S + ambient_time, ambient),
-            Series("active_power", START_S + power_time, power, "zero-order", 600.0),
+            Series("active_power", START_S + power_time, power, "mean", 600.0),
         ),
         rated_power_W=RATED_W,
     )
@@ -128,7 +128,7 @@ def test_runs_are_those_of_brute_force(seed: int, count: int) -> None:
         assert reached[end] == start
 
 
-@pytest.mark.parametrize("hold", ["linear", "zero-order"])
+@pytest.mark.parametrize("hold", ["linear", "mean"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_periods_hold_their_tolerances_at_every_instant(seed: int, hold: str) -> None:
     record = random_record(seed, cabinet_hold=hold)
@@ -167,7 +167,7 @@ def steady(hours: float = 48.0, **changed: np.ndarray) -> Record:
         "power": np.full(len(power), 0.5 * RATED_W),
     } | changed
     more = (
-        (Series("preheating", START_S + power, values["preheating"], "zero-order", 600.0),)
+        (Series("preheating", START_S + power, values["preheating"], "mean", 600.0),)
         if "preheating" in values
         else ()
     )
@@ -176,7 +176,7 @@ def steady(hours: float = 48.0, **changed: np.ndarray) -> Record:
         (
             Series("cabinet_temperature", START_S + cabinet, values["cabinet"]),
             Series("ambient_temperature", START_S + ambient, values["ambient"]),
-            Series("active_power", START_S + power, values["power"], "zero-order", 600.0),
+            Series("active_power", START_S + power, values["power"], "mean", 600.0),
             *more,
         ),
         rated_power_W=RATED_W,
@@ -241,7 +241,7 @@ def test_minute_power_is_judged_by_its_ten_minute_means() -> None:
     plain = steady()
     record = Record(
         "gusty",
-        (*plain.series[:2], Series("active_power", minutes, gusts * RATED_W, "zero-order", 60.0)),
+        (*plain.series[:2], Series("active_power", minutes, gusts * RATED_W, "mean", 60.0)),
         rated_power_W=RATED_W,
     )
     assert len(found(record, OPERATION, 4.0)) == 11

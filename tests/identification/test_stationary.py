@@ -43,8 +43,8 @@ def turbine_record(seed: int) -> tuple[Record, dict[str, float]]:
     series = (
         Series("cabinet_temperature", made.cabinet.time, made.cabinet["T_cab_degC"] + 273.15),
         Series("ambient_temperature", made.ambient.time, made.ambient["T_amb_degC"] + 273.15),
-        Series("active_power", end, 1e3 * made.scada["P_kW"], "zero-order", 600.0),
-        Series("preheating", end, made.scada["preheating"], "zero-order", 600.0),
+        Series("active_power", end, 1e3 * made.scada["P_kW"], "mean", 600.0),
+        Series("preheating", end, made.scada["preheating"], "mean", 600.0),
     )
     bias = dict(made.truth.sensor_bias)
     places = {place: bias[f"{place}.T_{place[:3]}_degC"] for place in ("cabinet", "ambient")}
@@ -88,7 +88,7 @@ def block_record(
         (
             Series("cabinet_temperature", START_S + times[0], cabinet),
             Series("ambient_temperature", START_S + times[1], course(times[1], ambient)),
-            Series("active_power", START_S + times[2], RATED_W * held, "zero-order", step_s[2]),
+            Series("active_power", START_S + times[2], RATED_W * held, "mean", step_s[2]),
         ),
         rated_power_W=RATED_W,
     )

@@ -140,6 +140,14 @@ CASES = {
     "not_converged": (_put("converged", False), REJECT, "did not converge"),
     "convergence_unknown": (_put("converged", None), CAUTION, "not stated"),
     "at_limit": (_put("at_bounds", ["thermal_time_constant"]), REJECT, "limit of the search, 1.50 h"),
+    "input_not_needed": (
+        _put(
+            "time_constants/thermal/without_input",
+            {"words": "a constant temperature outside with constant power", "gain": -3.0, "required": 28.0},
+        ),
+        REJECT,
+        "explains them better, by 3",
+    ),
     "not_identifiable": (
         _all(_put(f"{THERMAL}/lower_h", 0.0), _put(f"{THERMAL}/upper_h", None)), REJECT, "neither side",
     ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 from builders.live_case import expect_offline, live_record
 
 from hygrokf.data.record import Record
+from hygrokf.data.signals import from_si
+from hygrokf.data.timestamps import zone_named
 from hygrokf.live.batch import Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.payload_values import Clock
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import offline_course
@@ -88,6 +92,31 @@ def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
     assert crashes >= 5
     expect_offline(store.url, record, turbine)
     store.close()
+
+
+def test_local_stamps_of_the_repeated_hour_follow_the_order_of_their_own_source(
+    turbine: Turbine, mapping: PayloadMapping
+) -> None:
+    """Delivered 50 min late; another source, or the tracker after a restart, does not know the order."""
+    berlin = zone_named("Europe/Berlin")
+    mapping = replace(mapping, clock=Clock(berlin))
+    name = next(name for name, one in mapping.fields.items() if one.signal == "cabinet_temperature")
+    value = float(from_si(300.0, mapping.fields[name].unit, "cabinet_temperature"))
+    begin = 1_792_879_200.0  # 2026-10-24T22:00Z: 00:00 in Berlin, three hours before the clocks go back
+
+    def delivery(at: float) -> Delivery:
+        local = datetime.fromtimestamp(at, berlin).replace(tzinfo=None).isoformat()
+        return Delivery({"turbine": "T1", "time": local, name: value}, at + 3_000.0)
+
+    fleet, times = Fleet({"T1": turbine}), begin + 600.0 * np.arange(30)
+    for at in times:
+        batch = fleet.round([delivery(at)], mapping, SOURCE, filter_s=0.0)
+        assert [one.reading.time for one in batch.observations] == [at]
+    for one, source in ((fleet, "file:other"), (Fleet({"T1": turbine}), SOURCE)):
+        for at in times[[16, 22]]:  # 02:40, twice
+            batch = one.round([delivery(at)], mapping, source, filter_s=0.0)
+            assert not batch.observations and sum(batch.counters.values()) == 1
+            assert next(iter(batch.counters))[1] == "ambiguous time"
 
 
 def test_turbines_that_find_no_time_wait_and_lose_nothing(

@@ -59,7 +59,7 @@ def acting(record: Record, seed: int = 3, **given: np.ndarray) -> Record:
     """A record with logged actuators, as means over its ten minutes."""
     time = record["active_power"].time
     found = [
-        Series(name, time, values, "zero-order", 600.0)
+        Series(name, time, values, "mean", 600.0)
         for name, values in (given or courses_of(time, seed)).items()
     ]
     return replace(record, series=(*record.series, *found))

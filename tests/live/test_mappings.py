@@ -12,12 +12,15 @@ import time
 import timeit
 from collections import Counter
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from builders.documents import document
 from builders.track_case import write_model
 
+from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
@@ -123,7 +126,9 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     [
         ("21.5", False, 21.5), (" -2.15e1 ", False, -21.5), ("+.5", False, 0.5), (7, False, 7.0),
         ("21,5", True, 21.5), ("-0,5", True, -0.5), (21.5, True, 21.5), ("21", True, 21.0),
-        ("21,5", False, None), ("21.5", True, None), ("1.021,5", True, None), ("1,021,5", True, None),
+        ("21,5", False, None), ("21.5", True, None), ("1.021,5", True, 1021.5), ("1,021,5", True, None),
+        ("1.003", True, 1003.0), ("0.998", True, None), ("1.003.25", True, None), ("1,003", False, 1003.0),
+        ("10,03", False, None), ("1,003.5", False, 1003.5),
         ("1_000", False, None), ("infinity", False, None), ("nan", False, None), ("0x1F", False, None),
         ("٣١", False, None), ("", False, None), ("9" * 300, False, None), (True, False, None),
         (10**400, False, None),
@@ -131,7 +136,8 @@ def test_every_layout_of_the_page_is_read_as_it_says(folder: Path, layout: tuple
     ],
 )  # fmt: skip
 def test_numbers_are_read_strictly(text: object, comma: bool, value: float | None) -> None:
-    assert number(text, comma) == value
+    assert number(text, stated_marks("," if comma else ".", None)) == value
+    assert number("1,003") is None
 
 
 @pytest.mark.parametrize(
@@ -139,18 +145,49 @@ def test_numbers_are_read_strictly(text: object, comma: bool, value: float | Non
     [
         ("21.5 °C", "degC", 21.5), ("21.5degC", "degC", 21.5), ("-3 K", "K", -3.0), ("41 %", "%", 41.0),
         ("41 % RH", "%", 41.0), ("5 W/m²", "W/m2", 5.0), ("21.5 °F", "degC", "other unit"),
-        ("5 W", "kW", "other unit"), ("1_000", "degC", "no number"), ("0x1F", "degC", "no number"),
+        ("5 W", "kW", 0.005), ("1.25 MW", "kW", 1250.0), ("45%", "1", 0.45),
+        ("5 hPa", "kW", "other unit"), ("1_000", "degC", "no number"), ("0x1F", "degC", "no number"),
         ("12e", "degC", "no number"), ("warm", "degC", "no number"), ("1.000.000 W", "W", "no number"),
         ("1e999 W", "W", "no number"), (True, "degC", "no number"), ({}, "degC", "no number"),
     ],
 )  # fmt: skip
 def test_a_unit_in_the_text_is_checked(raw: object, unit: str, value: float | str) -> None:
     if isinstance(value, float):
-        assert measured(raw, unit, False) == value
+        assert measured(raw, Meaning("", unit)) == pytest.approx(value, rel=1e-12)
         return
-    with pytest.raises(Refused) as refusal:
-        measured(raw, unit, False)
+    with pytest.raises(Unread) as refusal:
+        measured(raw, Meaning("", unit))
     assert refusal.value.kind == value
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "decimal", "value"),
+    [
+        ("P", "1.003", None, "ambiguous number"), ("P", "1.003 kW", None, "ambiguous number"),
+        ("P", "1.003", ".", 1003.0), ("P", "1.003", ",", 1.003e6), ("P", "1,003", ",", 1003.0),
+        ("P", "1.0035", None, 1003.5), ("P", 1.003, None, 1003.0), ("P", "0.998", None, 998.0),
+        ("Tcab", "21.503", None, 294.653), ("Tcab", "21.503", ",", "impossible value"),
+    ],
+)  # fmt: skip
+def test_a_point_that_may_divide_thousands_is_read_as_stated_or_as_its_signal_allows(
+    name: str, text: object, decimal: str | None, value: float | str
+) -> None:
+    mapping = fields(marks=stated_marks(decimal, None))
+    found = read(mapping, {"turbine": "W01", "time": NOW, name: text})
+    signal = FIELDS[name].signal
+    assert found == ({value: 1} if isinstance(value, str) else {("W01", signal): value})
+
+
+def test_the_signal_or_the_mapping_says_which_pole_is_one() -> None:
+    def flags(one: str = "") -> dict:
+        row = {"Door": Field("door_open", "1"), "Fan": Field("fan_duty", "1", one=one), "RH": FIELDS["RHcab"]}
+        content = {"turbine": "W01", "time": NOW, "Door": "open", "Fan": "Closed", "RH": "on"}
+        return read(PayloadMapping(row, turbines={"W01": "W01"}), content)
+
+    door = {("W01", "door_open"): 1.0, "no number": 1}
+    assert flags() == {**door, "unknown polarity": 1}
+    assert flags("closed") == {**door, ("W01", "fan_duty"): 1.0}
+    assert flags("open") == {**door, ("W01", "fan_duty"): 0.0}
 
 
 def test_true_and_false_are_values_of_flags_only() -> None:
@@ -174,6 +211,12 @@ def test_unix_times_of_every_precision(factor: float) -> None:
         ("01.03.2026 13:10", Clock(BERLIN, "%d.%m.%Y %H:%M"), NOW),
         ("1.3.2026 12:10:00 +0000", Clock(BERLIN, "%d.%m.%Y %H:%M:%S %z"), NOW),
         (20260301131000, Clock(BERLIN, "%Y%m%d%H%M%S"), NOW),
+        (46082.548611111, Clock(BERLIN, "excel"), NOW), ("46082.548611111", Clock(BERLIN, "excel"), NOW),
+        (1e300, Clock(BERLIN, "excel"), None), ("2026-03-01T13:10:00", Clock(BERLIN, "excel"), None),
+        ("2026-02-28 24:00", Clock(UTC), NOW - 43_800.0),
+        ("28.02.2026 24:00", Clock(UTC, "%d.%m.%Y %H:%M"), NOW - 43_800.0),
+        ("2026022824", Clock(UTC, "%Y%m%d%H"), NOW - 43_800.0),
+        ("28.02.2026 24:10", Clock(UTC, "%d.%m.%Y %H:%M"), None),
         ("2026-03-01T13:10:00", Clock(), None),
         ("2026-03-01T12:10:00Z", Clock(BERLIN, "%d.%m.%Y %H:%M"), None),
         (NOW, Clock(BERLIN, "%d.%m.%Y %H:%M"), None), (None, Clock(BERLIN), None),
@@ -189,16 +232,48 @@ def test_hours_that_summer_time_skips_or_repeats() -> None:
         seconds("2026-03-29T02:30:00", clock)
     assert refusal.value.kind == "no time"
     first = 1_792_888_200.0  # 2026-10-25T00:30Z, 02:30 in summer time, an hour before 02:30 in winter time
-    for lag_s in (-600.0, 0.0, 300.0, 2_400.0):
+    for lag_s in (-600.0, 0.0, 300.0, 2_400.0):  # the second pass is still to come
         assert seconds("2026-10-25T02:30:00", clock, first + lag_s) == first
-        assert seconds("2026-10-25T02:30:00", clock, first + 3600.0 + lag_s) == first + 3600.0
-    with pytest.raises(Refused) as refusal:
-        seconds("2026-10-25T02:30:00", clock, first + 86400.0)
-    assert refusal.value.kind == "ambiguous time"
+    for lag_s in (3_000.0, 3_600.0, 6_000.0, 86_400.0):  # the time of arrival alone never decides
+        with pytest.raises(Refused) as refusal:
+            seconds("2026-10-25T02:30:00", clock, first + lag_s, {})
+        assert refusal.value.kind == "ambiguous time"
     mapping = fields(clock=clock)
     assert kind(mapping, {"turbine": "W01", "time": "2026-10-25T02:30:00", "Tcab": 31.2}, "", 1.8e9) == (
         "ambiguous time"
     )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 600.0, 3_000.0, 86_400.0])
+@pytest.mark.parametrize("step_s", [60.0, 600.0, 1_800.0])
+def test_the_order_of_its_source_places_a_stamp_of_the_repeated_hour(delay_s: float, step_s: float) -> None:
+    """Whatever the delay: the second pass begins where the stamps of a turbine step back."""
+    mapping, order = fields(clock=Clock(BERLIN)), {}
+    begin = 1_792_886_400.0 - 7_200.0  # 2026-10-24T22:00Z
+    for at in np.arange(begin, begin + 5 * 3_600.0, step_s):
+        local = datetime.fromtimestamp(at, BERLIN).replace(tzinfo=None).isoformat()
+        for turbine, lag_s in (("W01", 0.0), ("W02", 5.0)):
+            payload = json.dumps({"turbine": turbine, "time": local, "Tcab": 31.2})
+            for _ in range(2):  # a redelivery is a repetition
+                (found,) = mapping.read(payload, at + lag_s + delay_s, "", order)
+                assert [one.time for one in found.readings] == [at]
+
+
+def test_an_order_with_a_gap_or_of_hours_does_not_place_a_stamp() -> None:
+    clock, order = Clock(BERLIN), {}
+    first = 1_792_888_200.0
+    for at in (first - 3_600.0, first - 3_000.0):
+        local = datetime.fromtimestamp(at, BERLIN).isoformat()[:19]
+        assert seconds(local, clock, math.inf, order, ("W01",)) == at
+    for later in (3_000.0, 7_200.0):  # silent since 01:40: either pass
+        with pytest.raises(Refused):
+            seconds("2026-10-25T02:30:00", clock, first + later, order, ("W01",))
+    hours = {}
+    for at in (first - 5_400.0, first - 1_800.0):
+        local = datetime.fromtimestamp(at, BERLIN).isoformat()[:19]
+        assert seconds(local, clock, at, hours, ("W01",)) == at
+    with pytest.raises(Refused):  # 02:00 again: the same hour, or the next
+        seconds("2026-10-25T02:00:00", clock, first + 1_800.0, hours, ("W01",))
 
 
 # -- records -------------------------------------------------------------------------------------------------
@@ -333,8 +408,8 @@ def test_a_source_has_a_mapping_of_its_own(folder: Path) -> None:
     arrays = '[mapping]\nrecords = "v"\ntag = "i"\nvalue = "v"\ntag_pattern = "*{field}"\nquality = "q"\n'
     flat = config(folder, arrays + 'time_format = "%d.%m.%Y %H:%M"', SOURCE + reset).streams[1].mapping
     assert flat == replace(table, quality="")
-    assert (common.time, common.comma, common.clock.zone) == ("t", False, None)
-    assert (table.time, table.comma, table.quality) == ("Zeit", True, "q")
+    assert (common.time, common.marks, common.clock.zone) == ("t", None, None)
+    assert (table.time, table.marks, table.quality) == ("Zeit", (",", "."), "q")
     assert table.fields == common.fields and table.turbines == common.turbines
     only = own + '[source.mapping.signals]\nT = { signal = "cabinet_temperature", unit = "K" }\n'
     (alone,) = config(folder, "", only).streams
@@ -354,6 +429,7 @@ FAULTS = [
     ("[mapping]\ntimezone = 'Europe/Berlyn'", "Europe/Berlin"),
     ("[mapping]\ntime_format = '%H:%M'", "time_format: expected a strptime form"),
     ("[mapping]\ntime_format = 'DD.MM.YYYY'", "time_format: expected a strptime form"),
+    ("[mapping]\ntime_format = '%m/%d/%Y %H:%M %p'", "write %I for %H"),
     ("[mapping]\ndecimal = ';'", "decimal must be one of"),
     ("[mapping]\nrecord = 'values'", 'unknown key "record"'),
     ("[mapping.signals]\nT = { signal = 'cabinet_temperature', unit = 'degC', scale = 0 }", "scale must be"),
@@ -443,7 +519,7 @@ def fuzz(folder: Path, seed: int, count: int) -> Counter[str]:
     """Counts of readings and rejections of so many payloads; every result is checked."""
     random_, counts = random.Random(seed), Counter[str]()
     rules = [config(folder, mapping).streams[0].mapping for _, _, mapping, _ in LAYOUTS]
-    rules.append(fields(clock=Clock(BERLIN), comma=True, records="*.*", quality="{name}.q | q"))
+    rules.append(fields(clock=Clock(BERLIN), marks=Marks(",", "."), records="*.*", quality="{name}.q | q"))
     samples = [captured(folder, one, rule) for one, rule in zip(LAYOUTS, rules[:-1], strict=True)]
     samples.append([payload for some in samples for payload in some])
     for number_ in range(count):

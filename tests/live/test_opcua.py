@@ -107,7 +107,9 @@ def started() -> Iterator[Callable[..., Started]]:
 
     def start(url: str, nodes: dict[str, str], place: dict | None = None, **more: object) -> Started:
         rows = [Node(id, "T07", field) for id, field in nodes.items()]
-        mapping = PayloadMapping(MAPPING.fields, quality="quality", good=("good",), turbines={"T07": "T07"})
+        mapping = PayloadMapping(
+            MAPPING.fields, quality="quality", use_uncertain=False, turbines={"T07": "T07"}
+        )
         made = OpcUa(url, rows, mapping, **{"rates": RATES, **more})
         running.append(Started(made, None if place is None else json.dumps(place)))
         return running[-1]
@@ -134,7 +136,9 @@ class Tracked:
 
     def __init__(self, url: str, record: Record, turbine: Turbine, store: Path, prefix: str = "T1") -> None:
         mapping = record_mapping(record, "T1")
-        plain = PayloadMapping(mapping.fields, quality="quality", good=("good",), turbines=mapping.turbines)
+        plain = PayloadMapping(
+            mapping.fields, quality="quality", use_uncertain=False, turbines=mapping.turbines
+        )
         nodes = [Node(f"ns=2;s={prefix}.{name}", "T1", name) for name in mapping.fields]
         self.stream = OpcUa(url, nodes, plain, RATES)
         self.store = f"sqlite:{store}"
@@ -703,7 +707,7 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = made(table, papers)
     assert stream.url == "opc.tcp://scada.example:4840/plant"
     assert stream.nodes == (Node("ns=2;s=T07.CabinetTemp", "T07", "Tcab"),)
-    assert stream.mapping.good == ("good", "uncertain") and stream.mapping.turbines == {"T07": "T07"}
+    assert stream.mapping.use_uncertain and stream.mapping.turbines == {"T07": "T07"}
     assert (stream._rates, stream._look_back_s) == (Rates(0.0, 0.5, 50), 259200.0)
     assert stream._user == User("me", "pa55 word")
     assert (stream._security.policy, stream._security.mode) == ("Aes128Sha256RsaOaep", "Sign")

@@ -17,7 +17,7 @@ from hygrokf.live.sources.payload_values import seconds
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
 STAMP = "2026-03-01T12:10:00Z"
-MEAN = Form("zero-order", 600.0)
+MEAN = Form("mean", 600.0)
 WIDE = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),
@@ -74,7 +74,8 @@ def test_times(stamp: object, expected: float | None) -> None:
         ({"Tcab": 999.0}, "impossible value"), ({"Tcab": float("nan")}, "no number"),
         ({"Tcab": 1e400}, "no number"),
         ({"Tcab": "warm"}, "no number"), ({"Tcab": True}, "no number"), ({"Tcab": [31.2]}, "no number"),
-        ({"quality": "Bad_SensorFailure"}, "bad quality"), ({"quality": 64}, "bad quality"),
+        ({"quality": "Bad_SensorFailure"}, "bad quality"), ({"quality": 24}, "bad quality"),
+            ({"quality": 0}, "ambiguous quality"), ({"quality": "?"}, "ambiguous quality"),
         ({"RHcab": -12}, "impossible value"),
     ],
 )  # fmt: skip
@@ -84,7 +85,7 @@ def test_what_cannot_be_true_is_counted(changed: dict, kind: str) -> None:
     assert len(found.readings) == ("RHcab" in changed)
 
 
-@pytest.mark.parametrize("quality", ["good", "GOOD", 0, 192, True, None])
+@pytest.mark.parametrize("quality", ["good", "GOOD", "GoodClamped", 192, 192.0, "216", True, None, ""])
 def test_marks_of_good_quality(quality: object) -> None:
     assert len(one(quality=quality).readings) == 1 and not one(quality=quality).counts
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +30,8 @@ from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.payload_formats import Refused
+from hygrokf.live.sources.payload_values import Clock
 from hygrokf.live.sources.postgres import PostgresQuery, Query
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.turbines import Turbine
@@ -261,6 +264,86 @@ def test_a_wide_table_with_times(
     store = f"sqlite:{tmp_path / 'live.db'}"
     Service({"T1": turbine}, [stream], store).run(until_ended=True)
     expect_offline(store, record, turbine)
+
+
+# -- what Python does not have -------------------------------------------------------------------------------
+ODD = ("infinity", "-infinity", "4713-01-01 BC", "20000-01-01", "0044-03-15 BC")
+ENDLESS = ("infinity", "2026-03-01", "4713-01-01 BC", "2026-03-02", "20000-01-01", "infinity")
+FAR = ("2026-03-01", "2026-03-01", "2026-03-01", "2026-03-02", "8000-01-01", "9000-01-01")
+
+
+def read_all(stream: PostgresQuery) -> tuple[list[float], Counter[str]]:
+    """Values of the readings, and what is counted, until all present rows are read."""
+    values: list[float] = []
+    counts: Counter[str] = Counter()
+
+    def put(one: Delivery) -> None:
+        try:
+            for of in stream.mapping.read(one.content, one.received):
+                values.extend(round(reading.value - 273.15, 6) for reading in of.readings)
+                counts.update(of.counts)
+        except Refused as refusal:
+            counts[refusal.kind] += 1
+
+    stream.end_when_read()
+    stream.start(None, put)
+    eventually(lambda: stream.state.word == "ended", lambda: stream.state)
+    return values, counts
+
+
+@pytest.mark.parametrize("kind", ["timestamptz", "timestamp", "date"])
+def test_rows_of_impossible_times_are_counted_and_the_others_come(
+    postgresql: Server, historian: str, kind: str
+) -> None:
+    """In the stamp of a row and in a column that nobody reads; a value that is no number costs itself."""
+    postgresql.execute(
+        historian,
+        f"CREATE TABLE odd (id BIGSERIAL, turbine TEXT, stamp {kind}, value NUMERIC, "
+        f"tag TEXT DEFAULT 'Tcab', until {kind} DEFAULT 'infinity', span INTERVAL, clock TIME, zoned TIMETZ)",
+    )
+    for number, stamp in enumerate(("2026-03-01", *ODD, "2026-03-02")):
+        postgresql.execute(
+            historian,
+            f"INSERT INTO odd (turbine, stamp, value, span, clock, zoned) VALUES "
+            f"('T1', '{stamp}', {number}, '900000 years', '24:00', '24:00+00')",
+        )
+    postgresql.execute(
+        historian, "INSERT INTO odd (turbine, stamp, value) VALUES ('T1', '2026-03-03', 'NaN')"
+    )
+    text = "SELECT * FROM odd WHERE id > %(after)s ORDER BY id"
+    mapping = replace(MAPPING, time="stamp", clock=Clock(UTC))
+    values, counts = read_all(PostgresQuery(Query(postgresql.url(historian), text, "id"), mapping))
+    assert values == [0.0, 6.0] and counts == {"impossible time": len(ODD), "no number": 1}
+
+
+@pytest.mark.parametrize(
+    ("kind", "watermarks"),
+    [
+        *((kind, times) for kind in ("timestamptz", "timestamp", "date") for times in (ENDLESS, FAR)),
+        ("double precision", ("NaN", "1", "-1e308", "2", "Infinity", "NaN")),
+        ("numeric", ("NaN", "1", "-1e200", "2", "Infinity", "NaN")),
+    ],
+)
+def test_a_watermark_that_cannot_be_passed_hides_no_later_row(
+    postgresql: Server, historian: str, kind: str, watermarks: Sequence[str]
+) -> None:
+    postgresql.execute(historian, f"CREATE TABLE marked (id BIGSERIAL, turbine TEXT, mark {kind})")
+
+    def add(mark: str) -> None:
+        postgresql.execute(historian, f"INSERT INTO marked (turbine, mark) VALUES ('T1', '{mark}')")
+
+    for mark in watermarks:
+        add(mark)
+    text = "SELECT * FROM marked WHERE mark > %(after)s ORDER BY mark, id"
+    query = Query(postgresql.url(historian), text, "mark", poll_s=0.05, lag_s=0.0)
+    with followed(PostgresQuery(query, MAPPING)) as rows:
+        eventually(lambda: len(rows.ids) >= 6)
+        add("3" if watermarks[1] == "1" else "2026-03-03")
+        eventually(lambda: 7 in rows.ids)
+        assert sorted(rows.ids) == list(range(1, 8))
+    with followed(PostgresQuery(query, MAPPING), rows.places[-1]) as later:
+        add("4" if watermarks[1] == "1" else "2026-03-04")
+        eventually(lambda: 8 in later.ids)
 
 
 # -- what is wrong -------------------------------------------------------------------------------------------

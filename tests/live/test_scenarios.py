@@ -183,7 +183,7 @@ def test_means_of_the_ambient_stand_in_the_middle_of_their_interval() -> None:
     time = START_S + HOUR_S * np.arange(1, 24 * DAYS + 1)
     middle = time - 0.5 * HOUR_S
     kelvin = 283.0 + 3.0 * np.sin(2.0 * np.pi * middle / DAY_S)
-    means = {"hold": "zero-order", "interval_s": HOUR_S}
+    means = {"hold": "mean", "interval_s": HOUR_S}
     hourly = Record(
         "hourly",
         (

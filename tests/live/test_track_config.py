@@ -87,9 +87,10 @@ def test_a_whole_file(folder: Path) -> None:
     assert (first.limit, first.stale_s) == (0.8, 7200.0)
     mapping = found.streams[0].mapping
     assert mapping.turbines == {"plant/7": "T07", "T-07": "T07", "T08": "T08"}
-    assert mapping.good == ("good", "192") and mapping.turbine == "{1}"
+    assert [mapping.vocabulary.judge(one) for one in ("GOOD", 192.0, 0)] == ["good", "good", "bad"]
+    assert mapping.turbine == "{1}"
     power = mapping.fields["P"]
-    assert (power.form.hold, power.form.interval_s, power.shift_s) == ("zero-order", 600.0, 600.0)
+    assert (power.form.hold, power.form.interval_s, power.shift_s) == ("mean", 600.0, 600.0)
     assert mapping.fields["Tcab"].form.accuracy == 0.3
     assert mapping.fields["RHcab"].form.accuracy == pytest.approx(0.02)
     assert found.page == PageSettings("127.0.0.1", 8090)
@@ -118,6 +119,9 @@ def test_a_whole_file(folder: Path) -> None:
         (('signal = "cabinet_temperature"', 'signal = "cabinet_temprature"'), "cabinet_temperature"),
         (('unit = "degC", accuracy', 'unit = "kPa", accuracy'), "kPa"),
         ((', interval = "10min"', ""), "a mean needs both"),
+        ((', interval = "10min"', ', interval = "10min", hold = "zoh"'), "a mean has both"),
+        ((', interval = "10min"', ', interval = "10min", hold = "zero-order"'), "has two meanings"),
+        ((', interval = "10min"', ', interval = "10min", hold = "Linear"'), "expected the hold previous"),
         (('stamp = "start"', 'stamp = "begin"'), "stamp must be one of"),
         (('"env.T" = { signal = "ambient_temperature"', '"env.T" = { signal = "cabinet_temperature"'),
             "are both"),

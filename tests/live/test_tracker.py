@@ -17,7 +17,8 @@ from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live import tracker as tracker_module
 from hygrokf.live.ceiling import censored_trace
-from hygrokf.live.plan import BEFORE, Form, Plan
+from hygrokf.live.plan import BEFORE, Plan
+from hygrokf.live.sources.local import form_of
 from hygrokf.live.tracker import Frozen, Judged, Reading, Tracker, offline_course, record_of
 from hygrokf.live.turbine import instants_kept
 
@@ -95,7 +96,7 @@ def of_means(record: Record) -> Record:
         if not series.signal.startswith(("cabinet", "ambient")):
             return series
         step = float(np.median(np.diff(series.time)))
-        return replace(series, hold="zero-order", interval_s=step)
+        return replace(series, hold="mean", interval_s=step)
 
     return record.replace_series(*(mean(s) for s in record.series))
 
@@ -156,10 +157,29 @@ def powerless(record: Record) -> Record:
     )
 
 
+def on_change(record: Record) -> Record:
+    """Power, pre-heating and the ambient hold from their stamps on; the pre-heating comes only when it
+    changes, and the power is silent for two hours."""
+
+    def held(series: Series) -> Series:
+        there, hours = ~series.missing, (series.time - record.start_s) / HOUR_S
+        if series.signal == "preheating":
+            there &= np.append(True, np.diff(series.value) != 0.0)
+        if series.signal == "active_power":
+            there &= (hours < 60.0) | (hours > 62.0)
+        told = {"longest_hold_s": np.inf} if series.signal == "preheating" else {}
+        course = {"time": series.time[there], "value": series.value[there]}
+        return replace(series, hold="previous", interval_s=0.0, **course, **told)
+
+    names = [s for s in record.series if not s.signal.startswith("cabinet")]
+    return record.replace_series(*map(held, names))
+
+
 @pytest.mark.parametrize(
     "shape",
     [
         without_gaps,
+        on_change,
         gapped,
         switches_unknown,
         rarely_told,
@@ -181,11 +201,7 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
 ) -> None:
     shaped = shape(record)
     model = planned(of_means(record) if shape in (of_means, lagging, saturated_means) else record)
-    forms = {
-        s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy, s.response_time_s)
-        for s in shaped.series
-    }
-    model = replace(model, forms=forms)
+    model = replace(model, forms={s.signal: form_of(s) for s in shaped.series})
     tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
     offline = offline_course(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
@@ -205,6 +221,31 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
     assert np.array_equal(course.trace.variance[-1], offline.trace.variance[-1])
     assert course.seconds[-1] == pytest.approx(offline.seconds[-1], abs=1e-3)
+
+
+def test_a_value_that_holds_acts_from_its_stamp_on_and_never_before(record: Record) -> None:
+    """What comes later changes no held input of an earlier instant, final or not; it ends with its age."""
+    shaped = on_change(record)
+    model = replace(planned(shaped), forms={s.signal: form_of(s) for s in shaped.series})
+    whole = offline_course(model, shaped).run.timeline
+    names = [n for n in ("operating", "power_1", "preheating", "power_unknown") if n in model.model.inputs]
+    assert "operating" in names and "preheating" in names
+    readings = readings_of(shaped)
+    for count in (len(readings) // 3, len(readings) // 2, 2 * len(readings) // 3):
+        _, course = followed(model, readings[:count], count)
+        so_far = course.run.timeline
+        at = np.searchsorted(whole.seconds, so_far.seconds - 1e-3)
+        same = np.abs(whole.seconds[np.minimum(at, len(whole) - 1)] - so_far.seconds) < 1e-3
+        assert same.mean() > 0.99 and readings[count - 1].time - so_far.seconds[-1] < 1800.0
+        for name in names:
+            assert np.array_equal(so_far.input(name)[same], whole.input(name)[at[same]]), name
+    power = shaped["active_power"]
+    known = np.searchsorted(power.time, whole.seconds - 1e-3, side="left") - 1  # at the step's beginning
+    age = whole.seconds - power.time[known]
+    silent = (age > 3.0 * 600.0 + 1.0) & (known > 0) & (age < 7200.0)
+    assert silent.sum() > 5 and whole.input("power_unknown")[silent].all()
+    some = np.flatnonzero(~silent & (known > 0) & (age <= 600.0))
+    assert np.array_equal(whole.input("operating")[some] > 0.0, power.value[known[some]] > 0.0)
 
 
 def test_a_restart_from_the_point_and_the_readings_that_are_kept_changes_nothing(record: Record) -> None:
@@ -342,8 +383,8 @@ def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record
     tracker, _ = followed(planned(record), readings_of(record), 50)
     kept = [one.time for one in tracker.readings()]
     before_s = (BEFORE + 1) * 900.0
-    assert 19 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
-    assert tracker.plan.context_s == 20.0 * HOUR_S
+    assert 7 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
+    assert tracker.plan.context_s == 8.0 * HOUR_S
     assert max(kept) == tracker.newest
 
 

@@ -52,7 +52,7 @@ def test_dates_windows_and_the_calendar() -> None:
 def test_a_heater_runs_at_standstill_alone(
     reads: str, value: list[float], on: float, off: float, expected: list[int]
 ) -> None:
-    power = series("active_power", np.array([0.0] * 5 + [1e6] * 3), hold="zero-order", interval_s=600.0)
+    power = series("active_power", np.array([0.0] * 5 + [1e6] * 3), hold="mean", interval_s=600.0)
     made = Record("made", (series(reads, np.array(value)), power))
     time = np.concatenate([[START], made[reads].time + 300.0])  # steps whose middles are the readings
     found = feature(made, "heating", {"reads": reads, "on": on, "off": off}, time + 0.0)

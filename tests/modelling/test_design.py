@@ -38,7 +38,7 @@ def series(signal: str, value: np.ndarray | float, step_h: float = 0.25, **more)
 
 def power(value: np.ndarray | float, step_h: float = 1 / 6) -> Series:
     made = series("active_power", value, step_h)
-    return replace(made, time=made.time + 600.0, hold="zero-order", interval_s=600.0)
+    return replace(made, time=made.time + 600.0, hold="mean", interval_s=600.0)
 
 
 def windy(seed: int = 1) -> np.ndarray:
@@ -140,7 +140,7 @@ def test_sensors_get_stated_accuracy_and_resolution():
 
 def test_interval_means_are_read_as_such():
     averaged = {
-        name: replace(record()[name], hold="zero-order", interval_s=900.0)
+        name: replace(record()[name], hold="mean", interval_s=900.0)
         for name in ("cabinet_temperature", "cabinet_relative_humidity")
     }
     base = design(record(*averaged.values()))
@@ -304,7 +304,7 @@ def test_noise_of_the_ambient_belongs_to_the_design():
 def test_a_design_survives_json():
     gap = windy()
     gap[500:600] = np.nan
-    averaged = replace(record()["cabinet_temperature"], hold="zero-order", interval_s=900.0)
+    averaged = replace(record()["cabinet_temperature"], hold="mean", interval_s=900.0)
     base = extended(
         design(record(power(gap), averaged)), [("second_heat_disturbance", {})], {"rain": "linear"}
     )
@@ -317,7 +317,7 @@ def test_a_design_survives_json():
 
 def test_a_merged_cascade_is_the_joint_design():
     averaged = {
-        name: replace(record()[name], hold="zero-order", interval_s=900.0)
+        name: replace(record()[name], hold="mean", interval_s=900.0)
         for name in ("cabinet_temperature", "cabinet_relative_humidity")
     }
     made = record(*averaged.values())

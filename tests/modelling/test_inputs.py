@@ -36,7 +36,7 @@ def instants(signal: str, value, *, step_s: float, hours: float, offset_s: float
 def means(signal: str, value, *, step_s: float, hours: float, offset_s: float = 0.0) -> Series:
     """Interval means with their stamps at the end, the first interval beginning at the offset."""
     series = instants(signal, value, step_s=step_s, hours=hours - step_s / HOUR_S, offset_s=offset_s + step_s)
-    return replace(series, hold="zero-order", interval_s=step_s)
+    return replace(series, hold="mean", interval_s=step_s)
 
 
 def power_course(time: np.ndarray) -> np.ndarray:
@@ -243,7 +243,7 @@ def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
 
 def averaged_record(time_end: np.ndarray, interval_s: float, value: np.ndarray | None = None) -> Record:
     value = weather(time_end) + 7.0 if value is None else value
-    series = Series("cabinet_temperature", time_end, value, "zero-order", interval_s)
+    series = Series("cabinet_temperature", time_end, value, "mean", interval_s)
     return a_record(cabinet_temperature=series, cabinet_relative_humidity=None)
 
 
@@ -371,9 +371,8 @@ def test_long_gaps_of_the_power_are_unknown_and_not_zero(record, remove):
     # readings are kept: the filter goes on with an honest spread
     read = np.isfinite(made.timeline.reading("cabinet_temperature"))
     assert read[unknown].sum() == pytest.approx(40, abs=1)
-    # but scores leave the stretch out, and twelve hours more
-    left_out = (time > begin + 1.0) & (time <= time[unknown][-1] + 12 * HOUR_S)
-    assert_array_equal(made.scored, ~left_out)
+    # but scores leave the stretch out
+    assert_array_equal(made.scored, ~unknown)
 
 
 def test_a_gap_unforeseen_by_the_design_takes_the_mean_all_the_same(base, record):
@@ -403,17 +402,19 @@ def test_gaps_of_the_ambient_up_to_six_hours_are_straight(base, record):
 
 @pytest.mark.parametrize("remove", [blanked, cut])
 @pytest.mark.parametrize("signal", ["ambient_temperature", "ambient_relative_humidity"])
-def test_over_long_gaps_of_the_ambient_readings_are_left_out_until_settled(base, record, remove, signal):
+def test_in_long_gaps_of_the_ambient_readings_are_left_out(base, record, remove, signal):
     hole = remove(record[signal], 30.0, 40.0)
     known = hole.time[~hole.missing]
     first, last = known[known <= START_S + 30 * HOUR_S][-1], known[known >= START_S + 40 * HOUR_S][0]
     made = prepare_run(base, record.replace_series(hole))
     time = seconds(made)
-    lost = (time > first + 1.0) & (time <= last + 12 * HOUR_S + 1e-3)
+    # the step that ends at the first reading after the gap is unknown, too
+    lost = (time > first + 1.0) & (time <= last + 1e-3)
     assert_array_equal(made.scored, ~lost)
+    assert_array_equal(made.timeline.ends, np.arange(len(time)) == np.flatnonzero(lost)[-1] + 1)
     for name in ("cabinet_temperature", "cabinet_relative_humidity"):
         series = record[name]
-        inside = (series.time > first) & (series.time <= last + 12 * HOUR_S)
+        inside = (series.time > first) & (series.time <= last)
         read = np.isfinite(made.timeline.reading(name))
         assert read.sum() == len(series) - inside.sum()
         assert not read[lost].any()
@@ -422,16 +423,15 @@ def test_over_long_gaps_of_the_ambient_readings_are_left_out_until_settled(base,
 
 
 def test_a_gap_of_all_loggers_at_once_is_a_gap_too(base, record):
-    """No instant lies inside; the step over the gap is what is unknown, and readings wait until it is
-    forgotten."""
+    """No instant lies inside; the step over the gap is what is unknown."""
     down = replace(record, series=tuple(cut(s, 30.0, 45.0) for s in record.series))
     made = prepare_run(base, down)
     time = seconds(made)
     assert not np.any((time > START_S + 30.3 * HOUR_S) & (time < START_S + 44.8 * HOUR_S))
-    after = (time > START_S + 45.0 * HOUR_S) & (time < START_S + 56.9 * HOUR_S)
-    assert not made.scored[after].any()
-    assert not np.isfinite(made.timeline.y[after]).any()
-    assert made.scored[time > START_S + 57.5 * HOUR_S].all()
+    end = np.flatnonzero(made.timeline.ends)
+    assert len(end) == 1 and time[end[0]] < START_S + 45.6 * HOUR_S
+    assert not np.isfinite(made.timeline.y[end[0] - 1]).any()
+    assert made.scored[end[0] :].all() and not made.scored[end[0] - 1]
     assert made.scored[
         time <= down["active_power"].time[down["active_power"].time < START_S + 31 * HOUR_S][-1]
     ].all()
@@ -554,7 +554,7 @@ def test_every_reading_appears_once_at_its_own_time(clock):
     value[random.random(count) < missing] = np.nan
     humidity = np.where(random.random(count) < missing, np.nan, 0.5)
     length = 0.7 * step if interval and jitter <= 0.2 * step else 0.0
-    hold = "zero-order" if length else "linear"
+    hold = "mean" if length else "linear"
     record = a_record(
         hours=60,
         cabinet_temperature=Series("cabinet_temperature", time, value, hold, length),

@@ -20,7 +20,7 @@ def to_series(channel: Channel) -> Series:
         signal=channel.signal,
         time=channel.time,
         value=channel.value,
-        hold="zero-order" if channel.interval_s else "linear",
+        hold="mean" if channel.interval_s else "linear",
         interval_s=channel.interval_s,
         resolution=channel.resolution,
         source=f"{channel.system}.csv, {channel.signal}",

@@ -24,7 +24,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.physics import mechanisms
 from hygrokf.physics.expression import Graph, jacobian
-from hygrokf.physics.holds import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
@@ -96,7 +96,7 @@ def test_every_factory_of_the_folder_stands_in_the_library() -> None:
 @every
 def test_a_mechanism_reads_the_features_that_it_brings(name: str, settings: dict) -> None:
     for feature, (function, hold) in LIBRARY[name](**settings).features.items():
-        assert FEATURES[feature] == (function, hold) and hold in (LINEAR, ZERO_ORDER)
+        assert FEATURES[feature] == (function, hold) and hold in (LINEAR, MEAN)
         assert list(inspect.signature(function).parameters)[:2] == ["record", "time"]
 
 

@@ -11,6 +11,7 @@ from hygrokf.engine import traced_filter
 from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend, without
 from hygrokf.physics.parameters import Parameter
@@ -86,9 +87,9 @@ def test_extending_and_taking_away() -> None:
     sun = Mechanism(
         name="sun", inputs=("irradiance",), contributions=lambda p, x, u, q: {"heat_release": u.irradiance}
     )
-    larger = extend(base, sun, {"irradiance": "zero-order"})
+    larger = extend(base, sun, {"irradiance": "mean"})
     assert larger.inputs == ("outside", "irradiance")
-    assert larger.holds == {"outside": "linear", "irradiance": "zero-order"}
+    assert larger.holds == {"outside": "linear", "irradiance": "mean"}
     assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
     assert without(larger, "sun").mechanisms == base.mechanisms
     assert larger.mechanism("sun") is sun
@@ -168,7 +169,7 @@ def test_a_model_with_regimes_only_and_one_without_inputs_run() -> None:
             lambda p, x, u: {"x": -p.k * x.x + getattr(u, "on", 0.0)},
             {"y": lambda p, x, u: (x.x, 0.1)}, lambda p: {"x": 0.2}, lambda p, u: {"x": (1.0, 0.0)},
         )  # fmt: skip
-        model = compose([made], {"on": "regime"})
+        model = compose([made], {"on": REGIME})
         time = 0.5 * np.arange(6)
         on = (time > 1.2).astype(float)
         run = timeline(model, time, {"on": on} if inputs else {}, {"y": np.zeros(6)})

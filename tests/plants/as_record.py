@@ -26,7 +26,7 @@ def to_series(one: PlantSeries, clock_uncertainty_s: float = 0.0) -> Series:
         signal=one.signal,
         time=one.time,
         value=factor * one.value + offset,
-        hold="zero-order" if one.stamp == "end" else "linear",
+        hold="mean" if one.stamp == "end" else "linear",
         interval_s=one.interval_s,
         resolution=factor * one.resolution,
         accuracy=None if one.accuracy is None else factor * one.accuracy,

@@ -137,7 +137,7 @@ def test_means_stand_in_the_middle_of_their_interval() -> None:
     _, other = made.weather_pair(5700, 60, sun=0.0)
     hours = other.time
     means = np.interp(hours - 1800.0, other.time, other.value)
-    held = Series("ambient_temperature", hours, means, "zero-order", 3600.0)
+    held = Series("ambient_temperature", hours, means, "mean", 3600.0)
     assert align(held, other).whole.weather.value == pytest.approx(0.0, abs=90.0)
 
 

@@ -45,7 +45,7 @@ def test_hours_end_in_local_standard_time(tmp_path: Path) -> None:
     assert np.nanmax(np.abs(warm.value - 283.15 - 5.0 * np.sin(2 * np.pi * hour / 24))) < 0.051
     sun = record["global_horizontal_irradiance"]
     # hours 9 to 16 are those from 8 to 16 o'clock: the day's energy is centred at noon, local time
-    assert (sun.hold, sun.interval_s) == ("zero-order", 3600.0)
+    assert (sun.hold, sun.interval_s) == ("mean", 3600.0)
     middle = np.mod(sun.time - 1800.0 + 3600.0, 86400.0) / 3600.0
     assert np.nansum(sun.value[:24] * middle[:24]) / np.nansum(sun.value[:24]) == pytest.approx(12.0)
     assert record.site == Site(48.5, 5.5, 250.0)

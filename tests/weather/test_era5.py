@@ -8,6 +8,7 @@ from pathlib import Path
 
 import builders.weather_case as made
 import numpy as np
+import pandas as pd
 import pytest
 from builders.faults import faults_of
 
@@ -67,7 +68,7 @@ def test_the_streams_of_one_request_come_as_a_zip_named_nc(tmp_path: Path) -> No
     assert_middle_cell(record)
     sun = record["global_horizontal_irradiance"]
     np.testing.assert_allclose(sun.value, made.truth("ssrd") / 3600.0, rtol=1e-6)
-    assert (sun.hold, sun.interval_s) == ("zero-order", 3600.0)
+    assert (sun.hold, sun.interval_s) == ("mean", 3600.0)
     np.testing.assert_array_equal(sun.time, made.seconds())  # the sum's hour ends at its stamp
     np.testing.assert_allclose(
         record["diffuse_horizontal_irradiance"].value,
@@ -208,6 +209,54 @@ def test_sums_since_midnight_become_hourly_ones() -> None:
     np.testing.assert_allclose(sun[1:], made.truth("ssrd")[1:] / 3600.0, atol=0.02)
     np.testing.assert_allclose(record["rain"].value[1:], 1000.0 * made.truth("tp")[1:], atol=1e-4)
     assert sum("since 00:00 UTC" in said for said in record.warnings) == 2
+
+
+def packed(total: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """Sums (T,) as GRIB packs them in 16 bits, in steps that double as the largest sum of the field grows."""
+    step = 2.0 ** np.ceil(np.log2(largest / 2**16))
+    return np.floor(total / step) * step
+
+
+@pytest.mark.parametrize("longitude", [8.0, -75.0, -150.0])
+@pytest.mark.parametrize("as_csv", [True, False])
+def test_packed_sums_since_midnight_are_told_over_the_whole_file(
+    longitude: float, as_csv: bool, tmp_path: Path
+) -> None:
+    """A packed sum falls a little within the day; far from Greenwich a day of sun ends after 00:00 UTC."""
+    count = 24 * 20
+    hours = np.arange(1, count + 1)
+    local = (hours - 0.5 + longitude / 15.0) % 24.0
+    rng = np.random.default_rng(8)
+    truth = {
+        "ssrd": 2.5e6 * np.maximum(np.sin(np.pi * (local - 5.0) / 14.0), 0.0) * (np.abs(local - 12.0) < 7.0),
+        "tp": np.where(rng.random(count) < 0.1, rng.exponential(4e-4, count), 0.0),
+    }
+    of_day = (hours - 1) // 24
+    columns = {"t2m": 280.0 + np.sin(hours), "d2m": 275.0 + np.sin(hours)}
+    into_day = (hours - 1) % 24 + 1
+    for name, most in (("ssrd", 3e7), ("tp", 0.4)):
+        total = np.concatenate([np.cumsum(truth[name][of_day == day]) for day in range(20)])
+        columns[name] = packed(total, most * into_day / 24.0)
+    assert np.any(np.diff(columns["tp"])[into_day[1:] > 1] < 0.0)
+    if as_csv:
+        stamps = pd.Timestamp("2024-01-01") + pd.to_timedelta(hours, "h")
+        frame = pd.DataFrame({"valid_time": stamps, **columns})
+        frame.assign(latitude=55.0, longitude=longitude).to_csv(tmp_path / "land.csv", index=False)
+        record = read_era5(tmp_path / "land.csv")
+    else:
+        dataset = made.new_dataset(("t2m", "d2m", "ssrd", "tp"), hours=count + 1)
+        dataset = dataset.isel(valid_time=slice(1, None)).copy(deep=True)
+        assert dataset.valid_time.values[0].astype("datetime64[h]").astype(int) % 24 == 1
+        for name in ("ssrd", "tp"):
+            dataset[name][:] = columns[name][:, None, None]
+        (tmp_path / "land.nc").write_bytes(made.netcdf4(dataset))
+        record = read_era5(tmp_path / "land.nc", SITE)
+    assert sum("sums since 00:00 UTC" in said for said in record.warnings) == 2
+    rain = record["rain"].value
+    assert rain.sum() == pytest.approx(1e3 * truth["tp"].sum(), rel=0.02)
+    assert np.mean(rain > 0.02) == pytest.approx(np.mean(truth["tp"] > 2e-5), abs=0.02)
+    sun = record["global_horizontal_irradiance"].value
+    np.testing.assert_allclose(sun, truth["ssrd"] / 3600.0, atol=1.0)
 
 
 def test_rain_in_a_dry_place_is_not_taken_for_sums_since_midnight() -> None:

@@ -31,7 +31,7 @@ def test_a_day_as_delivered(tmp_path: Path) -> None:
     np.testing.assert_allclose(temperature.value, made.merra2_truth("T2M"), rtol=1e-6)
     # the mean of 00:00 … 01:00 is stamped 00:30; a record has the end of the interval
     np.testing.assert_array_equal(temperature.time, START_S + 3600.0 * np.arange(1, 25))
-    assert {(one.hold, one.interval_s) for one in record.series} == {("zero-order", 3600.0)}
+    assert {(one.hold, one.interval_s) for one in record.series} == {("mean", 3600.0)}
     vapour = saturation_pressure_water(dew_point.value)
     pressure = record["ambient_pressure"].value
     np.testing.assert_allclose(specific_humidity(vapour, pressure), made.merra2_truth("QV2M"), rtol=1e-5)

@@ -38,9 +38,9 @@ def test_both_layouts_give_the_same_record(tmp_path: Path, write) -> None:
         ("ambient_dew_point_temperature", truth("dew_point_2m") + 273.15, "linear"),
         ("ambient_pressure", 100.0 * truth("surface_pressure"), "linear"),
         ("wind_speed", truth("wind_speed_100m") / 3.6, "linear"),
-        ("wind_direction", np.radians(truth("wind_direction_100m")), "zero-order"),
-        ("global_horizontal_irradiance", truth("shortwave_radiation"), "zero-order"),
-        ("rain", truth("precipitation"), "zero-order"),
+        ("wind_direction", np.radians(truth("wind_direction_100m")), "previous"),
+        ("global_horizontal_irradiance", truth("shortwave_radiation"), "mean"),
+        ("rain", truth("precipitation"), "mean"),
         ("cloud_cover", 0.01 * truth("cloud_cover"), "linear"),
     ):
         series = record[signal]

@@ -35,10 +35,10 @@ def test_the_layout_of_2017(file: Path) -> None:
         ("ambient_temperature", columns["t"] + 273.15, "linear"),
         ("ambient_pressure", 100.0 * columns["p"], "linear"),
         ("wind_speed", columns["WG"], "linear"),
-        ("wind_direction", np.radians(columns["WR"]), "zero-order"),
+        ("wind_direction", np.radians(columns["WR"]), "previous"),
         ("cloud_cover", columns["N"] / 8.0, "linear"),
-        ("global_horizontal_irradiance", columns["B"] + columns["D"], "zero-order"),
-        ("diffuse_horizontal_irradiance", columns["D"], "zero-order"),
+        ("global_horizontal_irradiance", columns["B"] + columns["D"], "mean"),
+        ("diffuse_horizontal_irradiance", columns["D"], "mean"),
     ):
         np.testing.assert_allclose(record[signal].value, values, rtol=1e-9, err_msg=signal)
         assert record[signal].hold == hold

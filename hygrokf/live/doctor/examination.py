@@ -202,7 +202,8 @@ def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[
 def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
     """Why a model cannot run on these signals, whatever their readings, and what to do; None if it can."""
     times = HOUR_S * np.arange(1.0, TRIED_H)
-    values = {name: np.full(len(times), 0.5 * (SIGNALS[name].low + SIGNALS[name].high)) for name in signals}
+    near = np.resize((0.5, 0.500001), len(times))  # readings that never change would count as frozen
+    values = {name: SIGNALS[name].low + near * (SIGNALS[name].high - SIGNALS[name].low) for name in signals}
     awaited = Tracker(
         plan, readings=(Reading(name, 0.0, float(v[0])) for name, v in values.items())
     ).awaited()

@@ -7,7 +7,6 @@ temporary session of its own is used, so that the tracker's session keeps its me
 from __future__ import annotations
 
 import gzip
-import json
 import queue
 import time
 import zlib
@@ -25,8 +24,8 @@ from hygrokf.live.doctor.mqtt import Listener, await_answer, doctor_session
 from hygrokf.live.sources.broker import filter_fault, unreachable
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable
+from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping
+from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import SourceFault, Stream
 from hygrokf.live.tracker import Reading
@@ -61,14 +60,14 @@ class TriedReading:
 
 @dataclass(frozen=True)
 class TriedRejection:
-    """Something in a payload that is not used: the `kind` under which it is counted, and why."""
+    """Something in a payload that is counted, and not used unless uncertain: its `kind`, and why."""
 
     turbine: str
     kind: str
     why: str
 
     def __str__(self) -> str:
-        return f"not used: {self.kind}: {self.why}"
+        return f"{'used' if self.kind == USED_THOUGH else 'not used'}: {self.kind}: {self.why}"
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
         start = file.read(UNPACKED + 1)
         if len(start) <= UNPACKED and mapping.form == JSON and start.lstrip()[:1] in (b"{", b"["):
             with suppress(ValueError, RecursionError):
-                json.loads(start)
+                decoded(start)
                 yield Arrived(start, now)
                 return
         file.seek(0)

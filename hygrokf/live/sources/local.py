@@ -8,7 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import IO, AnyStr
 
@@ -252,7 +252,7 @@ def record_mapping(record: Record, turbine: str) -> PayloadMapping:
 
 
 def form_of(series: Series) -> Form:
-    return Form(series.hold, series.interval_s, series.resolution, series.accuracy, series.response_time_s)
+    return Form(**{one.name: getattr(series, one.name) for one in fields(Form)})
 
 
 def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]:

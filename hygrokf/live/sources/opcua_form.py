@@ -106,7 +106,7 @@ class ServerForm:
     )
     queue: int = setting(Rates.queue, "values of one node that it keeps in between", least=2, most=HELD)
     look_back_s: float = setting(0.0, "how far back the history of a new node is read", read=duration)
-    uncertain: bool = setting(False, "whether values with an uncertain status are used")
+    uncertain: bool = setting(True, "whether values with an uncertain status are used")
 
     @across("url")
     def url_form(self) -> str | None:
@@ -134,8 +134,8 @@ class OpcUaForm(SecurityForm, ServerForm):
         except ConnectionFault as fault:
             place.fault(str(fault))
         nodes = [Node(id, one.turbine, one.field) for id, one in self.nodes.items()]
-        good = ("good", "uncertain") if self.uncertain else ("good",)
-        own = mapping.of_own_payloads(good, {one.turbine: one.turbine for one in nodes})
+        turbines = {one.turbine: one.turbine for one in nodes}
+        own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
         rates = Rates(self.sampling_s, self.publishing_s, self.queue)
         return OpcUa(url, nodes, own, rates, self.look_back_s, security, user)
 

@@ -14,14 +14,16 @@ or, with `tag` and `value`, one reading per record:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from hygrokf.data.numbers import PARTED, POINT, Marks, Unread
+from hygrokf.data.quality import BAD, GOOD, UNCERTAIN, UNSTATED, QualityVocabulary
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.sources.payload_fields import Conversion, Field
-from hygrokf.live.sources.payload_formats import JSON, Content, Record, Refused, Scopes, records
+from hygrokf.live.sources.payload_formats import JSON, Content, Order, Record, Refused, Scopes, records
 from hygrokf.live.sources.payload_paths import (
     LONGEST,
     NAME,
@@ -54,12 +56,12 @@ EVERYONE = ""
 """Turbine name of a weather forecast that applies to all turbines."""
 NOBODY = ""
 """Turbine name of what is rejected before its turbine is known."""
-GOOD = ("good", "ok", "valid", "true", "0", "192")
-"""Default quality marks of a good reading; 192 is OPC's."""
+USED_THOUGH = f"{UNCERTAIN} quality"
+"""Kind under which values are counted that are used."""
 
 
 class Rejection(NamedTuple):
-    """Something in a payload that is not used: the `kind` under which it is counted, and why."""
+    """Something in a payload that is counted, not used unless it is `USED_THOUGH`: its `kind`, and why."""
 
     kind: str
     words: str
@@ -91,11 +93,12 @@ class PayloadMapping:
     """Describes the layout of payloads.
 
     `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: where these stand (`payload_paths`);
-    `good`: accepted quality marks; `turbines`: name in the payload → turbine.  If `turbine` is "", all
-    payloads belong to the only turbine.  With `weather` the payloads are weather forecasts, which apply to
-    all turbines unless they name one.  `form`: one of `payload_formats.FORMATS`; `records`: path to the
-    records; `tag_pattern`: of tags or, without `tag`, of the names of values; `clock`: how times are written;
-    `comma`: whether texts have a decimal comma; `names`: turbine → its own names of fields.
+    `vocabulary` of the quality, and whether to `use_uncertain` readings; `turbines`: name in the payload →
+    turbine.  If `turbine` is "", all payloads belong to the only turbine.  With `weather` the payloads are
+    weather forecasts, which apply to all turbines unless they name one.  `form`: one of
+    `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: of tags or, without `tag`, of
+    the names of values; `clock`: how times are written; `marks`: of numbers in texts, None where
+    they are not stated; `names`: turbine → its own names of fields.
     """
 
     fields: Mapping[str, Field]
@@ -104,14 +107,15 @@ class PayloadMapping:
     quality: str = ""
     tag: str = ""
     value: str = ""
-    good: Collection[str] = GOOD
+    vocabulary: QualityVocabulary = UNSTATED
+    use_uncertain: bool = True
     turbines: Mapping[str, str] = field(default_factory=dict)
     weather: bool = False
     form: str = JSON
     records: str = ""
     tag_pattern: str = ""
     clock: Clock = STATED_OFFSETS
-    comma: bool = False
+    marks: Marks | None = None
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     layout: Layout = field(init=False, repr=False, compare=False)
     """The same, prepared for reading."""
@@ -119,11 +123,15 @@ class PayloadMapping:
     def __post_init__(self) -> None:
         object.__setattr__(self, "layout", _layout(self))
 
-    def of_own_payloads(self, good: Collection[str], turbines: Mapping[str, str]) -> PayloadMapping:
+    def of_own_payloads(self, use_uncertain: bool, turbines: Mapping[str, str]) -> PayloadMapping:
         """The mapping for a source that makes its payloads itself, one flat object each: `turbine`, `time`,
-        `quality`, and the fields by their common names."""
+        `quality` as a word, and the fields by their common names."""
         return PayloadMapping(
-            self.fields, quality="quality", good=good, turbines=turbines, weather=self.weather
+            self.fields,
+            quality="quality",
+            use_uncertain=use_uncertain,
+            turbines=turbines,
+            weather=self.weather,
         )
 
     @property
@@ -133,8 +141,12 @@ class PayloadMapping:
             one.startswith("{") and one not in (NAME, RECEIVED) for one in alternatives(self.time)
         )
 
-    def read(self, content: Content, received: float, topic: str = "") -> Sequence[TurbineReadings]:
+    def read(
+        self, content: Content, received: float, topic: str = "", order: Order | None = None
+    ) -> Sequence[TurbineReadings]:
         """The readings of a payload received at a time [s], by turbine.
+
+        order: of the source's local stamps, which is carried on; None: nothing is known of it.
 
         Raises Refused if the payload cannot be read, or if it has one record and none of that can be used.
         Stamps before `EARLIEST_S` or after `LATEST_S` are refused, and those of a weather forecast that are
@@ -143,7 +155,7 @@ class PayloadMapping:
         found, fault = Found(), None
         for record in records(content, self.form, self.layout.steps, topic, received):
             try:
-                self._read_record(record, found)
+                self._read_record(record if order is None else record._replace(order=order), found)
             except Refused as refusal:
                 fault = refusal
                 found[NOBODY].rejections.append(Rejection(refusal.kind, str(refusal)))
@@ -180,11 +192,10 @@ class PayloadMapping:
         """Read every field that a record of one turbine has."""
         layout = self.layout
         turbine = self._turbine(layout.turbine(record))
-        time, own = 0.0 if layout.own_time else self._time(record), layout.own
+        time, own = 0.0 if layout.own_time else self._time(record, turbine), layout.own
         of = found[turbine]
         _, readings, rejections = of
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            rejections.append(Rejection("bad quality", f"quality {quoted(mark)}"))
+        if layout.quality is not None and not self._has_quality(layout.quality(record), rejections):
             return
         before = len(readings) + len(rejections)
         scopes, table = record.scopes, layout.table(turbine)
@@ -192,7 +203,7 @@ class PayloadMapping:
             raw = at(scopes, name)
             if raw is None or raw == "":
                 continue
-            of_value = self._own_time(record, name, time, rejections) if own else time
+            of_value = self._own_time(record, turbine, name, time, rejections) if own else time
             if of_value is not None:
                 self._convert(name, raw, conversion, of_value, of)
         if len(readings) + len(rejections) == before and not any(has(scopes, name) for name in table):
@@ -202,9 +213,13 @@ class PayloadMapping:
         """Read every value of a record whose names say field and perhaps turbine."""
         layout = self.layout
         spoken, own = layout.turbine(record), layout.own
-        time = 0.0 if layout.own_time else self._time(record)
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            raise Refused("bad quality", f"quality {quoted(mark)}")
+        time = 0.0 if layout.own_time else self._time(record, str(spoken))
+        if layout.quality is not None:
+            marked: list[Rejection] = []
+            if not self._has_quality(layout.quality(record), marked):
+                raise Refused(marked[0].kind, marked[0].words)
+            if marked:
+                found[NOBODY if layout.only is None else layout.only].rejections.extend(marked)
         seen = False
         for name, raw in record.scopes[0].items():
             tag = split(name)
@@ -218,7 +233,7 @@ class PayloadMapping:
             if raw is None or raw == "":
                 continue
             of = found[turbine]
-            of_value = self._own_time(record, name, time, of.rejections) if own else time
+            of_value = self._own_time(record, turbine, name, time, of.rejections) if own else time
             if of_value is not None:
                 self._convert(name, raw, conversion, of_value, of)
         if not seen:
@@ -238,10 +253,11 @@ class PayloadMapping:
                 raise Refused("unknown tag", f"tag {quoted(stated)} is not like {self.tag_pattern}")
             name, spoken = tag.field, spoken if tag.turbine is None else tag.turbine
         turbine = self._turbine(spoken)
-        time, of = self._time(record), found[turbine]
-        if layout.quality is not None and not self._is_good(mark := layout.quality(record)):
-            of.rejections.append(Rejection("bad quality", f"{quoted(stated)}: quality {quoted(mark)}"))
-            return
+        time, of = self._time(record, turbine, name), found[turbine]
+        if layout.quality is not None:
+            mark = layout.quality(record)
+            if not self._has_quality(mark, of.rejections, f"{quoted(stated)}: "):
+                return
         conversion = layout.table(turbine).get(name)
         if conversion is None:
             of.rejections.append(Rejection("unknown tag", f"tag {quoted(stated)} is no field"))
@@ -258,14 +274,21 @@ class PayloadMapping:
         self, name: str, raw: Json, conversion: Conversion, time: float, of: TurbineReadings
     ) -> None:
         """Add the reading of a value, or why it is none."""
-        found = number(raw, self.comma)
-        if found is None:
-            try:
-                found = measured(raw, conversion.unit, conversion.is_flag, self.comma)
-            except Refused as refusal:
-                of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
-                return
-        signal, factor, offset, shift_s, low, high, _, _ = conversion
+        signal, factor, offset, shift_s, low, high, meaning = conversion
+        found = number(raw, self.marks or POINT)
+        try:
+            if found is None:
+                found = measured(raw, meaning, self.marks or POINT)
+            if self.marks is None and isinstance(raw, str) and PARTED.match(raw):
+                # the point may divide thousands: the signal's range tells, where it allows one of the two
+                either = [one for one in (found, 1e3 * found) if low <= factor * one + offset <= high]
+                if len(either) > 1:
+                    said = f'{quoted(raw)} may be {found:g} or {1e3 * found:g}: state decimal = "." or ","'
+                    raise Refused("ambiguous number", said)
+                found = either[0] if either else found
+        except Unread as refusal:
+            of.rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
+            return
         value = factor * found + offset
         if low <= value <= high:
             of.readings.append(Reading(signal, time + shift_s, value))
@@ -283,11 +306,11 @@ class PayloadMapping:
             raise Refused("unknown turbine", f"turbine {quoted(name)} is not tracked")
         return turbine
 
-    def _time(self, record: Record) -> float:
+    def _time(self, record: Record, *series: str) -> float:
         stamp = self.layout.time(record)
         if stamp is None and self.layout.on_receipt:
             return record.received
-        time = seconds(stamp, self.clock, record.received)
+        time = seconds(stamp, self.clock, record.received, record.order, series)
         if time is None:
             raise Refused("no time", f"expected a time as {self.clock.words}, found {quoted(stamp)}")
         if not EARLIEST_S <= time <= (record.received + FORECAST_S if self.weather else LATEST_S):
@@ -295,22 +318,28 @@ class PayloadMapping:
             raise Refused("impossible time", f"time {quoted(stamp)} is before 1990 or {late}")
         return time
 
-    def _own_time(self, record: Record, name: str, time: float, rejections: list[Rejection]) -> float | None:
+    def _own_time(
+        self, record: Record, turbine: str, name: str, time: float, rejections: list[Rejection]
+    ) -> float | None:
         """The time of one value, the common one or its own; None if its own time or quality is refused."""
         own = record._replace(name=name)
         try:
-            time = self._time(own) if self.layout.own_time else time
+            time = self._time(own, turbine, name) if self.layout.own_time else time
         except Refused as refusal:
             rejections.append(Rejection(refusal.kind, f"{name}: {refusal}"))
             return None
         quality = self.layout.own_quality
-        if quality is not None and not self._is_good(mark := quality(own)):
-            rejections.append(Rejection("bad quality", f"{name}: quality {quoted(mark)}"))
-            return None
-        return time
+        usable = quality is None or self._has_quality(quality(own), rejections, f"{name}: ")
+        return time if usable else None
 
-    def _is_good(self, mark: Json) -> bool:
-        return mark is None or str(mark).strip().lower() in self.good
+    def _has_quality(self, mark: Json, rejections: list[Rejection], what: str = "") -> bool:
+        """Whether what bears a mark of quality is used; adds its count where the mark is not good."""
+        outcome = GOOD if mark is None else self.vocabulary.judge(mark)
+        if outcome == UNCERTAIN and not self.use_uncertain:
+            outcome = BAD
+        if outcome != GOOD:
+            rejections.append(Rejection(f"{outcome} quality", f"{what}quality {quoted(mark)}"))
+        return outcome in (GOOD, UNCERTAIN)
 
 
 def _names(scopes: Scopes) -> str:

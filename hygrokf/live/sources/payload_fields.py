@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hygrokf.data.numbers import Meaning
 from hygrokf.data.signals import signal_named, to_si
 from hygrokf.live.plan import Form
-from hygrokf.physics.holds import ZERO_ORDER
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Field:
     """A value in a payload: its signal, its unit, the form of its readings, and what its stamp marks.
 
     `stamp`: "instant", or "start", "middle" or "end" of the averaging interval.  The value in `unit` is
-    `scale` times the number in the payload plus `offset`.
+    `scale` times the number in the payload plus `offset`.  `one`: the text of a flag that is 1.
     """
 
     signal: str
@@ -26,6 +26,7 @@ class Field:
     stamp: str = "instant"
     scale: float = 1.0
     offset: float = 0.0
+    one: str = ""
 
     @property
     def shift_s(self) -> float:
@@ -38,17 +39,16 @@ class Field:
         zero, one = to_si(np.array([self.offset, self.scale + self.offset]), self.unit, self.signal).tolist()
         row = signal_named(self.signal)
         slack = 1e-9 * (row.high - row.low)
-        is_flag = self.unit == "1" and row.hold == ZERO_ORDER
+        meaning = Meaning(self.signal, self.unit, self.one)
         return Conversion(
-            self.signal, one - zero, zero, self.shift_s, row.low - slack, row.high + slack, self.unit, is_flag
+            self.signal, one - zero, zero, self.shift_s, row.low - slack, row.high + slack, meaning
         )
 
 
 class Conversion(NamedTuple):
     """Converts a field to a reading: value = factor * number + offset [SI unit], valid within `low` … `high`.
 
-    `shift_s` [s] is added to the stamp; `unit`: that a text may state; `is_flag`: whether it may be true or
-    false.
+    `shift_s` [s] is added to the stamp; `meaning`: of texts.
     """
 
     signal: str
@@ -57,5 +57,4 @@ class Conversion(NamedTuple):
     shift_s: float
     low: float
     high: float
-    unit: str
-    is_flag: bool
+    meaning: Meaning

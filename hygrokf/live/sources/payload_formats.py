@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from hygrokf.data.numbers import Unread
 from hygrokf.data.structured import Json, JsonObject
 
 Payload = Mapping[str, Json]
@@ -36,12 +37,13 @@ _GZIP = b"\x1f\x8b"
 _NO_BRACKETS = bytes(set(range(256)) - set(b"{}[]"))
 
 
-class Refused(Exception):
-    """A payload or record that is not used; `kind` is the name under which it is counted."""
+class Refused(Unread):
+    """A payload or record that is not used."""
 
-    def __init__(self, kind: str, words: str) -> None:
-        super().__init__(words)
-        self.kind = kind
+
+Order = dict[tuple[str, ...], tuple[float, float]]
+"""The order in which a source brings its local stamps: series (a turbine, or one tag of it) -> its newest
+stamp, and the step to it [s].  Nothing is known after a restart until stamps are unambiguous again."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,15 @@ Content = bytes | str | Payload | Unreadable
 class Record(NamedTuple):
     """A record of a payload, without `scopes` if it is no object.
 
-    `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s].
+    `name`: its key in the object around it; `topic` at which it arrived, and when it was `received` [s];
+    `order`: of its source's local stamps.
     """
 
     scopes: Scopes
     name: str = ""
     topic: str = ""
     received: float = math.inf
+    order: Order | None = None
 
 
 def records(
@@ -142,9 +146,31 @@ def _json(text: bytes) -> Json:
     if _depth(text) > DEEPEST:
         raise Refused("too deep", f"a payload nested deeper than {DEEPEST} levels")
     try:
-        found: Json = _DECODER.decode(text.decode(json.detect_encoding(text)))
+        return decoded(text)
     except (ValueError, RecursionError) as fault:
         raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
+
+
+_NOT_FINITE = re.compile(
+    r'"(?:[^"\\]|\\.)*+(?:"|\\?\Z)|(?P<one>[+-]?(?:nan|inf(?:inity)?|\d\.#\w+)\b(?:\(\w*\))?)',
+    re.IGNORECASE | re.DOTALL,
+)
+"""A text of JSON (to the end if it is open), or a number that is not finite: -nan, nan(ind), inf, 1.#QNAN."""
+
+
+def decoded(text: bytes) -> Json:
+    """What a JSON text holds; a bare nan or inf of any spelling is NaN, which no field takes for a number.
+
+    Raises ValueError and RecursionError.
+    """
+    plain = text.decode(json.detect_encoding(text))
+    try:
+        found: Json = _DECODER.decode(plain)
+    except ValueError as fault:
+        finite = _NOT_FINITE.sub(lambda one: "NaN" if one["one"] else one[0], plain)
+        if finite == plain:
+            raise fault
+        found = _DECODER.decode(finite)
     return found
 
 
@@ -187,10 +213,7 @@ _FIELD = re.compile(r'((?:\\.|[^,= "\\])++)=("(?:\\.|[^"\\])*+"|(?:\\.|[^, "\\])
 _TAG = re.compile(r"((?:\\.|[^,= \\])++)=((?:\\.|[^,= \\])++)")
 _ESCAPED = re.compile(r'\\([,= "\\])')
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}[iu]")
-_FLAGS = {
-    **dict.fromkeys(("t", "T", "true", "True", "TRUE"), True),
-    **dict.fromkeys(("f", "F", "false", "False", "FALSE"), False),
-}
+_FLAGS = {"t": True, "T": True, "f": False, "F": False}
 
 
 def _lines(text: str) -> list[Json]:

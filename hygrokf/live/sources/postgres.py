@@ -58,6 +58,12 @@ LOWEST = {
 }  # fmt: skip
 """Type of a watermark -> text of a value below all others."""
 TIMES = ("timestamptz", "timestamp", "date")
+EDGES: dict[str, tuple[date, date]] = {
+    "timestamptz": (datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)),
+    "timestamp": (datetime.min, datetime.max),
+    "date": (date.min, date.max),
+}
+"""What stands for times before year 1 and after year 9999, and for infinity."""
 REMEMBERED = 200_000
 """Rows remembered as delivered; further ones that are read again are delivered again, and the store knows
 them."""
@@ -100,8 +106,11 @@ class Columns:
     kind: str
 
     def watermark(self, row: Row) -> Watermark:
-        """The watermark of a row.  Raises SourceFault where it has none."""
+        """The watermark of a row; infinity for NaN, which sorts above all others.  Raises SourceFault where
+        it has none."""
         found: Watermark | None = row[self.place]
+        if found is not None and found != found:
+            return type(found)("inf")  # type: ignore[call-arg, arg-type]
         if found is None:
             raise SourceFault(
                 f"a row has no {self.names[self.place]}, the watermark; select rows that have one"
@@ -156,6 +165,7 @@ class PostgresQuery(Threaded):
             raise SourceFault(str(fault)) from None
         for statement in SESSION:
             connection.execute(statement)
+        _read_all_times(connection)
         return connection
 
     def columns(self, connection: psycopg.Connection[Row]) -> Columns:
@@ -263,11 +273,15 @@ class PostgresQuery(Threaded):
         """
         (now,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
         old = now - timedelta(seconds=self.query.lag_s) if columns.kind == "timestamptz" else None
+        ahead = now + timedelta(days=1)
+        latest = {"timestamptz": ahead, "timestamp": ahead.replace(tzinfo=None), "date": ahead.date()}
         before: Any = None
         last: Any = None
         with closing(rows_above(connection, self.query.text, after)) as rows:
             for count, row in enumerate(rows):
-                mark = columns.watermark(row)
+                mark: Any = columns.watermark(row)
+                if columns.kind in latest and mark > latest[columns.kind]:
+                    mark = EDGES[columns.kind][1]  # passed, a wrong stamp would hide all rows to come
                 if last is not None and mark < last:
                     raise SourceFault(f"the rows are not sorted; add ORDER BY {self.query.watermark}")
                 if mark != last:
@@ -316,6 +330,27 @@ def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Ge
         connection.execute(f"DECLARE hygrokf NO SCROLL CURSOR FOR {text}", {"after": after})
         while rows := connection.execute(f"FETCH FORWARD {FETCHED} FROM hygrokf").fetchall():
             yield from rows
+
+
+def _read_all_times(connection: psycopg.Connection[Row]) -> None:
+    """Let a time that Python does not have cost its own value alone, not all rows that are fetched with it:
+    it is read as one of the `EDGES`, a time of day (24:00) and an interval as text."""
+    from psycopg import DataError
+    from psycopg.types import datetime as loaders
+
+    def passing(kind: type[Any], edges: tuple[date, date] | None) -> type[Any]:
+        def load(self: Any, data: Any) -> Any:
+            try:
+                return kind.load(self, data)
+            except DataError:
+                text = bytes(data).decode("ascii", "replace")
+                return text if edges is None else edges[not text.startswith("-") and "BC" not in text]
+
+        return type(kind.__name__, (kind,), {"load": load})
+
+    for name in (*TIMES, "time", "timetz", "interval"):
+        kind = getattr(loaders, f"{name.capitalize()}Loader")
+        connection.adapters.register_loader(name, passing(kind, EDGES.get(name)))
 
 
 def text_of(mark: Watermark) -> str:

@@ -107,7 +107,7 @@ class Sparkplug(Mqtt):
     largest = LARGEST_MESSAGE
 
     def __init__(self, broker: Broker, mapping: PayloadMapping, rebirth_requests: bool = False) -> None:
-        own = mapping.of_own_payloads(("good",), mapping.turbines)
+        own = mapping.of_own_payloads(mapping.use_uncertain, mapping.turbines)
         named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
         super().__init__(broker, named)
         self.rebirth_requests = rebirth_requests

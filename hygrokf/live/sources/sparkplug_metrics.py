@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from hygrokf.data.quality import BAD, GOOD, VOCABULARIES
 from hygrokf.data.structured import JsonObject
 from hygrokf.live.sources.payload_formats import Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_payload import Message, Metric
@@ -18,8 +19,9 @@ PASSED_BY = ("NCMD", "DCMD", "STATE")
 """Types of the messages to edge nodes, and of those of host applications."""
 LONGEST_METRIC_NAME = 500
 """Longest name of a metric [characters]."""
-GOOD_QUALITY = range(192, 256)
-"""Values of the property Quality of a good value; 192 is OPC's."""
+LARGEST_QUALITY = 255
+"""Largest value of the property Quality that is a code of OPC DA; those above it, such as 500 (stale), are
+bad."""
 _CONTROL = ("bdSeq", "Node Control/", "Device Control/")
 """Beginnings of the names of metrics that belong to the protocol."""
 
@@ -109,8 +111,8 @@ class Table:
 def contents_of(one: Arrived, table: Table) -> list[Payload | Unreadable]:
     """Payloads of the metrics that a table can name, one for each time and quality, in the order of time.
 
-    Each holds "time" [s], "quality" ("good" or "bad") and the values by the metrics' names.  Metrics whose
-    alias the table does not know are left to the caller.
+    Each holds "time" [s], "quality" ("good", "uncertain" or "bad") and the values by the metrics' names.
+    Metrics whose alias the table does not know are left to the caller.
     """
     groups: dict[tuple[float | None, str], list[JsonObject]] = {}
     reasons: dict[str, list[Metric]] = {}
@@ -130,7 +132,9 @@ def contents_of(one: Arrived, table: Table) -> list[Payload | Unreadable]:
         elif value is not None:
             # a historical value without a time of its own is not of the time of its message
             time = one.message.time if metric.time is None and not metric.is_historical else metric.time
-            quality = "good" if metric.quality is None or metric.quality in GOOD_QUALITY else "bad"
+            quality = GOOD if metric.quality is None else BAD
+            if metric.quality is not None and metric.quality <= LARGEST_QUALITY:
+                quality = VOCABULARIES["opc-da"].judge(metric.quality)
             those = groups.setdefault((time, quality), [{}])
             if name in those[-1]:
                 those.append({})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.physics.expression import Value, exp, sqrt
-from hygrokf.physics.holds import ZERO_ORDER
+from hygrokf.physics.holds import MEAN
 from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
 from hygrokf.physics.mechanisms.hygric import (
     cabinet_humidity,
@@ -208,7 +208,7 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
             meaning="vapour released per volume of cabinet air",
         ),
         *(() if when == "always" else (when,)),
-        features={"fading": (fading, ZERO_ORDER)},
+        features={"fading": (fading, MEAN)},
         settings={"when": when},
         meaning="water that evaporates inside",
         leaves="absolute humidity above the ambient's, the more the slower the exchange",

@@ -33,6 +33,8 @@ const NOT_USED = {
   repeated: "came more than once",
   contradicting: "had the same time and different values; none is used",
   "bad quality": "were marked as bad by the source",
+  "ambiguous quality": "had a quality whose vocabulary is not stated",
+  "uncertain quality": "were marked as uncertain by the source, and are used",
   "no number": "were not numbers",
   "impossible value": "were outside the signal's range",
   "other unit": "stated another unit than the mapping",

@@ -1,0 +1,117 @@
+"""Whether a record needs the input through which a time constant acts.
+
+A time constant is the memory between an input and a reading.  A record in which that input does not act
+shows no such memory, and the estimate is then that of something else, such as of the disturbance, or of the
+cabinet's temperature in a humidity that is regulated.  The fit is therefore compared with the models in which
+the input does not act, the disturbances refitted in each:
+
+- hygric: the vapour outside is its mean; or the humidity is held, so that the content follows
+  φ v_sat(T_cab) at once, with its mean level φ;
+- thermal: every input is its mean.
+
+Twice its gain in ln L must exceed what chance gives to as many parameters as the fit has (χ², `CHANCE`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, climb
+from hygrokf.evaluation.simulation import measured
+from hygrokf.modelling.inputs import Run
+from hygrokf.physics.model import Model
+from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.psychrometrics import absolute_humidity
+
+CHANCE = 1e-3
+"""[1] probability with which chance alone gives the gain that is required."""
+PASSES = 15
+"""Scoring passes of a model without the input: from the fit's values most end after six."""
+TOLERANCE = 0.5
+"""Gain in ln L of a further step below which they end; what is required is some ten times as much."""
+TRIED_DAYS = 10.0
+"""[d] stretch of the record that is tried first: an input that is needed there is needed."""
+LONG_STEP = 2.0
+"""[1] `rate_step` of these models: ln L is right to a few hundredths."""
+
+
+@dataclass(frozen=True)
+class WithoutInput:
+    """The best model in which an input does not act, in `words`: twice the `gain` in ln L by which the fit
+    exceeds it, and the gain `required`."""
+
+    words: str = ""
+    gain: float = math.nan
+    required: float = math.nan
+
+    @property
+    def enough(self) -> bool:
+        """Whether the fit needs the input."""
+        return self.gain > self.required
+
+    @property
+    def sentence(self) -> str:
+        how = "better, by" if self.gain < 0 else "as well up to chance, worse by"
+        return (
+            f"the readings do not need the input through which it acts: {self.words} explains them {how} "
+            f"{abs(self.gain):.0f} in 2 ln L (the fit would have to gain {self.required:.0f})"
+        )
+
+
+def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> WithoutInput:
+    """The best model in which the input of a time constant does not act.
+
+    name: "thermal_time_constant" or "hygric_k".  model, run, estimate: of the fit.
+    """
+    from scipy.special import chdtri
+
+    required = float(chdtri(len(estimate.z), CHANCE))
+    whole, others = run.timeline, list(_models(name, run))
+
+    def best(count: int) -> WithoutInput:
+        part = whole.window(0, count)
+        own = Objective(Likelihood(model, part, rate_step=LONG_STEP), estimate.coordinates).value(estimate.z)
+        found = []
+        for words, inputs, fixed in others:
+            timeline = part.with_inputs({name: value[:count] for name, value in inputs.items()})
+            coordinates = Coordinates(model.parameters, fixed)
+            objective = Objective(Likelihood(model, timeline, rate_step=LONG_STEP), coordinates)
+            end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
+            found.append(WithoutInput(words, 2.0 * (own - end.objective), required))
+        return min(found, key=lambda one: one.gain)
+
+    tried = best(int(np.searchsorted(whole.time, whole.time[0] + 24.0 * TRIED_DAYS)))
+    return tried if tried.enough else best(len(whole))
+
+
+def _models(name: str, run: Run) -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, float]]]:
+    """The models in which an input does not act: words, inputs (T,) and fixed parameters."""
+    t, known = run.timeline, measured(run)
+    if name == "hygric_k":
+        outside = t.input("ambient_absolute_humidity")
+        yield "a constant vapour outside", {"ambient_absolute_humidity": _mean(outside)}, {}
+        warm, vapour = known["temperature_K"], known["absolute_humidity_g_m3"]
+        there = np.isfinite(warm)
+        if np.isfinite(vapour).any():
+            warm = np.interp(t.time, t.time[there], warm[there])
+            saturated = 1e3 * absolute_humidity(1.0, warm)
+            held = saturated * np.nanmean(vapour / saturated) * warm / t.input("ambient_temperature")
+            step = float(np.median(np.diff(t.time[np.isfinite(vapour)])))
+            words = "a relative humidity held in the cabinet"
+            yield words, {"ambient_absolute_humidity": held}, {name: 0.5 * step}
+        return
+    inputs = {one: _mean(t.input(one)) for one in t.varying}
+    if "exchange_factor" in inputs:  # a joint model: the vapour outside stays what it is
+        outside = t.input("ambient_temperature")
+        vapour = t.input("ambient_absolute_humidity") * outside / inputs["ambient_temperature"]
+        inputs |= {"ambient_absolute_humidity": vapour, "exchange_factor": t.input("exchange_factor")}
+    yield "a constant temperature outside with constant power", inputs, {}
+
+
+def _mean(value: np.ndarray) -> np.ndarray:
+    return np.full_like(value, value.mean())
