@@ -34,6 +34,7 @@ from hygrokf.live.sources.local import FileForm
 from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
 from hygrokf.live.sources.postgres import PostgresForm
+from hygrokf.live.sources.stream import SourceKeys
 from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0
@@ -140,7 +141,8 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_every_key_of_the_tracker_s_file_stands_in_the_pages(page: Path, forms: tuple[type, ...]) -> None:
     text = page.read_text(encoding="utf-8")
-    keys = [key for form in forms for key in keys_of(form) if key != "weather" or page == OPERATION]
+    common = () if page == OPERATION else keys_of(SourceKeys)
+    keys = [key for form in forms for key in keys_of(form) if key not in common]
     assert [key for key in keys if not re.search(rf"(^|[`\[{{ .]){key}[`\]\" =]", text, re.MULTILINE)] == []
 
 

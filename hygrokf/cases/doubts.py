@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.cases.alternatives import Readings, alternative_readings, solar_lag
+from hygrokf.data.ambient import (
+    AMBIENT_BRIDGE_H,
+    ambient_absolute_humidity,
+    at_times,
+    bridge_h,
+    place_absolute_humidity,
+)
 from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
 from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
@@ -16,15 +22,21 @@ from hygrokf.data.signals import signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.holds import LINEAR
-from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
-from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
+from hygrokf.weather.clocks import (
+    NOT_COMPARED,
+    TOLERANCE_S,
+    ClockError,
+    alignments,
+    clock_errors,
+    clock_sentences,
+)
 
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
-_SOLAR_LAG_MIN = 20.0
 _MANY_LOST = 0.03
 """[1] share of readings without known inputs that is worth a doubt."""
+_FEWEST_IN_COMMON = 20
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
@@ -54,16 +66,18 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
     }
 
 
-def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
+def all_doubts(
+    record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
+) -> tuple[str, ...]:
     """Doubts about the compared sources, followed by the `doubts` about the record.
 
-    clocks: clock errors, if already known.
+    clocks, read: clock errors and alternative readings, if already known.
     """
     if clocks is None:
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
     off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
-    return (*off, *_uncompared(record, clocks), *doubts(record))
+    return (*off, *_uncompared(record, clocks), *doubts(record, read))
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
@@ -81,10 +95,12 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     ]
 
 
-def doubts(record: Record) -> tuple[str, ...]:
+def doubts(record: Record, read: Readings | None = None) -> tuple[str, ...]:
     """Doubts about a record, one sentence each; a doubt is no fault."""
+    found = alternative_readings(record) if read is None else read
     return (
         *record.doubts,
+        *(Doubt(one.sentence(), *PARTS) for one in found.findings),
         *_doubts_of_readings(record),
         *_doubts_of_gaps(record),
         *_doubts_of_periods(record),
@@ -277,7 +293,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
                     )
                 )
     said += [Doubt(words, *told_by(outside.signal)) for outside, words in copies(record.series)]
-    pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
+    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    pair = _pair(*(None if one is None else centred(one).known for one in vapours))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
         if not 0.7 <= factor <= 1.3:
@@ -292,27 +309,6 @@ def _doubts_of_climate(record: Record) -> list[str]:
 
 
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
-
-
-def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times [s] and absolute humidity [kg/m3] at a place, from any of its humidity signals."""
-    if f"{place}_absolute_humidity" in record:
-        return centred(record[f"{place}_absolute_humidity"]).known
-    if f"{place}_temperature" not in record:
-        return None
-    time, temperature = centred(record[f"{place}_temperature"]).known
-    for kind, convert in (
-        ("relative_humidity", absolute_humidity),
-        ("dew_point_temperature", absolute_humidity_from_dew_point),
-    ):
-        if f"{place}_{kind}" in record:
-            when, value = centred(record[f"{place}_{kind}"]).known
-            if not (len(time) and len(when)):
-                return None
-            density = convert(value, np.interp(when, time, temperature))
-            good = np.isfinite(density)
-            return when[good], density[good]
-    return None
 
 
 def _pair(
@@ -335,41 +331,16 @@ def _doubts_of_clocks(record: Record) -> list[str]:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
             said.append(f"irregular steps in {series.file}: only {text}")
     said = list(dict.fromkeys(said))
-    if record.site is not None and "global_horizontal_irradiance" in record:
-        lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
-        if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
-            direction = "after" if lag > 0 else "before"
-            said.append(
-                Doubt(
-                    f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
-                    "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude?",
-                    *PARTS,
-                )
+    lag = solar_lag(record)
+    if lag is not None and abs(lag) > TOLERANCE_S:
+        direction = "after" if lag > 0 else "before"
+        correction = f"{-15 * round(lag / 900.0):+d}min"
+        said.append(
+            Doubt(
+                f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
+                "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude? If the clock is "
+                f'wrong, state clock_correction = "{correction}" in that source',
+                *PARTS,
             )
+        )
     return said
-
-
-def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
-    """Mean time from solar noon to the middle of a day's radiation [s]; None below 20 days.
-
-    The equation of time is the usual three-term approximation, accurate to a minute.
-    """
-    time, value = centred(irradiance).known
-    step, _ = modal_step(irradiance.time)
-    if not (len(time) > 100 and step <= 3600.0):
-        return None
-    day_of_year = np.mod(time / DAY_S, 365.2425)
-    angle = 2.0 * math.pi * (day_of_year - 80.0) / 365.2425
-    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
-    solar = time + 240.0 * longitude_deg + 60.0 * equation_min
-    day = np.floor(solar / DAY_S)
-    hour_angle = solar - (day + 0.5) * DAY_S
-    first = day - day.min()
-    number = np.bincount(first.astype(int))
-    energy = np.bincount(first.astype(int), weights=np.fmax(value, 0.0))
-    moment = np.bincount(first.astype(int), weights=np.fmax(value, 0.0) * hour_angle)
-    whole = (number >= 0.95 * DAY_S / step) & (energy > 0.0)
-    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
-    if whole.sum() < 20:
-        return None
-    return float(np.median(moment[whole] / energy[whole]))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.cases.alternatives import alternative_readings
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
 from hygrokf.data.record import Record, Series, Site
@@ -87,7 +88,8 @@ class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
     `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not stated; `identification` and
-    `validation` None where they are empty; `comparisons` of sources for the same signal.
+    `validation` None where they are empty; `comparisons` of sources for the same signal; `untold`: what the
+    record cannot tell of its clocks.
     """
 
     name: str
@@ -103,6 +105,7 @@ class RecordSummary:
     comparisons: tuple[SourceComparison, ...]
     warnings: tuple[str, ...]
     doubts: tuple[str, ...]
+    untold: tuple[str, ...]
     files: tuple[FileDigest, ...]
 
     def to_frame(self) -> pandas.DataFrame:
@@ -118,7 +121,7 @@ class RecordSummary:
 
 def describe(record: Record) -> RecordSummary:
     """The summary of a record for `hygrokf check`: spans, steps, gaps, clocks, doubts."""
-    clocks = clock_errors(alignments(record))
+    clocks, read = clock_errors(alignments(record)), alternative_readings(record)
     whole = _span(record.start_s, record.end_s)
     return RecordSummary(
         record.name,
@@ -133,7 +136,8 @@ def describe(record: Record) -> RecordSummary:
         tuple(ActuatorUse(one.signal, one.used, one.statement) for one in actuators(record.identification())),
         source_comparisons(clocks),
         record.warnings,
-        tuple(map(str, all_doubts(record, clocks))),
+        tuple(map(str, all_doubts(record, clocks, read))),
+        read.untold,
         tuple(FileDigest(file, digest) for file, digest in record.provenance),
     )
 

@@ -26,6 +26,7 @@ from hygrokf.commands import (
     report,
     restore,
     simulate,
+    store,
     summary,
     track,
     transfer,
@@ -38,7 +39,7 @@ from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
-    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB,
+    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, store.VERB,
     report.VERB, summary.VERB, help.VERB, completion.VERB,
 )  # fmt: skip
 """The commands in the order of the help."""

@@ -21,11 +21,14 @@ import numpy as np
 
 from hygrokf.data.input_paths import centred, without_response
 from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 AMBIENT_BRIDGE_H = 6.0
 """[h] longest gap of the ambient series that is bridged linearly; readings in longer gaps are left out."""
+MOST_VAPOUR = SIGNALS["ambient_absolute_humidity"].high
+"""[kg/m³] a temperature in another unit makes more, which no air holds and a series refuses."""
 FEWEST_FOR_NOISE = 200
 """Number of readings below which no noise is estimated."""
 
@@ -94,20 +97,26 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
 def ambient_absolute_humidity(record: Record) -> Series | None:
     """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without
     such readings."""
-    if "ambient_absolute_humidity" in record:
-        return without_response(record["ambient_absolute_humidity"])
-    for name, convert in (
-        ("ambient_relative_humidity", absolute_humidity),
-        ("ambient_dew_point_temperature", absolute_humidity_from_dew_point),
+    return place_absolute_humidity(record, "ambient")
+
+
+def place_absolute_humidity(record: Record, place: str) -> Series | None:
+    """The same of the "cabinet" or the "ambient"."""
+    name = f"{place}_absolute_humidity"
+    if name in record:
+        return without_response(record[name])
+    for kind, convert in (
+        ("relative_humidity", absolute_humidity),
+        ("dew_point_temperature", absolute_humidity_from_dew_point),
     ):
-        if name in record:
-            series = without_response(record[name])
-            outside = centred(without_response(record["ambient_temperature"]))
+        if {f"{place}_{kind}", f"{place}_temperature"} <= set(record.signals):
+            series = without_response(record[f"{place}_{kind}"])
+            outside = centred(without_response(record[f"{place}_temperature"]))
             temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
             return Series(
-                signal="ambient_absolute_humidity",
+                signal=name,
                 time=series.time,
-                value=convert(series.value, temperature),
+                value=np.minimum(convert(series.value, temperature), MOST_VAPOUR),
                 hold=series.hold,
                 interval_s=series.interval_s,
                 clock_uncertainty_s=series.clock_uncertainty_s,

@@ -40,6 +40,8 @@ The largest of 10,000 departures with an exponential tail is four times their 90
 follows tails that are heavier.  Of 1.9 million measured readings (temperature, humidity, wind, power; 1 min
 to 1 h) one in 14,000 exceeds both.  Up to a twentieth of the departures may be bad readings.
 """
+STEPS = 2.0
+"""Multiple of the 95 % quantile of the increments below which nothing departs, however smooth the signal."""
 FEWEST = 50
 """Fewest readings from which a scale is taken."""
 SHORTEST_RUN = 6
@@ -92,7 +94,8 @@ def scale_of(signal: str, time: np.ndarray, value: np.ndarray, resolution: float
         departure = max(float(factor * np.quantile(departures, share)) for share, factor in LEVELS)
     else:  # hardly any reading departs: what is seen in all, and what the sensor may err by, is ordinary
         departure = max(float(np.ptp(value)), LEVELS[0][1] * (row.default_accuracy or 0.0))
-    departure = max(departure, LEVELS[0][1] * resolution)
+    ordinary = STEPS * float(np.quantile(np.abs(np.diff(value)), 0.95))
+    departure = max(departure, ordinary, LEVELS[0][1] * resolution)
     still = longest_still(value, quiet_range(signal, value, resolution), resting(signal, value))
     return Scale(departure, still * step, step) if departure > 0.0 else None
 

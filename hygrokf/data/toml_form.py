@@ -124,7 +124,7 @@ def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field[Any], Key, Any]]:
     A value with its own reader is written with its unit, so its key has no "_s" for seconds.
     """
     found, hints = {}, get_type_hints(form)
-    for one in dataclasses.fields(form):
+    for one in sorted(dataclasses.fields(form), key=lambda one: one.kw_only is True):  # of a base
         stated = one.metadata.get(STATED, Key())
         if not one.metadata.get(OF_ENTRY):
             kinds = [kind for kind in get_args(hints[one.name]) if kind is not type(None)]

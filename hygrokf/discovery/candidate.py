@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.data.clocks import Shift
 from hygrokf.discovery.baseline import Baseline, climbed, refitted
 from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.clocks import Shift, best_shift, ordinary_shift
+from hygrokf.discovery.clocks import best_shift, ordinary_shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.submodel import Submodel, search_likelihood, self_driven_error
 from hygrokf.modelling.design import Design, extended

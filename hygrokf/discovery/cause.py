@@ -12,8 +12,8 @@ from functools import wraps
 from typing import TypeAlias
 
 from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.clocks import Shift
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.modelling.derived_inputs import without_settings

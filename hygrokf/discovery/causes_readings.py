@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hygrokf.data.clocks import Shift, sources, turns_within
 from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import MechanismSettings, Variant, additions_of, needs_humidity
-from hygrokf.discovery.clocks import SHIFTS_MIN, Shift, sources, turns_within
+from hygrokf.discovery.clocks import SHIFTS_MIN
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import best_date, readings_of, span
 from hygrokf.discovery.scan import Probe, abrupt

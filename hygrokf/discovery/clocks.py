@@ -1,18 +1,18 @@
-"""Clocks of a record's sources: which signals share a clock, how its stamps are corrected, and which shift
-the innovations ask for.
+"""Which shift of a source's clock the innovations ask for.
 
 Shapes: S shifts, N readings, d parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, HOUR_S, summer_time
+from hygrokf.data.clocks import Shift, shifted, sources
+from hygrokf.data.record import Record
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.baseline import Baseline, refitted
 from hygrokf.discovery.scan import standardised
 from hygrokf.discovery.submodel import Submodel, search_likelihood, seconds
@@ -32,64 +32,6 @@ SMALLEST_SHIFT_S = 240.0
 """[s] below this a clock error is ordinary."""
 OF_INTERVAL = 0.6
 """The same as a share of the interval over which a source takes means."""
-
-
-@dataclass(frozen=True)
-class Shift:
-    """A correction of one source's stamps: `seconds` later, all year or, with `summer`, in summer time
-    only."""
-
-    source: str
-    seconds: float
-    summer: bool = False
-
-
-def sources(record: Record) -> dict[str, tuple[str, ...]]:
-    """Files of a record and the signals that each of them brings; the signals of a file share a clock."""
-    found: dict[str, list[str]] = {}
-    for series in record.series:
-        found.setdefault(series.source.split(",")[0] or series.signal, []).append(series.signal)
-    return {name: tuple(signals) for name, signals in found.items()}
-
-
-def shifted(record: Record, *shifts: Shift) -> Record:
-    """The record with its sources' stamps corrected."""
-    for shift in shifts:
-        signals = sources(record).get(shift.source, ())
-        record = record.replace_series(*(_moved(record[name], record, shift) for name in signals))
-    return record
-
-
-def _moved(series: Series, record: Record, shift: Shift) -> Series:
-    if not shift.summer:
-        return replace(series, time=series.time + shift.seconds)
-    # stamps are local: where they run ahead, summer time ends an hour late by them
-    local = series.time + min(shift.seconds, 0.0)
-    time = series.time + shift.seconds * summer_time(local, in_america(record))
-    new = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
-    return replace(series, time=time[new], value=series.value[new])
-
-
-def cabinet_moved(record: Record, shifts: Sequence[Shift]) -> float:
-    """Time [s] by which corrections that hold all year move the cabinet's readings."""
-    known = sources(record)
-    return sum(
-        shift.seconds
-        for shift in shifts
-        if not shift.summer and any(name.startswith("cabinet_") for name in known.get(shift.source, ()))
-    )
-
-
-def in_america(record: Record) -> bool:
-    """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is
-    stated."""
-    return record.site is not None and record.site.in_north_america
-
-
-def turns_within(record: Record) -> bool:
-    """Whether the clocks were changed within the record."""
-    ends = summer_time(np.arange(record.start_s, record.end_s, DAY_S), in_america(record))
-    return bool(ends.any() and not ends.all())
 
 
 def ordinary_shift(record: Record, source: str) -> float:

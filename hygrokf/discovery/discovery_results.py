@@ -226,7 +226,7 @@ class DiscoveryResults:
     baseline, extended: the model before and after; `extended` is None where no cause was accepted.
     findings: errors of the free run, worst first; causes: in the order in which they were accepted.
     rejected, refuted: causes that were tried and left out; unexplained: structure that is left, or None.
-    own_causes: origin of the user's causes.
+    own_causes: origin of the user's causes. doubts: those about the record that concern a time constant.
     """
 
     name: str
@@ -242,6 +242,7 @@ class DiscoveryResults:
     not_tried: NotTried = field(default_factory=NotTried)
     own_causes: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = renamed("misfits", default=())
+    doubts: tuple[str, ...] = ()
 
     def to_frame(self) -> pandas.DataFrame:
         """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and RMSE

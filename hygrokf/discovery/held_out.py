@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.clocks import cabinet_moved, shifted
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.candidate import Candidate, added_mechanisms, attempt, clock_shifts, restarted
-from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.discovery_results import Gain
 from hygrokf.discovery.model_selection import WORSE, Accepted, Selection, with_candidate
 from hygrokf.discovery.residuals import root_mean_square

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from hygrokf.data.clocks import shifted
 from hygrokf.data.drawn import drawn
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
@@ -14,7 +15,6 @@ from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery.baseline import SECONDS, Baseline, Budget
 from hygrokf.discovery.candidate import Candidate, clock_shifts
 from hygrokf.discovery.cause import Cause
-from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
     ModelScores,
@@ -262,6 +262,7 @@ def _results(
         not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
         own_causes={cause.name: found for cause in library if (found := origins_of(cause))},
         findings=tuple(findings(before)),
+        doubts=tuple(dict.fromkeys(line for lines in base.results.doubted.values() for line in lines)),
     )
 
 

@@ -140,14 +140,19 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
             for j, z in enumerate(likelihood.timeline.y[k]):
                 if np.isfinite(z):
                     prediction, row, variance = observation(likelihood, values, k, j, self.x)
+                    spread, error = float(row @ self.P @ row) + variance, z - prediction
+                    bound, distance = likelihood.model.bound, abs(error) / np.sqrt(spread)
+                    term = distance**2
+                    if distance > bound:  # its noise is larger by as much as puts the reading at the bound
+                        variance += spread * (distance / bound - 1.0)
+                        term = bound**2 * (1.0 + 2.0 * np.log(distance / bound))
+                    total -= 0.5 * (np.log(2.0 * np.pi * spread) + term)
                     self.update(
                         np.array([z]),
                         lambda x, row=row: row[None, :],
                         lambda x, prediction=prediction: np.array([prediction]),
                         R=np.array([[variance]]),
                     )
-                    spread, error = float(self.S[0, 0]), float(self.y[0])
-                    total -= 0.5 * (np.log(2.0 * np.pi * spread) + error * error / spread)
             for bit, state in enumerate(likelihood.recursion.system.resets):
                 if likelihood.timeline.reset[k] & (1 << bit):
                     self.x[state] = 0.0

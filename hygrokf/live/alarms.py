@@ -1,15 +1,16 @@
 """Alarms: when they begin and end, how severe they are, and what they say.
 
 A rule watches a level.  An alarm begins once the level has been at or above `on` for `hold_s` and ends once
-it has been below `off` for as long; between the two thresholds nothing changes.  Time is that of the
-readings, so that a replay gives the same alarms.  An alarm's id consists of turbine, kind and beginning, so
+it has been below `off` for as long; between the two thresholds nothing changes.  Alarms about the process
+follow from final estimates and their times alone, so that a replay gives the same ones; alarms about delivery
+(`DELIVERY_RULES`) follow from the wall clock.  An alarm's id consists of turbine, kind and beginning, so
 that no alarm is raised twice after a crash.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,11 +20,11 @@ from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Z95, Condition
-from hygrokf.live.fault_isolation import SENSORS, Finding
+from hygrokf.live.fault_isolation import SENSORS, Finding, ShiftStep
+from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
-from hygrokf.live.properties import ParameterShift, TrackedState, relative_shift
-from hygrokf.live.sources.stream import SourceState
-from hygrokf.live.tracker import Frozen
+from hygrokf.live.properties import TrackedState, relative_shift
+from hygrokf.live.sources.stream import Reach
 from hygrokf.modelling.design import PARTS
 
 
@@ -54,7 +55,7 @@ STALE = Rule(
     "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
 LOST = Rule(
-    "source lost", 1.0, 0.5, MINUTE_S, "alarm", 1.0,
+    "source lost", 1.0, 0.5, 0.0, "alarm", 1.0,
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
@@ -81,11 +82,14 @@ STUCK = Rule(
 )  # fmt: skip
 FROZEN_S = 6 * HOUR_S
 """[s] for which a signal must have repeated one value, beyond what it ever did before."""
-CHANGE_RULES = (CHANGED, SUSPECT, SENSOR_OR_WATER)
-"""Rules whose levels follow from the tracked properties."""
-ESTIMATE_RULES = (CONDENSATION, STUCK, *CHANGE_RULES)
-"""Rules whose levels follow from estimates; the others watch the readings, clocks and sources."""
-RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, CONTRADICTS, STALE, MISSING, CLOCK, LOST)}
+ESTIMATE_RULES = (CONDENSATION, STUCK)
+"""Rules whose levels follow from each final estimate."""
+SHIFT_RULES = (CHANGED, SUSPECT, SENSOR_OR_WATER)
+"""Rules whose levels follow from the tracked properties and the cause of lasting shifts
+(`fault_isolation.ShiftStep`)."""
+DELIVERY_RULES = (STALE, MISSING, CLOCK, LOST)
+"""Rules that follow from the arrival of readings, by the wall clock; none of them begins in a replay."""
+RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, *SHIFT_RULES, CONTRADICTS, *DELIVERY_RULES)}
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
@@ -179,7 +183,8 @@ def judge(
 ) -> tuple[dict[str, Standing], list[Alarm]]:
     """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
 
-    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.
+    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.  `now` may go
+    back where a late delivery changed what was judged; what was before an alarm began does not end it.
     """
     given = {f"{level.kind} {level.subject}".strip(): level for level in levels}
     standings = {key: standing for key, standing in known.items() if _kind(key) not in kinds}
@@ -200,8 +205,8 @@ def _judge_level(
     """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
     rule, alarm = RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
-    past = level.level < rule.off if alarm is not None else level.level >= rule.on
-    since = None if not past else now if before.since is None else before.since
+    past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
+    since = None if not past else now if before.since is None else min(now, before.since)
     if since is not None and now - since >= rule.hold_s:
         if alarm is not None:
             return Standing(), replace(alarm, ended=since)
@@ -228,15 +233,11 @@ def _kind(key: str) -> str:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, the
-    finding of fault isolation, the deviations of its properties, and its frozen signals."""
+    """A turbine's estimates: the condition, of which instant `place` is judged, and its frozen signals."""
 
     condition: Condition
     place: int
-    shifts: Mapping[str, ParameterShift]
-    finding: Finding | None = None
-    deviations: Mapping[str, TrackedState] = field(default_factory=dict)
-    frozen: Mapping[str, Frozen] = field(default_factory=dict)
+    frozen: Sequence[Frozen] = ()
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -262,26 +263,25 @@ def frozen_levels(now: Estimated) -> list[Level]:
         Level(
             STUCK.kind,
             (time - one.since) / FROZEN_S,
-            f"{signal.replace('_', ' ')} has read {in_words(one.value, signal_named(signal))} since "
+            f"{one.signal.replace('_', ' ')} has read {in_words(one.value, signal_named(one.signal))} since "
             f"{stamp_text(one.since)} without any change",
-            subject=signal,
+            subject=one.signal,
         )
-        for signal, one in now.frozen.items()
+        for one in now.frozen
+        if one.known_s <= time < one.end
     ]
 
 
-def change_levels(
-    shifts: Mapping[str, ParameterShift], finding: Finding | None, deviations: Mapping[str, TrackedState]
-) -> list[Level]:
+def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
     """Levels that follow from the tracked properties: for moister air at once, for other lasting shifts by
     fault isolation.
 
     There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
     level for each property.  No alarm begins while the bounds of its size contain zero.
     """
-    lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
+    lasting = {shift.name: shift for shift in step.lasting}
     known = finding if lasting else None
-    moist = deviations.get(MOIST)
+    moist = step.deviations.get(MOIST)
     levels = []
     if moist is not None and (known is None or known.cause not in SENSORS or known.cause == HUMIDITY_SENSOR):
         statement = (
@@ -295,7 +295,7 @@ def change_levels(
         return [*levels, *_sensor_levels(known)]
     named = {known.cause: lasting[known.cause]} if known.cause in lasting else lasting
     return levels + [
-        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), known)
+        _shift_level(name, step.deviations.get(name, TrackedState(shift.change, 0.0)), known)
         for name, shift in named.items()
         if (name, shift.change > 0.0) in CABINET_CHANGES
     ]
@@ -360,11 +360,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     ]
 
 
-ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
-    condensation_levels,
-    frozen_levels,
-    lambda now: change_levels(now.shifts, now.finding, now.deviations),
-)
+ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_levels, frozen_levels)
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""
 
 
@@ -406,10 +402,16 @@ def missing_levels(missing: Iterable[Need], since: float, now: float, limit_s: f
     ]
 
 
-def source_levels(states: Mapping[str, SourceState]) -> list[Level]:
-    """One level for each lost source."""
+def source_levels(reaches: Mapping[str, Reach], now: float) -> list[Level]:
+    """One level for each source that is not reached: for how long at `now` [s], as a multiple of its
+    limit."""
     return [
-        Level(LOST.kind, 1.0, f"{url} cannot be reached: {words}", subject=url)
-        for url, (word, words) in states.items()
-        if word == "lost"
+        Level(
+            LOST.kind,
+            one.share(now),
+            f"{url} has not been reached since {stamp_text(one.since)}: {one.words}",
+            subject=url,
+        )
+        for url, one in reaches.items()
+        if one.since is not None
     ]

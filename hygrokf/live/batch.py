@@ -14,12 +14,14 @@ from hygrokf.live.tracker import Point, Reading
 
 @dataclass(frozen=True)
 class Observation:
-    """A reading of a turbine, the time it was `received` [s], and whether it came too `late` to be used."""
+    """A reading of a turbine, the time it was `received` [s], whether it came too `late` to be used, and
+    whether it is a `revision`: another value of its stamp than those before."""
 
     turbine: str
     reading: Reading
     received: float
     late: bool = False
+    revision: bool = False
 
 
 STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")

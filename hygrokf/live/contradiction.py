@@ -7,7 +7,6 @@ state, the model and the sensor.  The reading contradicts the estimate if |y −
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,6 @@ from hygrokf.live.alarms import CONTRADICTS, Level
 from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.tracker import SAME_S, Course
 
-UNKNOWN = "power_unknown"
-"""Input that is 1 where the power is unknown."""
 BEYOND = 8.0
 """Standard deviations of the prediction beyond which a reading contradicts it.
 
@@ -50,21 +47,13 @@ class Innovation:
         return (reading - self.expected) / self.sd
 
 
-def innovations(course: Course, after_s: Mapping[str, float], final_s: float = math.inf) -> list[Innovation]:
-    """The innovations of a course by time, of each signal from its time `after_s` [s] on.
-
-    Where the power is not known yet, because its reading comes later than those of the cabinet, the
-    prediction is provisional: these instants are left out, unless they are final (up to `final_s` [s]).
-    """
+def innovations(course: Course, final_s: float = math.inf) -> list[Innovation]:
+    """The innovations of a course by time, as far as its estimates are final (up to `final_s` [s])."""
     timeline, trace = course.run.timeline, course.trace
     known = course.seconds <= final_s + SAME_S
-    if UNKNOWN in (*timeline.regimes, *timeline.varying):
-        known |= timeline.input(UNKNOWN) == 0.0
-    else:
-        known[:] = True
     found = []
     for column, signal in enumerate(timeline.outputs):
-        new = known & np.isfinite(timeline.y[:, column]) & (course.seconds > after_s.get(signal, -np.inf))
+        new = known & np.isfinite(timeline.y[:, column])
         found += [
             Innovation(
                 signal,

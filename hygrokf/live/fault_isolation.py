@@ -10,7 +10,7 @@ demands, while a heater that stays on does not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
+from hygrokf.live.properties import LASTING_S, ParameterShift, TrackedState
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import prepare_run
 
@@ -64,6 +65,31 @@ class Finding:
     lead: float | None = None
     alike: tuple[str, ...] = ()
     sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class ShiftStep:
+    """What the final estimates at a `time` [s] say of the tracked properties: the `lasting` shifts, how far
+    each property is from its reference, and whether fault isolation is `due` for the shifts.
+
+    Their alarms are judged step after step, however fast the estimates came.
+    """
+
+    time: float
+    lasting: tuple[ParameterShift, ...]
+    due: bool
+    deviations: Mapping[str, TrackedState] = field(default_factory=dict)
+
+
+def shift_step(
+    time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
+) -> ShiftStep:
+    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`;
+    last_s: when it last was [s]."""
+    lasting = tuple(one for one in shifts.values() if one.lasting)
+    newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
+    due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)
+    return ShiftStep(time, lasting, due, dict(deviations))
 
 
 @dataclass(frozen=True)

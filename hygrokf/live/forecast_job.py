@@ -3,8 +3,8 @@ weeks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -12,10 +12,9 @@ from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
-from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
+from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, ShiftStep, isolate
 from hygrokf.live.forecast import Forecast, ForecastMade, NoForecast, forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
-from hygrokf.live.properties import ParameterShift
 from hygrokf.live.restart_advice import Advice, restart
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Store
@@ -83,21 +82,21 @@ def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Recor
 
 
 def isolation_steps(
-    name: str, one: Turbine, shifts: Iterable[ParameterShift], store: Store, reference: Point | None = None
+    name: str, one: Turbine, step: ShiftStep, store: Store, reference: Point | None = None
 ) -> Iterator[Finding | None]:
-    """The steps of fault isolation for a turbine's shifts, on readings from some weeks before them, or since
-    the state from which shifts count after a stated change."""
-    since = min(shift.since for shift in shifts)
-    newest = store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))[0][0]
-    first = max(since - BEFORE_S, newest - LONGEST_S)
+    """Search for the cause of a turbine's lasting shifts, on readings from some weeks before them, or since
+    the state from which shifts count after a stated change, up to the time of the step."""
+    since = min(shift.since for shift in step.lasting)
+    first = max(since - BEFORE_S, step.time - LONGEST_S)
     if reference is not None:
         first = reference.time - one.plan.context_s
     signals = (*CABINET, *DRIVERS, *one.plan.further)
     try:
-        history = _history(store, name, one.plan, signals, first, newest)
-        yield from isolate(one.plan, history, reference)
+        history = _history(store, name, one.plan, signals, first, step.time)
+        for found in isolate(one.plan, history, reference):
+            yield None if found is None else replace(found, time_s=step.time)
     except ValueError:
-        yield Finding(newest, "")
+        yield Finding(step.time, "")
 
 
 def _history(

@@ -26,7 +26,7 @@ from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import notices_of
-from hygrokf.live.sources.stream import Delivery, SourceState, Stream
+from hygrokf.live.sources.stream import Delivery, Reach, SourceState, Stream
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -69,7 +69,8 @@ class SourceTimes:
 class Health:
     """Counts of the loop.
 
-    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from the last
+    `failures` of the store; `committed_s`: time of the last commit [s]; `looped`: monotonic time at which the
+    loop last went round, ∞ before and after it; `waits_s`: times [s] from the last
     deliveries to their commits; `wait_counts`: all of them since the start by the classes `WAITS_S`, and
     `wait_sum_s` their sum [s]; `sources`: times of each source by its URL; `store`: why the store fails now,
     empty if it does not.
@@ -79,6 +80,7 @@ class Health:
     deliveries: int = 0
     failures: int = 0
     committed_s: float = 0.0
+    looped: float = math.inf
     waits_s: list[float] = field(default_factory=list)
     wait_counts: list[int] = field(default_factory=lambda: [0] * (len(WAITS_S) + 1))
     wait_sum_s: float = 0.0
@@ -169,6 +171,7 @@ class Service:
                 stream.start(self._open_store.place(url), partial(self._put, url))
                 stream.tell(self._open_fleet.open_alarms())  # alarms told before a crash may not have arrived
             while not self.ending.is_set():
+                self.health.looped = time.monotonic()
                 idle = not self.round()
                 self._work_between_rounds(idle)
                 if idle and until_ended and self._sources_ended() and not self._busy():
@@ -178,6 +181,7 @@ class Service:
             while self.round():
                 pass
         finally:
+            self.health.looped = math.inf
             for stream in self.streams.values():
                 stream.stop()
             if self.store is not None:
@@ -309,9 +313,11 @@ class Service:
 
     @property
     def now(self) -> float:
-        """The time [s] against which the age of data is judged; a played-back record has its own clock."""
-        clocks = [stream.now() for stream in self.streams.values() if not stream.mapping.weather]
-        return min(clocks, default=self._clock())
+        """The time [s] against which the age of data is judged; where nothing but records is played back, it
+        is theirs."""
+        clocks = [one for one in self.streams.values() if not one.mapping.weather]
+        live = [one for one in clocks if not one.played_back]
+        return min((one.now() for one in live or clocks), default=self._clock())
 
     def _work_between_rounds(self, idle: bool) -> None:
         """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""
@@ -321,7 +327,9 @@ class Service:
             states = {url: stream.state for url, stream in self.streams.items()}
             self._log_states(states)
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
-            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states, left)))
+            now, reaches = self.now, self.reaches()
+            quiet = self._quiet(reaches, now)
+            self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))
             self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
@@ -335,6 +343,16 @@ class Service:
                 end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
             )
 
+    def reaches(self) -> dict[str, Reach]:
+        """Since when each source is not reached, by its URL; a record that is played back always is."""
+        return {url: one.reach() for url, one in self.streams.items() if not one.played_back}
+
+    def _quiet(self, reaches: Mapping[str, Reach], now: float) -> list[str]:
+        """Turbines whose silence is no news of its own: their sources are played back, or are an alarm."""
+        news = [one for url, one in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
+        known = [name for name in self.turbines if any(one.signals(name) for one in self.streams.values())]
+        return [name for name in known if not any(one.signals(name) for one in news)]
+
     def _log_states(self, states: Mapping[str, SourceState]) -> None:
         """Log sources whose state has changed."""
         for url, (word, behind) in states.items():
@@ -345,12 +363,12 @@ class Service:
     def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""
         if self._isolation is None:
-            name = self._open_fleet.isolation_due()
-            if name is None:
+            due = self._open_fleet.isolation_due()
+            if due is None:
                 return
-            lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
+            name, step = due
             reference = self._open_fleet.reference_points.get(name)
-            steps = isolation_steps(name, self.turbines[name], lasting, self._open_store, reference)
+            steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference)
             self._isolation = (name, steps)
         name, steps = self._isolation
         try:

@@ -14,25 +14,25 @@ import math
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
 from hygrokf.data.ambient import middle
-from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, Scale, judge
+from hygrokf.data.gate import ACCEPTED, DEPARTED, FROZEN, Judgement, judge
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, whole_microseconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.changes import SAME_S as SAME_S
 from hygrokf.live.changes import changed_trace
+from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
 WAITS_S = 7 * DAY_S
 """[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
-THIN_S = 600.0
-"""[s] between two stored estimates without readings of the cabinet."""
 Column = Sequence[float] | np.ndarray
 Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
@@ -45,16 +45,37 @@ AHEAD_S = 30 * DAY_S
 @dataclass(frozen=True)
 class Reading:
     """One reading of a signal: time [s since 1970, UTC], which for a mean is the end of its interval, and
-    value [SI unit]."""
+    value [SI unit].
+
+    `mark`: the source's own number of this version of the value, by which those of one stamp are ordered;
+    NaN: by arrival; `NEITHER`: none of them counts.
+    """
 
     signal: str
     time: float
     value: float
+    mark: float = field(default=math.nan, compare=False)
 
-    def at_whole_microsecond(self) -> Reading:
-        """The reading with its time rounded to microseconds, as every store gives it back."""
+    def as_stored(self, mark: float = math.nan) -> Reading:
+        """The reading with its time rounded to microseconds, as every store gives it back, and a mark."""
         time = whole_microseconds(self.time)
-        return self if time == self.time else Reading(self.signal, time, self.value)
+        return self if time == self.time and math.isnan(mark) else replace(self, time=time, mark=mark)
+
+
+NEITHER = math.inf
+"""Mark of a source whose versions of a value are all unused once there are two."""
+Versions = dict[tuple[str, float], list[Reading]]
+"""Versions of values by signal and time [s], in the order of their arrival."""
+REVISIONS = ("revised", "revised late", "contradicting")
+"""Counts of values that their stamp has not had before, while it had others (`Tracker.counts`)."""
+
+
+def used_value(versions: Sequence[Reading]) -> float:
+    """The value that counts of the versions of one stamp, in the order of their arrival: the one with the
+    greatest mark, else the last one; NaN if none counts."""
+    if any(one.mark == NEITHER for one in versions):
+        return math.nan
+    return reduce(lambda used, one: used if one.mark < used.mark else one, versions).value
 
 
 @dataclass(frozen=True)
@@ -67,21 +88,37 @@ class Point:
 
 @dataclass(frozen=True)
 class Course:
-    """Estimates after the point: the run, the filter's moments at its instants, and which of these (T,) the
-    store keeps."""
+    """Estimates after the point, or after those that go on from it in silence: the run, and the filter's
+    moments at its instants.
+
+    `after_s`: time [s] after which they begin, −∞ at the first ones; `before`: time [s] of each cabinet
+    signal's newest reading up to it.  Alarms are to be judged at instants in (`judged_s`, `final_s`] [s],
+    those that no reading within the lateness can change any more.  `frozen`: signals that repeat a value.
+    """
 
     run: Run
     trace: Trace
-    kept: np.ndarray
+    after_s: float = -math.inf
+    before: Mapping[str, float] = field(default_factory=dict)
+    judged_s: float = -math.inf
+    final_s: float = -math.inf
+    frozen: tuple[Frozen, ...] = ()
 
     @property
     def seconds(self) -> np.ndarray:
-        return self.run.timeline.seconds
+        """The instants (T,) [s since 1970], in whole microseconds whatever the run begins with."""
+        return np.round(self.run.timeline.seconds * 1e6) / 1e6
 
     def state(self, place: int) -> Gaussian:
         """The state after an instant; the accumulator of a mean that begins there is not reset."""
         time_h = float(self.run.timeline.time[place])
         return Gaussian(self.trace.mean[place].copy(), self.trace.covariance[place].copy(), time_h)
+
+    def heard(self, signal: str) -> np.ndarray:
+        """Time (T,) [s] of the newest reading of a cabinet signal up to each instant, −∞ before the first."""
+        there = np.isfinite(self.run.timeline.reading(signal))
+        times = np.where(there, self.seconds, self.before.get(signal, -math.inf))
+        return np.maximum.accumulate(times)
 
 
 class Tracker:
@@ -90,19 +127,24 @@ class Tracker:
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
     newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
     [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
-    [s] of the newest reading, −∞ without any; `frozen` are the sensors that repeat a value.  `counts` counts
-    the readings that are not used: "repeated" (already present), "contradicting" (several values with one
-    stamp, of which none is used), "late" (received after the estimate at their time was final), and, once
-    final, "departed" and "frozen" (kept out by `data.gate`).
+    [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value at the point.
+    `counts` counts distinct readings: "late" (the first
+    value of its stamp, received after the estimate at that time was final), "revised" (another value of a
+    stamp before that, of which `used_value` counts), "revised late" (after it: not used), "contradicting"
+    (values of which none counts), and, once final, "departed" and "frozen" (kept out by `data.gate`); and
+    "repeated", values that their stamp has had before.
 
     While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
     for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
-    delivery can change, and from which the filter goes on.
+    delivery can change, and from which the filter goes on.  Alarms do not wait: they are judged up to
+    `judged_s` [s], and again from the point on where a late delivery changes what they followed from.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
     readings: stored readings after it, in SI units.
     changes: [s] times of stated changes of the cabinet.
+    versions: of stamps that had several values.
+    judged_s, frozen: of before.
     """
 
     def __init__(
@@ -111,11 +153,15 @@ class Tracker:
         point: Point | None = None,
         readings: Iterable[Reading] = (),
         changes: Iterable[float] = (),
+        versions: Versions | None = None,
+        judged_s: float = -math.inf,
+        frozen: Mapping[str, Frozen] | None = None,
     ) -> None:
         self.plan = plan
         self.changes = tuple(changes)
         self.point = point
         self.ahead: Point | None = None
+        self.judged_s = -math.inf
         self.newest_state = point
         self.running = False
         self.excess = math.nan
@@ -123,72 +169,97 @@ class Tracker:
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
         self._values: dict[str, array[float]] = {}
-        self.frozen: dict[str, Frozen] = {}
+        self._marks: dict[str, array[float]] = {}
+        self._versions = dict(versions or {})
         self._accepted: dict[str, Readings] = {}
+        self.frozen = dict(frozen or {})
         for one in readings:
             self._insert(one)
+        self.judged_s = judged_s if point is None else max(point.time, judged_s)
 
     # -- readings --------------------------------------------------------------------------------------------
-    def take(self, readings: Iterable[Reading]) -> None:
-        """Add readings in any order; values must be finite."""
+    def take(self, readings: Iterable[Reading], stored: Versions | None = None) -> list[str]:
+        """Add readings in any order; values must be finite.  Returns for each the count that it belongs to,
+        "" for a first value in time.
+
+        stored: versions that are known of stamps whose estimates are final; what comes is added to them.
+        """
+        stored, outcomes = {} if stored is None else stored, []
         for one in readings:
             if not math.isfinite(one.value):
                 raise ValueError(
                     f"{one.signal}: expected a number, found {one.value}; a missing reading is none"
                 )
-            if self.is_late(one):
-                self.counts["repeated" if self._has(one) else "late"] += 1
+            if not self.is_late(one):
+                outcomes.append(self._insert(one))
+                continue
+            known = stored.setdefault((one.signal, one.time), self._versions_at(one.signal, one.time))
+            if any(one.value == before.value for before in known):
+                outcomes.append("repeated")
             else:
-                self._insert(one)
+                outcomes.append("revised late" if known else "late")
+                known.append(one)
+        self.counts.update(filter(None, outcomes))
+        return outcomes
 
     def note_change(self, time: float) -> float:
         """Take a stated change at `time` [s] into account; returns the time from which it is, which is not
         before the newest final estimate."""
         if self.point is not None:
             time = max(time, self.point.time)
-        self._doubt_ahead(time)
+        self._doubt(time)
         self.changes = (*self.changes, time)
         return time
 
-    def _doubt_ahead(self, time: float) -> None:
-        """Filter anew from the point on if something new acts at a `time` [s] up to `ahead`."""
-        if self.ahead is not None and time <= self.ahead.time + SAME_S:
-            self.ahead = None
+    def _doubt(self, time: float) -> None:
+        """Filter and judge anew from the point on if something new acts at a `time` [s] that is judged."""
+        if time <= self.judged_s + SAME_S:
+            self.ahead, self.judged_s = None, -math.inf
 
     def is_late(self, one: Reading) -> bool:
         """Whether the estimate at a reading's time is already final."""
         return self.point is not None and one.time <= self.point.time + SAME_S
 
-    def _has(self, one: Reading) -> bool:
-        times = self._times.get(one.signal, array("d"))
-        place = bisect.bisect_left(times, one.time)
-        return place < len(times) and times[place] == one.time
+    def _versions_at(self, signal: str, time: float) -> list[Reading]:
+        """The versions of a stamp that are kept, in the order of their arrival."""
+        times = self._times.get(signal, array("d"))
+        place = bisect.bisect_left(times, time)
+        if place == len(times) or times[place] != time:
+            return []
+        alone = Reading(signal, time, self._values[signal][place], self._marks[signal][place])
+        return list(self._versions.get((signal, time), [alone]))
 
-    def _insert(self, one: Reading) -> None:
-        self._doubt_ahead(one.time)
+    def _insert(self, one: Reading) -> str:
+        """Insert a reading; returns the count that it belongs to, "" for the first value of its stamp."""
+        self._doubt(one.time)
         if one.signal not in self._times:
-            self._times[one.signal], self._values[one.signal] = array("d"), array("d")
-        times, values = self._times[one.signal], self._values[one.signal]
+            for columns in (self._times, self._values, self._marks):
+                columns[one.signal] = array("d")
+        times, values, marks = (c[one.signal] for c in (self._times, self._values, self._marks))
         if not times or one.time > times[-1]:  # most readings come in order
             times.append(one.time)
             values.append(one.value)
+            marks.append(one.mark)
             self.newest = max(self.newest, one.time)
-            return
+            return ""
         place = bisect.bisect_left(times, one.time)
-        if times[place] == one.time:
-            if values[place] == one.value:
-                self.counts["repeated"] += 1
-            elif math.isnan(values[place]):  # at least the third value with this stamp
-                self.counts["contradicting"] += 1
-            else:
-                self.counts["contradicting"] += 2
-                values[place] = math.nan
-            return
-        times.insert(place, one.time)
-        values.insert(place, one.value)
+        if times[place] != one.time:
+            times.insert(place, one.time)
+            values.insert(place, one.value)
+            marks.insert(place, one.mark)
+            return ""
+        known = self._versions_at(one.signal, one.time)
+        if any(one.value == before.value for before in known):
+            return "repeated"
+        self._versions[one.signal, one.time] = known = [*known, one]
+        values[place] = used_value(known)
+        if not math.isnan(values[place]):
+            return "revised"
+        self.counts["contradicting"] += len(known) == 2  # the first one is not used either
+        return "contradicting"
 
     def readings(self) -> list[Reading]:
-        """All stored readings, sorted by signal and time; NaN where readings contradict each other."""
+        """All stored readings, sorted by signal and time; NaN where no version of a value counts."""
         return [
             Reading(signal, time, value)
             for signal in sorted(self._times)
@@ -240,17 +311,12 @@ class Tracker:
             for signal, times in self._times.items()
         }
         self._accepted = {signal: one.accepted for signal, one in judged.items()}
-        self.frozen = {
-            signal: found
-            for signal, one in judged.items()
-            if signal.startswith(("ambient_", "cabinet_"))
-            and (found := one.frozen(self._limit, self.plan.scale(signal), self.frozen.get(signal)))
-        }
-        beyond = self.silent_since() is not None
-        made = prepare_run(self.plan.design, self._record_with_ended_gaps(), beyond=beyond)
+        made = prepare_run(
+            self.plan.design, self._record_with_ended_gaps(), beyond=self.silent_since() is not None
+        )
         silent_s = silent_since(self._times, self.plan.lateness_s)
-        held = silent_s is not None and self.newest - silent_s <= WAITS_S
-        if not held:
+        waits = silent_s is not None and self.newest - silent_s <= WAITS_S
+        if not waits:
             self.ahead = None
         course = self._course(made)
         if course is None:
@@ -258,26 +324,44 @@ class Tracker:
         seconds = course.seconds
         # a mean that ends after the run may have an interval that begins within it
         settled = min((one.judgement.settled_s for one in judged.values()), default=math.inf)
-        final = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
-        last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
+        final_s = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
+        frozen = self._frozen(judged)
+        course = replace(course, judged_s=self.judged_s, final_s=final_s, frozen=frozen)
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
         self.running = bool(course.run.operating[-1])
-        reached = Point(float(seconds[last - 1]), self._state_at(course, last - 1)) if last else None
-        if held and silent_s is not None:
-            last = int(np.searchsorted(seconds, min(final, silent_s) + SAME_S, side="right"))
-        if last > 0:
+        reached = self._reached(course, final_s)
+        point = self._reached(course, min(final_s, silent_s)) if waits and silent_s else reached
+        if point is not None:
             before = -math.inf if self.point is None else self.point.time
-            self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
+            self.point = point
             for one in judged.values():
-                self.counts.update(one.kept_out(before + SAME_S, self.point.time + SAME_S))
+                self.counts.update(one.kept_out(before + SAME_S, point.time + SAME_S))
+            self.frozen = {one.signal: one for one in frozen if one.known_s <= point.time < one.end}
             self._forget()
-        if held and reached is not None:
-            self.ahead = reached
+        if reached is not None:
+            self.ahead = reached if waits else None
+            self.judged_s = reached.time
         return course
+
+    def _reached(self, course: Course, time: float) -> Point | None:
+        """The state after the last instant of a course up to a time [s]; None without one."""
+        last = int(np.searchsorted(course.seconds, time + SAME_S, side="right")) - 1
+        return None if last < 0 else Point(float(course.seconds[last]), self._state_at(course, last))
 
     def silent_since(self) -> float | None:
         """Time [s] of the cabinet's newest usable reading if estimates go on without it; None else."""
         return silent_since({s: times for s, (times, _) in self._accepted.items()}, self.plan.lateness_s)
+
+    def _frozen(self, judged: Mapping[str, Judged]) -> tuple[Frozen, ...]:
+        """The signals of ambient and cabinet that repeat a value after the point."""
+        after_s = -math.inf if self.point is None else self.point.time
+        found: list[Frozen] = []
+        for signal, one in judged.items():
+            scale = self.plan.scale(signal)
+            if scale is not None and signal.startswith(("ambient_", "cabinet_")):
+                known = self.frozen.get(signal)
+                found += frozen_runs(signal, one.readings, scale.still_s, self.plan.context_s, after_s, known)
+        return tuple(found)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
@@ -302,18 +386,23 @@ class Tracker:
         return first, last, longest
 
     def _course(self, made: Run) -> Course | None:
-        t = made.timeline
-        seconds = t.seconds
-        start = self._start()
+        t, start = made.timeline, self._start()
         after = -math.inf if start is None else start.time + SAME_S
-        first = int(np.searchsorted(seconds, after, side="right"))
+        first = int(np.searchsorted(t.seconds, after, side="right"))
         # a gap of the ambient that has not ended yet reaches far ahead
-        end = int(np.searchsorted(seconds, self.newest + SAME_S, side="right"))
+        end = int(np.searchsorted(t.seconds, self.newest + SAME_S, side="right"))
         if first >= end:
             return None
         part = t.window(first, end)
         piece = Run(part, made.operating[first:end], made.scored[first:end])
-        return Course(piece, self._filter(part, start), kept_instants(t)[first:end])
+        before = {signal: self._heard_until(signal, after) for signal in t.outputs}
+        return Course(piece, self._filter(part, start), after - SAME_S, before)
+
+    def _heard_until(self, signal: str, time: float) -> float:
+        """Time [s] of the newest accepted reading of a signal up to a time [s]; −∞ without one."""
+        times, _ = self._accepted.get(signal, (np.empty(0), None))
+        place = int(times.searchsorted(time, side="right"))
+        return float(times[place - 1]) if place else -math.inf
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -327,8 +416,8 @@ class Tracker:
         return self.ahead or self.point
 
     def _filter(self, t: Timeline, start: Point | None) -> Trace:
-        final, state = (-math.inf, None) if start is None else (start.time, start.state)
-        coming = [time for time in self.changes if time + SAME_S >= final]
+        since, state = (-math.inf, None) if start is None else (start.time, start.state)
+        coming = [time for time in self.changes if time + SAME_S >= since]
         return changed_trace(self.plan.likelihood(t), self.plan.values, state, coming)
 
     @property
@@ -388,16 +477,10 @@ class Tracker:
         for signal, times in self._times.items():
             place = bisect.bisect_left(times, oldest) - BEFORE
             if place > 0:
-                del times[:place]
-                del self._values[signal][:place]
-
-
-@dataclass(frozen=True)
-class Frozen:
-    """A signal that has repeated a `value` [SI unit] since a time [s]."""
-
-    since: float
-    value: float
+                for columns in (self._times, self._values, self._marks):
+                    del columns[signal][:place]
+        kept = {signal: times[0] for signal, times in self._times.items() if times}
+        self._versions = {at: known for at, known in self._versions.items() if at[1] >= kept[at[0]]}
 
 
 @dataclass(frozen=True)
@@ -412,28 +495,6 @@ class Judged:
         time, value = self.readings
         there = self.judgement.verdict == ACCEPTED
         return (time, value) if there.all() else (time[there], value[there])
-
-    def frozen(self, until_s: float, scale: Scale | None, known: Frozen | None) -> Frozen | None:
-        """The run of identical readings at the end of those up to a time [s], if it is longer than the signal
-        stays still (`scale`).
-
-        In the range of saturated air, where the gate lets readings pass, the value must be below one that was
-        read before: a sensor at its ceiling is not frozen.  `known`: what was found before, of which older
-        readings may be gone.
-        """
-        time, value = self.readings
-        last = int(np.searchsorted(time, until_s, side="right")) - 1
-        if last < 0 or scale is None:
-            return None
-        if known is not None and value[last] == known.value:
-            return known
-        other = np.flatnonzero(value[:last] != value[last])
-        first = int(other[-1]) + 1 if len(other) else 0
-        below = value[last] < np.max(value[:first], initial=-math.inf)
-        resting = self.judgement.verdict[last] == ACCEPTED and time[last] - time[first] > scale.still_s
-        if self.judgement.verdict[last] != FROZEN and not (resting and below):
-            return None
-        return Frozen(float(time[first]), float(value[last]))
 
     def kept_out(self, after_s: float, until_s: float) -> dict[str, int]:
         """Numbers of readings that were kept out within a time (after_s, until_s] [s], by the verdict."""
@@ -482,8 +543,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     accepted = record_of(plan, times, values)
     silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
     made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
-    trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
-    return Course(made, trace, kept_instants(made.timeline))
+    return Course(made, changed_trace(plan.likelihood(made.timeline), plan.values, None, changes))
 
 
 def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:
@@ -495,12 +555,3 @@ def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None
     vapour = max((newest[signal] for signal in AMBIENT_HUMIDITIES if signal in newest), default=math.inf)
     inputs = min(newest.get("ambient_temperature", -math.inf), vapour)
     return cabinet if inputs - cabinet > lateness_s else None
-
-
-def kept_instants(t: Timeline) -> np.ndarray:
-    """Which instants (T,) the store keeps: those with readings of the cabinet and, where none came for
-    `THIN_S`, the first one of every such period."""
-    read = np.isfinite(t.y).any(axis=1) if t.y.shape[1] else np.zeros(len(t), bool)
-    newest = np.maximum.accumulate(np.where(read, t.seconds, -np.inf))
-    begins = np.append(True, np.diff(np.floor(t.seconds / THIN_S)) > 0)
-    return read | (begins & (t.seconds - newest >= THIN_S - SAME_S))

@@ -7,13 +7,14 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 
 from hygrokf.live.config import Config
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceFault
+from hygrokf.live.turbine import Turbine
 
 LOG = logging.getLogger("hygrokf.track")
 
@@ -58,6 +59,8 @@ def track(
 
         def begin() -> None:
             start_senders()
+            for name, said in record_doubts(config.turbines):
+                LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": said})
             begun(service, page)
 
         service.run(until_ended, begin)
@@ -65,6 +68,14 @@ def track(
     if until_ended and lost:
         raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")
     return service
+
+
+def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
+    """(turbine, sentence) of each doubt about a record that a turbine's model was identified on."""
+    for name, turbine in turbines.items():
+        reasons = (reason for one in turbine.verdicts.values() for reason in one.reasons)
+        said = dict.fromkeys(one.text for one in reasons if one.code == "record_doubted")
+        yield from ((name, one) for one in said)
 
 
 @contextmanager

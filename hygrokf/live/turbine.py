@@ -17,9 +17,13 @@ from hygrokf.live.changes import Change
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Plan
-from hygrokf.live.tracker import Course
+from hygrokf.live.tracker import SAME_S, Course
 from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
 
+THIN_S = 600.0
+"""[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
+none."""
+SILENT_S = 0.5 * HOUR_S
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another one."""
 
@@ -112,8 +116,15 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 
 def instants_kept(course: Course) -> np.ndarray:
-    """Indices of the instants that the store keeps; always the last one."""
-    return np.flatnonzero(np.append(course.kept[:-1], True))
+    """Indices of the instants that the store keeps: those with cabinet readings, while these are silent one
+    per `THIN_S`, and the last one while it may change; the others whatever the courses are."""
+    outputs = course.run.timeline.outputs
+    heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
+    slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
+    kept = np.isfinite(course.run.timeline.y).any(axis=1)
+    kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
+    kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
+    return np.flatnonzero(kept)
 
 
 def digest(plan: Plan) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -17,21 +17,21 @@ import numpy as np
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.alarms import (
-    CHANGE_RULES,
     CLOCK,
     CONTRADICTS,
     ESTIMATE_RULES,
     LOST,
     MISSING,
+    SHIFT_RULES,
     STALE,
     Estimated,
     Level,
     Rule,
     Standing,
-    change_levels,
     estimate_levels,
     judge,
     missing_levels,
+    shift_levels,
     source_levels,
     stale_levels,
     with_doubts,
@@ -42,12 +42,11 @@ from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.contradiction import contradiction_level, innovations
-from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
-from hygrokf.live.fault_isolation import Finding
+from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import Forecast, ForecastMade
+from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
-    LASTING_S,
     ParameterShift,
     TrackedState,
     deviations,
@@ -58,10 +57,10 @@ from hygrokf.live.properties import (
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
-from hygrokf.live.tracker import SAME_S, Course, Point, Tracker
+from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
 from hygrokf.live.turbine import Evidence
 from hygrokf.live.turbine import Turbine as Turbine
@@ -104,15 +103,16 @@ class Fleet:
         self.references: dict[str, dict[str, TrackedState]] = {}
         self.reference_points: dict[str, Point] = {}
         self.states = States(turbines)
+        self._store = store
         self.held = HeldReadings(store)
         self.backlogs = Backlogs()
         self.clocks = Clocks(() if store is None else store.held_ahead())
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
+        # at which lasting shifts have still to be judged, the first one as soon as its cause is isolated
+        self.steps: dict[str, list[ShiftStep]] = defaultdict(list)
         self._slots: dict[str, float] = {}
-        self._warned: dict[str, float] = {}
-        self._judged: dict[str, dict[str, float]] = defaultdict(dict)
-        self._contradictions: dict[str, dict[str, Level]] = defaultdict(dict)
+        self._frozen: dict[str, dict[str, Frozen]] = defaultdict(dict)
         self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
@@ -130,7 +130,12 @@ class Fleet:
             known = store.memories(name)
             fleet.changes[name] = structured(list[Change], known.get("changes", []))
             times = [change.time for change in fleet.changes[name]]
-            fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since), times)
+            readings, versions = store.readings(name, since), store.revised(name, since)
+            judged_s = -math.inf if known.get("judged") is None else structured(float, known["judged"])
+            found = structured(dict[str, tuple[float, float, float]], known.get("frozen", {}))
+            frozen = {signal: Frozen(signal, *parts) for signal, parts in found.items()}
+            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions, judged_s, frozen)
+            fleet._frozen[name] = frozen
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
             fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
@@ -148,8 +153,9 @@ class Fleet:
                 fleet.excesses[name] = structured(float, known["excess"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
-            newest = fleet.states.estimate_s(name)  # the readings up to it have been judged
-            fleet._judged[name] = {} if newest is None else dict.fromkeys(one.plan.model.outputs, newest)
+            fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps") or [])
+            (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
+            fleet._slots[name] = -math.inf if point is None or last is None else last // PROPERTY_S
         fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
         return fleet
 
@@ -176,7 +182,8 @@ class Fleet:
                 counts[SOURCE, fault.kind] += 1
                 continue
             for turbine, stated, rejections in found:
-                readings = [reading.at_whole_microsecond() for reading in stated]
+                mark = NEITHER if mapping.revision == "neither" else one.mark
+                readings = [reading.as_stored(mark) for reading in stated]
                 counts.update((turbine, rejection.kind) for rejection in rejections)
                 observations = [Observation(turbine, reading, one.received) for reading in readings]
                 if mapping.weather:
@@ -211,11 +218,22 @@ class Fleet:
         if not observations:
             return
         tracker = self.trackers[name]
-        batch.observations += [replace(one, late=tracker.is_late(one.reading)) for one in observations]
-        tracker.take(one.reading for one in observations)
+        readings = [one.reading for one in observations]
+        final = {(one.signal, one.time) for one in readings if tracker.is_late(one)}
+        outcomes = tracker.take(readings, self._store.versions(name, final) if self._store else None)
+        batch.observations += [
+            replace(one, late="late" in outcome, revision=outcome in REVISIONS)
+            for one, outcome in zip(observations, outcomes, strict=True)
+        ]
+        self._note_doubt(name, batch)
         self.waiting.setdefault(name)
         counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
         self._counted[name] = Counter(tracker.counts)
+
+    def _note_doubt(self, name: str, batch: Batch) -> None:
+        """Keep that alarms will be judged anew from the point on."""
+        if self.trackers[name].point is not None and self.trackers[name].judged_s == -math.inf:
+            batch.memories[name, "judged"] = None
 
     def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
@@ -251,22 +269,36 @@ class Fleet:
 
     def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
-        point = self.trackers[name].point
+        tracker, point = self.trackers[name], self.trackers[name].point
         if len(found.time_s):
             final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
             batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
             self.states.note_estimate(name, found)
             if found.excess_g_m3 is not None:
-                self.trackers[name].excess = float(found.excess_g_m3[-1])
+                tracker.excess = float(found.excess_g_m3[-1])
                 if final:
                     excess = self.excesses[name] = float(found.excess_g_m3[final - 1])
                     batch.memories[name, "excess"] = excess if math.isfinite(excess) else None
         if point is None:
             return
         batch.points[name] = point
+        if tracker.ahead is not None:
+            batch.memories[name, "judged"] = tracker.judged_s
+        if tracker.frozen != self._frozen[name]:
+            self._frozen[name] = tracker.frozen
+            batch.memories[name, "frozen"] = {
+                signal: [one.since, one.value, one.known_s] for signal, one in tracker.frozen.items()
+            }
         self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
-        self._judge_readings(name, course, point.time, batch)
-        self._judge_estimates(name, found, batch)
+        for one in innovations(course, point.time):
+            # between the two thresholds a level says nothing: that of the other signals
+            others = [s for s in course.run.timeline.outputs if s != one.signal]
+            silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, "", subject=s) for s in others]
+            self._judge(name, one.time_s, [*silent, contradiction_level(one)], (CONTRADICTS,), batch)
+        due = (found.time_s > course.judged_s + SAME_S) & (found.time_s <= course.final_s + SAME_S)
+        for i in np.flatnonzero(due):
+            levels = estimate_levels(Estimated(found, int(i), course.frozen), self.turbines[name].verdicts)
+            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
 
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
@@ -274,10 +306,12 @@ class Fleet:
         slots = np.floor(course.seconds / PROPERTY_S)
         before = self._slots.get(name, -math.inf)
         begins = (slots > np.append(before, slots[:-1])) & (course.seconds <= final_s + SAME_S)
+        heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
         for i in np.flatnonzero(begins):
             at, errors = float(course.seconds[i]), self.turbines[name].errors
             mean, covariance = course.trace.mean[i], course.trace.covariance[i]
-            states = states_of(plan.model, mean, covariance, at, self.trackers[name].heard())
+            newest = {signal: float(times[i]) for signal, times in heard.items()}
+            states = states_of(plan.model, mean, covariance, at, newest)
             if not states:
                 return
             self._slots[name] = slots[i]
@@ -288,6 +322,24 @@ class Fleet:
             self.shifts[name] = parameter_shifts(self.shifts[name], at, present)
             batch.memories[name, "deviations"] = {k: list(d) for k, d in self.deviations[name].items()}
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
+            known = self.deviations[name]
+            self.steps[name].append(shift_step(at, self.shifts[name], known, self._isolated_s(name)))
+            self._judge_shifts(name, batch)
+
+    def _isolated_s(self, name: str) -> float:
+        """Time [s] at which the cause of a turbine's shifts was last due; −∞ if it never was."""
+        due = [step.time for step in self.steps[name] if step.due]
+        known = self.findings.get(name)
+        return due[-1] if due else -math.inf if known is None else known.time_s
+
+    def _judge_shifts(self, name: str, batch: Batch) -> None:
+        """Judge alarms about shifts, step after step up to the next one whose cause is not isolated yet."""
+        steps, finding = self.steps[name], self.findings.get(name)
+        while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
+            step = steps.pop(0)
+            levels = with_doubts(shift_levels(step, finding), self.turbines[name].verdicts)
+            self._judge(name, step.time, levels, SHIFT_RULES, batch)
+        batch.memories[name, "shift_steps"] = [asdict(step) for step in steps]
 
     def _references(
         self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
@@ -320,45 +372,29 @@ class Fleet:
             self.shifts[name], self.references[name], self.deviations[name] = {}, {}, {}
             self.findings.pop(name, None)
             self.reference_points.pop(name, None)
+            self.steps[name].clear()
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
             for key in ("parameter_shifts", "references", "deviations"):
                 batch.memories[name, key] = {}
-            for key in ("finding", "reference_point"):
+            for key in ("finding", "reference_point", "shift_steps"):
                 batch.memories[name, key] = None
-            newest = tracker.newest_state
-            if newest is not None:
-                self._judge(name, newest.time, [], CHANGE_RULES, batch)
+            self._note_doubt(name, batch)
+            if tracker.point is not None:
+                self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
             self.waiting[name] = None
             self._assess(name, batch)
         return batch
 
-    def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
-        """Judge alarms at every estimate newer than the last one judged."""
-        after = self._warned.get(name, -math.inf)
-        for i in np.flatnonzero(found.time_s > after):
-            known = self.shifts[name], self.findings.get(name), self.deviations[name]
-            now = Estimated(found, int(i), *known, self.trackers[name].frozen)
-            levels = estimate_levels(now, self.turbines[name].verdicts)
-            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
-        self._warned[name] = max(after, float(found.time_s[-1]))
-
-    def _judge_readings(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
-        """Judge alarms about readings that contradict the estimate, at every reading that is newer than the
-        last one judged of its signal."""
-        after = self._judged[name]
-        levels = self._contradictions[name]
-        for one in innovations(course, after, final_s):
-            after[one.signal] = one.time_s
-            levels[one.signal] = contradiction_level(one)
-            self._judge(name, one.time_s, list(levels.values()), (CONTRADICTS,), batch)
-
     def tick(
-        self, now: float, sources: Mapping[str, SourceState], left: Mapping[str, str] | None = None
+        self,
+        now: float,
+        sources: Mapping[str, Reach],
+        left: Mapping[str, str] | None = None,
+        quiet: Collection[str] = (),
     ) -> Batch:
-        """Judge alarms about missing data and wrong clocks at `now` [s], and about lost sources; release
-        readings that were ahead, and assess every turbine.
+        """Judge alarms about delivery at `now` [s], release readings that were ahead, assess every turbine.
 
-        left: turbine -> text about a sender that has left.
+        left: turbine -> text about a sender that has left. quiet: turbines whose silence is no news.
         """
         batch, left = Batch(), left or {}
         counts: Counter[tuple[str, str]] = Counter()
@@ -366,11 +402,12 @@ class Fleet:
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
         for name in self.turbines:
-            self._judge_missing(name, now, left.get(name, ""), batch)
+            if name in left or name not in quiet:
+                self._judge_missing(name, now, left.get(name, ""), batch)
         clocks = clock_levels(self.clocks.ahead())
         for name in (*self.turbines, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
-        self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
+        self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
         for name in self.turbines:
             self._assess(name, batch)
         batch.counters = {key: count for key, count in counts.items() if count}
@@ -389,17 +426,10 @@ class Fleet:
         levels += missing_levels(missing, since, now, one.stale_s)
         self._judge(name, now, levels, (STALE, MISSING), batch)
 
-    def isolation_due(self) -> str | None:
-        """A turbine with a lasting shift whose cause was not isolated since it became lasting, or not for a
-        day."""
-        for name, found in self.shifts.items():
-            lasting = [one for one in found.values() if one.lasting]
-            newest = max((one.since for one in lasting), default=-math.inf) + LASTING_S
-            known = self.findings.get(name)
-            state = self.trackers[name].newest_state
-            if lasting and state and (known is None or known.time_s < max(newest, state.time - ISOLATE_S)):
-                return name
-        return None
+    def isolation_due(self) -> tuple[str, ShiftStep] | None:
+        """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
+        be isolated next; None if no cause is due."""
+        return next(((name, steps[0]) for name, steps in self.steps.items() if steps), None)
 
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""
@@ -414,13 +444,15 @@ class Fleet:
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: Finding) -> Batch:
-        """Keep the finding of fault isolation and judge the alarms that it explains."""
-        self.findings[name] = finding
-        batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = change_levels(self.shifts[name], finding, self.deviations[name])
-        doubted = with_doubts(levels, self.turbines[name].verdicts)
-        self._judge(name, finding.time_s, doubted, CHANGE_RULES, batch)
-        self._assess(name, batch)
+        """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
+        that it explains."""
+        steps, batch = self.steps.pop(name, []), Batch()
+        self.steps[name] = steps  # the others come first now
+        if steps and steps[0].time == finding.time_s:
+            self.findings[name] = finding
+            batch.memories[name, "finding"] = asdict(finding)
+            self._judge_shifts(name, batch)
+            self._assess(name, batch)
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:

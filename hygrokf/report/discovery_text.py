@@ -140,7 +140,8 @@ def verdict_sentences(found: DiscoveryResults) -> list[str]:
         refuted = listed(spoken(one.cause) for one in found.refuted)
         if refuted:
             said.append(f"the held-out period refutes {refuted}, named on the identification period")
-    return [sentence(text) for text in said if text][:MOST_SENTENCES]
+    first = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
+    return [sentence(text) for text in (*first, *said) if text][:MOST_SENTENCES]
 
 
 def _consequences(found: DiscoveryResults) -> list[str]:

@@ -45,6 +45,9 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
         yield Heading(f"{title}: {len(said) or 'none'}", 3)
         if said:
             yield Items(said)
+    if found.untold:
+        yield Heading("what the record cannot tell", 3)
+        yield Items(found.untold)
 
 
 def _heading(found: RecordSummary) -> str:

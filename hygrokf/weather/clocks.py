@@ -178,32 +178,37 @@ def _sentence(error: ClockError, south: bool) -> str:
     first, second = error.corrections_s
     if error.kind == "constant":
         return (
-            f"the clock of {error.one} runs {_pace(first)} against {error.other}: by their stamps the "
-            f"weather comes {_late(error.winter)}; its stamps need {_signed(first)}. If {error.other} is "
-            f'right, state clock_correction = "{_signed(first).replace(" ", "")}" in that source'
+            f"the clock of {error.one} runs {pace(first)} against {error.other}: by their stamps the "
+            f"weather comes {_late(error.winter)}; its stamps need {signed(first)}. If {error.other} is "
+            f'right, state clock_correction = "{signed(first).replace(" ", "")}" in that source'
         )
     early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
-    # the clock's summer time is the other season in the south
-    change = first - second if south else second - first
-    remedy = ""
-    if abs(change - 3600.0) < 1.0:
-        zone = "" if south else f": timezone = {_zone(first)}"
-        remedy = (
-            ": it has no summer time although its stamps are read with it. Read them at the clock's own "
-            f"fixed offset{zone}, with ignore_offset = true where the stamps carry offsets"
-        )
-    elif abs(change + 3600.0) < 1.0:
-        example = "Australia/Sydney" if south else "Europe/Berlin"
-        remedy = (
-            ": it follows summer time although its stamps are read at a fixed offset. State its zone by "
-            f'name, such as timezone = "{example}"'
-        )
     return (
-        f"the clock of {error.one} runs {_pace(first)} {early} and {_pace(second)} {late} against "
+        f"the clock of {error.one} runs {pace(first)} {early} and {pace(second)} {late} against "
         f"{error.other}: by their stamps the weather comes {_late(error.winter)} {early} and "
-        f"{_late(error.summer)} {late}; its stamps need {_signed(first)} {early} and {_signed(second)} "
-        f"{late}{remedy}"
+        f"{_late(error.summer)} {late}; its stamps need {season_remedy(first, second, south)}"
     )
+
+
+def season_remedy(winter_s: float, summer_s: float, south: bool = False) -> str:
+    """What corrects a clock that needs one correction [s] in winter and another one in summer."""
+    early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
+    needed = f"{signed(winter_s)} {early} and {signed(summer_s)} {late}"
+    # the clock's summer time is the other season in the south
+    change = winter_s - summer_s if south else summer_s - winter_s
+    if abs(change - 3600.0) < 1.0:
+        zone = "" if south else f": timezone = {_zone(winter_s)}"
+        return (
+            f"{needed}: it has no summer time although its stamps are read with it. Read them at the clock's "
+            f"own fixed offset{zone}, with ignore_offset = true where the stamps carry offsets"
+        )
+    if abs(change + 3600.0) < 1.0:
+        example = "Australia/Sydney" if south else "Europe/Berlin"
+        return (
+            f"{needed}: it follows summer time although its stamps are read at a fixed offset. State its "
+            f'zone by name, such as timezone = "{example}"'
+        )
+    return needed
 
 
 def _zone(winter_s: float) -> str:
@@ -214,13 +219,15 @@ def _zone(winter_s: float) -> str:
     return f'"UTC" if they are read at {sign}{minutes // 60:02d}:{minutes % 60:02d} in winter'
 
 
-def _pace(correction_s: float) -> str:
+def pace(correction_s: float) -> str:
+    """How a clock runs whose stamps need a correction [s], in words."""
     if correction_s == 0.0:
         return "right"
     return f"{_length(abs(correction_s))} {'slow' if correction_s > 0 else 'fast'}"
 
 
-def _signed(correction_s: float) -> str:
+def signed(correction_s: float) -> str:
+    """A correction [s] with its sign, such as "+2 h"."""
     return f"{'+' if correction_s >= 0 else '-'}{_length(abs(correction_s))}"
 
 

@@ -32,7 +32,7 @@ def one(seed: int, days: float = DAYS, learnt: float = LEARNT_DAYS) -> dict:
     made = plant(seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True)
     begin = float(made.drivers.time[0]) + learnt * DAY_S
     case = tracked(made, begin)
-    found = innovations(case.course, dict.fromkeys(STEPS, begin + SETTLED_S))
+    found = [one for one in innovations(case.course) if one.time_s > begin + SETTLED_S]
     line: dict = {"seed": seed, "days": days - SETTLED_S / DAY_S}
     for signal, steps in STEPS.items():
         z = np.array([each.deviations for each in found if each.signal == signal])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -84,7 +84,7 @@ def logged(made: FaultyPlant) -> Record:
 
 
 def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
-    """Track a plant from its record, with fault isolation at the rounds where it is due."""
+    """Track a plant from its record, with fault isolation when it is due."""
     whole = logged(made)
     record = whole.window(START_S + TRACKED_DAY * DAY_S, START_S + last_day * DAY_S)
     plan = plan_of(fit, whole)
@@ -103,14 +103,15 @@ def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
         fleet._now = now
         fleet._take(made.name, [Observation(made.name, one, now) for one in some], batch, Counter())
         found.keep(fleet.filter_waiting(batch))
-        if fleet.isolation_due() is not None:
-            since = min(one.since for one in fleet.shifts[made.name].values() if one.lasting)
-            history = whole.window(max(since - BEFORE_S, now - LONGEST_S), now)
+        while (due := fleet.isolation_due()) is not None:
+            step = due[1]
+            since = min(one.since for one in step.lasting)
+            history = whole.window(max(since - BEFORE_S, step.time - LONGEST_S), step.time)
             times = {one.signal: one.time for one in history.series}
             values = {one.signal: one.value for one in history.series}
             *_, finding = isolate(plan, record_of(plan, times, values))
             assert finding is not None
-            found.keep(fleet.keep_finding(made.name, finding))
+            found.keep(fleet.keep_finding(made.name, replace(finding, time_s=step.time)))
     return found
 
 

@@ -11,6 +11,7 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
+from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
 from hygrokf.discovery import evidence, grids
 from hygrokf.discovery import model_selection as selection
@@ -25,7 +26,6 @@ from hygrokf.discovery.candidate import (
     standard_errors,
 )
 from hygrokf.discovery.cause import Variant
-from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import CauseParameter
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import NO_BETTER, reason_against, select, verdict_on, with_candidate

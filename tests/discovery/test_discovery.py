@@ -13,6 +13,7 @@ from plants.as_record import to_record
 from plants.hidden import LIBRARY as HIDDEN
 from plants.hidden import hidden_plant
 
+from hygrokf.data.clocks import Shift, shifted, sources
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import result_text
 from hygrokf.discovery import submodel as submodel_module
@@ -26,7 +27,7 @@ from hygrokf.discovery.candidate import (
     score_statistic,
 )
 from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.clocks import Shift, shift_gains, shifted, sources
+from hygrokf.discovery.clocks import shift_gains
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import difference, select, verdict_on

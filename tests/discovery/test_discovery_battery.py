@@ -628,7 +628,7 @@ def test_an_effect_is_put_into_the_readings_inside(indoors: Record, effect: str)
 
 @pytest.mark.parametrize("name", ["attic R2", "attic R4", "attic R7", "house"])
 def test_measured_records_are_read_with_two_clocks(name: str) -> None:
-    from hygrokf.discovery.clocks import sources
+    from hygrokf.data.clocks import sources
 
     measured = part("measured")
     if measured.absent(name):

@@ -318,7 +318,8 @@ def test_ornstein_series_drives_control_and_scipy_alike(hold: str) -> None:
     )  # fmt: skip
     model = compose([made], {"u": hold})
     trace = Likelihood(model, timeline(model, time, {"u": u}, {})).trace({"q": 0.0})
-    matrices = [[-theta, 0.0], [alpha, -alpha]], [[theta], [0.0]], np.eye(2), np.zeros((2, 1))
+    a, b = np.array([[-theta, 0.0], [alpha, -alpha]]), np.array([[theta], [0.0]])
+    matrices = a, b, np.eye(2), np.zeros((2, 1))
     plant = control.ss(*matrices)
     if hold == "zoh":  # sampled; python-control joins the inputs of a continuous system by lines
         plant = control.sample_system(plant, dt, "zoh")

@@ -255,9 +255,8 @@ def playback(folder: Path) -> str:
         part = deliveries[first : first + ROUND]
         store.commit(fleet.round(part, mapping, "replay:"))
         store.commit(fleet.tick(part[-1].received, {}))
-        while fleet.isolation_due() is not None:
-            lasting = [one for one in fleet.shifts["T1"].values() if one.lasting]
-            finding = next(filter(None, isolation_steps("T1", turbine, lasting, store)))
+        while (due := fleet.isolation_due()) is not None:
+            finding = next(filter(None, isolation_steps("T1", turbine, due[1], store)))
             store.commit(fleet.keep_finding("T1", finding))
         made = make_forecast("T1", turbine, fleet.trackers["T1"], store)
         if made is not None:

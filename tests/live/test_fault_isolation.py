@@ -15,9 +15,17 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
 from hygrokf.identification.procedure import identify
-from hygrokf.live.alarms import CHANGED, SUSPECT, change_levels
+from hygrokf.live.alarms import CHANGED, SUSPECT, shift_levels
 from hygrokf.live.defaults import SIGNALS
-from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, finding_from, isolate
+from hygrokf.live.fault_isolation import (
+    CLOSE,
+    LEAST,
+    Explanation,
+    Finding,
+    finding_from,
+    isolate,
+    shift_step,
+)
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import ParameterShift, TrackedState
 from hygrokf.live.sources.local import form_of
@@ -202,16 +210,16 @@ def test_what_is_said_of_it() -> None:
         "humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.08),
     }
     now = {"heat_release_change": TrackedState(2.2, 0.2)}
-    assert change_levels(lasting, None, now) == []  # nobody has looked yet
+    assert shift_levels(shift_step(9.0, lasting, now, 0.0), None) == []  # nobody has looked yet
     sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0, sd=0.5)
-    (one,) = change_levels(lasting, sensor, now)
+    (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), sensor)
     assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"
     assert one.statement.startswith("the temperature sensor reads 2.9 (1.9 … 3.9) K too high")
     cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, 1.0, ("temperature_sensor",))
-    (one,) = change_levels(lasting, cabinet, now)
+    (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), cabinet)
     assert one.kind == CHANGED.kind and one.subject == "heat_release_change"
     assert one.statement.endswith("(or the temperature sensor)") and "+2.2 (+1.8 … +2.6) K" in one.statement
-    nothing = change_levels(lasting, Finding(9.0, ""), now)
+    nothing = shift_levels(shift_step(9.0, lasting, now, 0.0), Finding(9.0, ""))
     assert [one.subject for one in nothing] == ["heat_release_change"]
     assert all(math.isfinite(one.level) and one.remedy for one in nothing)
-    assert change_levels({}, sensor, now) == []
+    assert shift_levels(shift_step(9.0, {}, now, 0.0), sensor) == []

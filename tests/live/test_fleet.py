@@ -20,7 +20,7 @@ from hygrokf.live.properties import ParameterShift
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.sources.stream import Delivery, Reach
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine, conditions
@@ -231,26 +231,26 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
     store.commit(fleet.round(deliveries(record), mapping))
     end, hour = record.end_s, 3600.0
 
-    def ticked(now: float, state: str = "connected") -> list[tuple[str, str, bool]]:
-        batch = fleet.tick(now, {"mqtt://broker": (state, "refused")})
+    def ticked(now: float, since: float | None = None) -> list[tuple[str, str, bool]]:
+        batch = fleet.tick(now, {"mqtt://broker": Reach(since, 60.0, "refused")})
         if not batch.empty:
             store.commit(batch)
         return [(a.turbine, a.kind, a.ended is None) for a in batch.alarms]
 
     assert ticked(end + 0.5 * hour) == []
-    assert ticked(end + 2.1 * hour, "lost") == []  # old, but not yet for five minutes
-    found = ticked(end + 2.3 * hour, "lost")
+    lost = end + 2.1 * hour - 59.0
+    assert ticked(end + 2.1 * hour, lost) == []  # old, but not yet for five minutes; not reached for 59 s
+    found = ticked(end + 2.3 * hour, lost)
     assert ("T1", "data stale", True) in found and ("", "source lost", True) in found
     # a turbine that never delivered is stale from the first look on
-    assert ("T2", "data stale", True) in ticked(end + 2.8 * hour, "lost") + ticked(end + 2.9 * hour, "lost")
+    assert ("T2", "data stale", True) in ticked(end + 2.8 * hour, lost) + ticked(end + 2.9 * hour, lost)
     again = Fleet.from_store({"T1": turbine, "T2": turbine}, store)
     assert sorted(a.kind for a in again.open_alarms()) == ["data stale", "data stale", "source lost"]
     (stale,) = store.rows("SELECT statement, remedy FROM alarm WHERE turbine = 'T1'")
     assert stale[0].startswith("no signal has arrived for 2.") and "logger" in stale[1]
     fresh = {"turbine": "T1", "time": end + 3.0 * hour, "cabinet_temperature": 300.0}
     store.commit(fleet.round([Delivery(json.dumps(fresh), end + 3.0 * hour)], mapping))
-    assert ticked(end + 3.1 * hour) == []  # the source is back, for less than its hold-off
-    assert ("", "source lost", False) in ticked(end + 3.2 * hour)
+    assert ("", "source lost", False) in ticked(end + 3.1 * hour)  # the source is back
     store.close()
 
 

@@ -35,6 +35,7 @@ from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.config import read_config
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.service import Service
+from hygrokf.live.sources.stream import Reach
 from hygrokf.live.storage.database import Row
 from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.views import fleet_view
@@ -91,7 +92,7 @@ def test_the_alert_rules_name_metrics_that_there_are(filled_store: Service) -> N
     text, _ = exposition(
         Snapshot(
             time.time(), filled_store.health, states, 0, rows, (), {("", "malformed"): 1},
-            notices={"mail": 1},
+            notices={"mail": 1}, reaches={"mqtt://b": Reach(None, 60.0)},
         )
     )
     samples = [one for family in text_string_to_metric_families(text.decode()) for one in family.samples]

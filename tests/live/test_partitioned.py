@@ -31,9 +31,9 @@ LARGE = ("observation", "estimate", "property", "forecast", "weather")
 def test_a_whole_microsecond_comes_back_bit_for_bit(store_url: str) -> None:
     random = np.random.default_rng(3)
     fine = np.sort(random.uniform(7e8, 2.5e9, 3000)).tolist()
-    readings = [Reading("rain", t, 1.0).at_whole_microsecond() for t in fine]
+    readings = [Reading("rain", t, 1.0).as_stored() for t in fine]
     assert all(abs(one.time - t) < 1e-6 for one, t in zip(readings, fine, strict=True))
-    assert all(one.at_whole_microsecond() is one for one in readings)
+    assert all(one.as_stored() is one for one in readings)
     store = open_store(store_url)
     store.commit(Batch(observations=[Observation("T1", one, one.time) for one in readings]))
     assert [one.time for one in store.readings("T1", -np.inf)] == [one.time for one in readings]

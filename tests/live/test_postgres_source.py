@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
@@ -9,7 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
+from decimal import Decimal
 from pathlib import Path
 
 import psycopg
@@ -32,7 +34,7 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.live.sources.postgres import PostgresQuery, Query
+from hygrokf.live.sources.postgres import PostgresQuery, Query, number_of
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.turbines import Turbine
 
@@ -43,9 +45,21 @@ TABLE = """CREATE TABLE reading (
     local TIMESTAMP NOT NULL DEFAULT (now() AT TIME ZONE 'UTC'),
     seconds DOUBLE PRECISION NOT NULL DEFAULT extract(epoch FROM now()))"""
 INSERT = "INSERT INTO reading (turbine, time, tag, value) VALUES ('T1', %s, %s, %s)"
+RISING = (
+    [-5, 0, 7, 2**62], [Decimal("-1e300"), Decimal("1.5"), Decimal("2")], [-math.inf, 0.0, 1e300, math.inf],
+    [date(1999, 1, 1), date(2026, 2, 28)], [datetime(1999, 1, 1), datetime(2026, 2, 28, 1)],
+    [datetime(1999, 1, 1, tzinfo=UTC), datetime(2026, 2, 28, 1, tzinfo=UTC)],
+)  # fmt: skip
 MAPPING = PayloadMapping(
     {"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"}, tag="tag", value="value"
 )
+
+
+@pytest.mark.parametrize("rising", RISING, ids=lambda one: type(one[0]).__name__)
+def test_watermarks_order_the_versions_of_a_value(rising: Sequence) -> None:
+    numbers = [number_of(one) for one in rising]
+    assert numbers == sorted(set(numbers)) and max(numbers) < math.inf
+
 
 
 class Rows:

@@ -15,9 +15,10 @@ from builders.databases import Server
 from builders.documents import document
 from builders.store_case import T0, a_condition, everything, observed
 
-from hygrokf.live.batch import Alarm, Batch, Estimates
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, created_views, migration
 from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.tracker import NEITHER, Reading
 
 PAGE = document("live_store.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```sql\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
@@ -36,7 +37,7 @@ def store(store_url: str) -> Iterator[Store]:
                 observed("rain", 3600.0 * (T0 // 3600.0), 1.0),
                 observed("rain", 3600.0 * (T0 // 3600.0) + 3599.5, 4.0),
                 observed("rain", 3600.0 * (T0 // 3600.0) + 3600.0, 7.0), observed("rain", 5.0, 1.0),
-                observed("rain", 5.0, 2.0),
+                Observation("T1", Reading("rain", 5.0, 2.0, NEITHER), 8.0, revision=True),
             ],
             alarms=[
                 Alarm("a2", "T1", "data stale", "notice", T0 + 1.0, "x", "y"),

@@ -16,7 +16,7 @@ from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage import database, outbox, schema
 from hygrokf.live.storage.schema import MIGRATIONS, TABLES, VERSION
 from hygrokf.live.storage.store import Store, open_store, state_of, state_text
-from hygrokf.live.tracker import Reading
+from hygrokf.live.tracker import NEITHER, Reading
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_batch_comes_back(store: Store) -> None:
         "turbine": 1, "observation": 2, "point": 1, "estimate": 2, "forecast": 0, "weather": 0, "property": 1,
         "alarm": 1, "memory": 1,
         "counter": 2, "source": 1, "claim": 0,
-        "held": 0, "assessment": 0, "shelf": 0, "event": 0, "outbox": 0,
+        "held": 0, "assessment": 0, "shelf": 0, "event": 0, "outbox": 0, "revision": 0,
     }  # fmt: skip
     assert store.place("file:live.csv") == "1200" and store.place("file:other.csv") is None
     assert (
@@ -77,14 +77,34 @@ def test_a_batch_that_fails_leaves_nothing(store: Store) -> None:
 
 
 def test_repeated_contradicting_and_late_observations(store: Store) -> None:
+    """The last version counts, by its mark or by arrival, unless it came too late; all are kept."""
+
+    def committed(at: float, value: float, late: bool = False, mark: float = math.nan) -> None:
+        known = store.versions("T1", [("rain", at)]).get(("rain", at), [])
+        new = known and value not in [one.value for one in known]
+        one = Observation("T1", Reading("rain", at, value, mark), at + 3.0 + len(known), late, bool(new))
+        store.commit(Batch(observations=[one, one]))  # committing once more changes nothing
+
     for at, value in ((1.0, 5.0), (1.0, 5.0), (2.0, 5.0), (2.0, 6.0), (2.0, 5.0)):
-        store.commit(Batch(observations=[observed("rain", at, value)]))
-    store.commit(
-        Batch(observations=[observed("rain", 3.0, 7.0, late=True), observed("rain", 1.0, 9.0, late=True)])
-    )
-    found = store.readings("T1", 0.0)
-    assert [one.time for one in found] == [1.0, 2.0]  # what came too late was not used, and will not be
-    assert found[0].value == 5.0 and np.isnan(found[1].value)
+        committed(at, value)
+    committed(3.0, 7.0, late=True)
+    committed(1.0, 9.0, late=True)
+    for mark, value in ((7.0, 1.0), (9.0, 2.0), (8.0, 3.0)):
+        committed(4.0, value, mark=mark)
+    for value in (1.0, 2.0, 1.0):
+        committed(5.0, value, mark=NEITHER)
+    found = {one.time: one.value for one in store.readings("T1", 0.0)}
+    assert sorted(found) == [1.0, 2.0, 4.0, 5.0]  # what came too late was not used
+    assert (found[1.0], found[2.0], found[4.0]) == (5.0, 6.0, 2.0) and math.isnan(found[5.0])
+    assert store.rows("SELECT time, value, received, late, number FROM revision ORDER BY time, number") == [
+        (1.0, 5.0, 4.0, 0, 0), (1.0, 9.0, 5.0, 1, 1), (2.0, 5.0, 5.0, 0, 0), (2.0, 6.0, 6.0, 0, 1),
+        (4.0, 1.0, 7.0, 0, 0), (4.0, 2.0, 8.0, 0, 1), (4.0, 3.0, 9.0, 0, 2), (5.0, 1.0, 8.0, 0, 0),
+        (5.0, 2.0, 9.0, 0, 1),
+    ]  # fmt: skip
+    assert store.rows("SELECT received, mark FROM observation WHERE time = ?", (4.0,)) == [(8.0, 9.0)]
+    assert store.revised("T1", 4.5) == {
+        ("rain", 5.0): [Reading("rain", 5.0, 1.0), Reading("rain", 5.0, 2.0)]
+    }
 
 
 def test_a_restart_reads_each_signal_from_some_readings_before(store: Store) -> None:
@@ -217,7 +237,7 @@ def test_a_store_is_opened_again_and_migrated_once(store_url: str) -> None:
 
 def test_every_table_is_known() -> None:
     made = [s.split()[1:3] for statements in MIGRATIONS for s in statements if s.startswith("CREATE")]
-    assert sorted(name for kind, name in made if kind == "TABLE") == sorted(TABLES)
+    assert {name for kind, name in made if kind == "TABLE"} == set(TABLES)
     assert not [name for kind, name in made if kind == "VIEW"]
 
 

@@ -12,15 +12,16 @@ from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.data.gate import ACCEPTED, FROZEN, REACH_S, Judgement, Scale
+from hygrokf.data.gate import REACH_S
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
 from hygrokf.live import tracker as tracker_module
 from hygrokf.live.ceiling import censored_trace
+from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.sources.local import form_of
-from hygrokf.live.tracker import Frozen, Judged, Reading, Tracker, offline_course, record_of
-from hygrokf.live.turbine import instants_kept
+from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course, record_of
+from hygrokf.live.turbine import SILENT_S, instants_kept
 
 HOUR_S = 3600.0
 
@@ -263,8 +264,8 @@ def test_a_restart_from_the_point_and_the_readings_that_are_kept_changes_nothing
 
 @pytest.mark.parametrize("quiet", [("cabinet_",), ("cabinet_relative_humidity",)])
 def test_estimates_go_on_from_the_inputs_while_sensors_are_silent(record: Record, quiet: tuple) -> None:
-    """Twenty hours without the cabinet's readings: an estimate in every ten minutes, by the filter that never
-    had them; no instant is filtered again and again."""
+    """Twenty hours without the cabinet's readings: estimates after half an hour, by the filter that never had
+    them; no instant is filtered again and again."""
     model, begin = planned(record), record.start_s + 60.0 * HOUR_S
     heard = [one for one in readings_of(record) if one.time <= begin + 20.0 * HOUR_S]
     kept = [one for one in heard if one.time <= begin or not one.signal.startswith(quiet)]
@@ -276,7 +277,7 @@ def test_estimates_go_on_from_the_inputs_while_sensors_are_silent(record: Record
             told |= set(np.round(course.seconds[instants_kept(course)]).tolist())
             steps += len(course.seconds) * (course.seconds[0] > begin + 2.0 * HOUR_S)
     silent = np.array(sorted(at for at in told if begin <= at))
-    assert np.diff(silent).max() < 1200.0 and silent[-1] >= begin + 19.5 * HOUR_S
+    assert np.diff(silent).max() < SILENT_S + 1200.0 and np.median(np.diff(silent)) <= 900.0 and silent[-1] >= begin + 19.5 * HOUR_S
     offline = offline_course(model, record_of(model, *_columns(kept)))
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
     if quiet == ("cabinet_",):
@@ -327,27 +328,30 @@ def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: py
 
 def test_a_signal_that_repeats_a_value_is_frozen_since_its_first_repetition() -> None:
     """In saturated air, where the gate lets all pass, only below what the sensor has read before."""
-    time, scale = 600.0 * np.arange(6), Scale(0.1, 900.0, 600.0)
+    time = 600.0 * np.arange(6)
 
-    def judged(last: int, *value: float) -> Judged:
-        return Judged((time, np.array(value)), Judgement(np.array([ACCEPTED] * 5 + [last]), math.inf))
+    def found(*value: float, after_s: float = -math.inf, known: Frozen | None = None) -> list[Frozen]:
+        readings = time[: len(value)], np.array(value)
+        return list(frozen_runs("cabinet_relative_humidity", readings, 900.0, 8.0 * HOUR_S, after_s, known))
 
-    stuck = judged(FROZEN, 0.5, 0.8, 0.6, 0.6, 0.6, 0.6)
-    assert stuck.frozen(math.inf, scale, None) == Frozen(1200.0, 0.6)
-    assert stuck.frozen(1300.0, scale, None) is stuck.frozen(-1.0, scale, None) is None
-    assert judged(ACCEPTED, 0.5, 0.98, 0.97, 0.97, 0.97, 0.97).frozen(math.inf, scale, None).value == 0.97
-    ceiling = judged(ACCEPTED, 0.5, 0.9, 0.97, 0.97, 0.97, 0.97)
-    assert ceiling.frozen(math.inf, scale, None) is None
-    long_since = Frozen(-9e5, 0.97)  # the readings from before are gone
-    assert ceiling.frozen(math.inf, scale, long_since) is long_since
+    stuck = Frozen("cabinet_relative_humidity", 600.0, 0.6, 1800.0)
+    assert found(0.5, 0.6, 0.6, 0.6, 0.6, 0.6) == [stuck]
+    assert found(0.5, 0.6, 0.6, 0.6, 0.6, 0.7) == [replace(stuck, end=3000.0)]
+    assert found(0.5, 0.6, 0.6, 0.5) == found() == []
+    assert [one.value for one in found(0.98, 0.97, 0.97, 0.97, 0.97, 0.97)] == [0.97]
+    assert found(0.9, 0.97, 0.97, 0.97, 0.97, 0.97) == []
+    # what was found before stands, because the readings from before may be gone
+    known = Frozen("cabinet_relative_humidity", -9e5, 0.97, -8e5)
+    assert found(0.97, 0.97, 0.97, 0.97, after_s=1800.0, known=known) == [known]
+    assert found(0.6, 0.6, 0.6, 0.6, after_s=1800.0) == []
 
 
-def test_readings_that_contradict_each_other_are_both_left_out(record: Record) -> None:
+def test_readings_whose_source_states_that_neither_counts_are_both_left_out(record: Record) -> None:
     model, readings = planned(record), readings_of(record)
     place = next(
         i for i, one in enumerate(readings) if one.signal == "cabinet_temperature" and i > len(readings) // 2
     )
-    wrong = replace(readings[place], value=readings[place].value + 3.0)
+    wrong = replace(readings[place], value=readings[place].value + 3.0, mark=NEITHER)
     tracker, course = followed(model, [*readings[: place + 1], wrong, *readings[place + 1 :]], 20)
     assert tracker.counts["contradicting"] == 2
     series = record["cabinet_temperature"]

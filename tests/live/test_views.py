@@ -12,7 +12,8 @@ from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health, SourceTimes
-from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.stream import SourceState, Threaded
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
@@ -130,16 +131,24 @@ def test_long_courses_are_thinned(store: Store) -> None:
 def test_health() -> None:
     health = Health(deliveries=5)
     health.note([0.01] * 98 + [0.2, 0.5])
-    ended, connected = SourceState("ended", "read to its end"), SourceState("connected", "")
+    ended, lost = (Threaded(PayloadMapping({}, revision=one), lambda: T0) for one in ("last", "neither"))
+    for stream, url, state in (
+        (ended, "stdin", SourceState("ended", "read to its end")), (lost, "tail", SourceState("lost", "")),
+    ):  # fmt: skip
+        stream.url, stream._state = url, state
     health.sources["tail"] = SourceTimes(T0, 2.5)
-    found = health_view(
-        {"stdin": ended, "tail": connected}, health, {("", "malformed"): 2, ("A", "late"): 1}
-    )
+    found = health_view({"stdin": ended, "tail": lost}, health, {("", "malformed"): 2, ("A", "late"): 1})
     assert found["refused"] == {"malformed": 2} and found["wait_99_s"] == 0.2
     assert found["sources"] == [
-        {"url": "stdin", "state": "ended", "words": "read to its end", "heard": None, "lag": None},
-        {"url": "tail", "state": "connected", "words": "", "heard": T0, "lag": 2.5},
-    ]
+        {
+            "url": "stdin", "state": "ended", "words": "read to its end", "heard": None, "lag": None,
+            "not_reached": None, "ordered_by": "arrival",
+        },
+        {
+            "url": "tail", "state": "lost", "words": "", "heard": T0, "lag": 2.5, "not_reached": T0,
+            "ordered_by": "nothing: neither counts",
+        },
+    ]  # fmt: skip
 
 
 def test_what_the_fleet_says_of_cabinets_and_of_what_comes(store: Store) -> None:

@@ -149,7 +149,8 @@ def test_health(client: httpx.Client, service: Service) -> None:
     found = client.get("/api/health").json()
     assert found["deliveries"] == service.health.deliveries > 0 and found["refused"] == {"malformed": 3}
     assert [one["state"] for one in found["sources"]] == ["ended", "ended"]
-    assert client.get("/healthz").json() == {"ok": True}
+    for path in ("/healthz", "/readyz"):
+        assert client.get(path).json() == {"ok": True, "sources": {"ended": 2}}
 
 
 def test_every_answer_binds_the_browser(client: httpx.Client) -> None:
@@ -378,7 +379,8 @@ def test_nothing_is_told_without_the_token(locked: httpx.Client) -> None:
             answer = locked.get(path, headers=headers)
             assert answer.status_code == 401 and "turbine" not in answer.text and TOKEN not in answer.text
     assert locked.post("/api/alarms/acknowledge", json={"id": "x", "by": "x"}).status_code == 401
-    assert [locked.get(path).status_code for path in ("/", "/static/page.js", "/healthz")] == [200] * 3
+    for path in ("/", "/static/page.js", "/healthz", "/readyz"):
+        assert locked.get(path).status_code == 200
     answer = locked.get("/api/fleet", headers={"Authorization": f"Bearer {TOKEN}"})
     assert len(answer.json()["turbines"]) == 2
 

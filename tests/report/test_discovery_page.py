@@ -54,6 +54,7 @@ from hygrokf.report.discovery_text import (
     gain_sentence,
     settings_words,
     signed_percent,
+    verdict_sentences,
 )
 from hygrokf.report.figures.residual_structure import telling_drivers
 
@@ -318,6 +319,14 @@ def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
     assert plain(again) == data and again.findings == found.findings
     assert plain(pickle.loads(pickle.dumps(found))) == data
     assert found.to_frame().loc["wall_thermal_mass", "verdict"] == "rejected"
+
+
+def test_a_doubt_about_the_record_comes_before_any_cause() -> None:
+    doubt = "the clock of a.csv seems 2 h fast: if so, state it"
+    found = typed(discovery_case() | {"doubts": [doubt]})
+    assert doubt in verdict_sentences(found)[0] and len(verdict_sentences(found)) > 1
+    assert doubt in " ".join(discovery_text(found).split())
+    assert doubt in Page(discovery_page(found)).text
 
 
 def test_the_text_is_narrow_and_says_what_the_page_says() -> None:

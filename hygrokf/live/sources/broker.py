@@ -27,7 +27,7 @@ from hygrokf.live.sources.endpoint import (
     is_loopback,
     password_of,
 )
-from hygrokf.live.sources.stream import WEATHER_HELP, SourceFault
+from hygrokf.live.sources.stream import SourceFault, SourceKeys
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Scheme of a URL -> default port."""
@@ -199,7 +199,7 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class BrokerForm:
+class BrokerForm(SourceKeys):
     """A [[source]] that is an MQTT broker."""
 
     REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
@@ -227,7 +227,6 @@ class BrokerForm:
     ca: str = setting("", "certificates of the CAs to trust, PEM")
     certificate: str = setting("", "of this client, PEM")
     key: str = setting("", "of the certificate, PEM, without a passphrase")
-    weather: bool = setting(False, WEATHER_HELP)
 
     @across("url")
     def url_form(self) -> str | None:

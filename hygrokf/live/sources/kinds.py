@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.sources.local import FileForm
@@ -14,19 +13,9 @@ from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.standard_input import InputForm
-from hygrokf.live.sources.stream import Stream
+from hygrokf.live.sources.stream import SourceKeys, Stream
 
-
-class SourceForm(Protocol):
-    """The form of a [[source]] table, which makes its stream or gives None with faults in `place`."""
-
-    @property
-    def weather(self) -> bool: ...
-
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None: ...
-
-
-KINDS: Mapping[str, type[SourceForm]] = {
+KINDS: Mapping[str, type[SourceKeys]] = {
     "file": FileForm,
     "stdin": InputForm,
     "mqtt": MqttForm,
@@ -56,6 +45,8 @@ def stream_of(
         return None
     own = replace(place, faults=[])
     form = read_form(kind, table, own)
-    made = form.stream(folder, replace(mapping, weather=True) if form.weather else mapping, own)
+    made = form.stream(folder, replace(mapping, weather=form.weather, revision=form.revision), own)
+    if made is not None and form.reach_limit_s is not None:
+        made.reach_limit_s = form.reach_limit_s
     place.faults.extend(own.faults)
     return None if own.faults else made

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -25,14 +26,16 @@ from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreada
 from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
-    WEATHER_HELP,
     Delivery,
     SourceFault,
+    SourceKeys,
     SourceState,
     Stream,
     Threaded,
 )
 
+GROWTHS = 16
+"""Growths of a file whose times tell its usual interval."""
 LONGEST_LINE = LARGEST
 """[bytes] of the longest line that is read."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
@@ -118,6 +121,8 @@ class TailedFile(Threaded):
     without a line end is incomplete and waits.
     """
 
+    ordered_by = "position in the file"
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -129,6 +134,7 @@ class TailedFile(Threaded):
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
+        self._grew: deque[float] = deque(maxlen=GROWTHS)
 
     def end_when_read(self) -> None:
         """End at the file's present end instead of following it."""
@@ -157,6 +163,7 @@ class TailedFile(Threaded):
         if offset:
             lines.read_header(file)
         file.seek(offset)
+        read_until = offset
         while not self._ended.is_set():
             line = next_line(file)
             whole = is_whole(line)
@@ -169,6 +176,11 @@ class TailedFile(Threaded):
                     continue
                 return True
             file.seek(offset)
+            if offset > read_until:
+                read_until = offset
+                self._grew.append(time.monotonic())
+                if len(self._grew) > 1:
+                    self.usual_interval_s = float(np.median(np.diff(self._grew)))
             self._ended.wait(PAUSE_S)
             try:
                 now = self.path.stat()
@@ -283,7 +295,7 @@ def delay_and_repeat(
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class FileForm:
+class FileForm(SourceKeys):
     """A [[source]] of `file:PATH`, which is followed as it grows or, with `speed`, played back.
 
     Playback runs at `speed` times real time, with rows delayed up to `late` and a share `repeated` of
@@ -296,7 +308,6 @@ class FileForm:
     late_s: float = setting(0.0, "by which a row may be delayed", read=duration)
     repeated: float = setting(0.0, "share of rows that come twice", least=0.0, most=1.0)
     seed: int = setting(0, "of what is delayed and repeated", least=0)
-    weather: bool = setting(False, WEATHER_HELP)
 
     @across("repeated", "late", "speed")
     def of_playback(self) -> str | None:

@@ -45,6 +45,8 @@ class OpcUa(Threaded):
     qualities count.
     """
 
+    ordered_by = "server time stamp"
+
     def __init__(
         self,
         url: str,
@@ -287,7 +289,7 @@ class OpcUa(Threaded):
         content: JsonObject = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
         if one.quality != "bad":
             content[one.node.field] = self._number(one)
-        return Delivery(content, one.received)
+        return Delivery(content, one.received, mark=one.served)
 
     def _number(self, one: Sample) -> Json:
         """The value if it is a number, 1 or 0 for a boolean of a field with unit "1", else the name of its

@@ -19,7 +19,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import HELD, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import WEATHER_HELP, SourceFault
+from hygrokf.live.sources.stream import SourceFault, SourceKeys
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
@@ -90,7 +90,7 @@ class NodeForm:
 
 
 @dataclass(frozen=True)
-class ServerForm:
+class ServerForm(SourceKeys):
     """A server and its nodes."""
 
     url: str = setting(help="opc.tcp://HOST:PORT/PATH")
@@ -123,7 +123,6 @@ class ServerForm:
 class OpcUaForm(SecurityForm, ServerForm):
     """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
 
-    weather: bool = setting(False, WEATHER_HELP)
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import socket
 from dataclasses import dataclass
 from datetime import UTC
@@ -63,7 +64,7 @@ class Sample:
 
     `time`: stamp [s] of the source, else of the server, None without either; `quality`: "good", "uncertain"
     or "bad" (also for a missing value); `word`: name of the status code; `overflowed`: values before it were
-    lost in the server's queue; `received`: time of arrival [s].
+    lost in the server's queue; `received`: time of arrival [s]; `served`: the server's stamp [s], else NaN.
     """
 
     node: Node
@@ -73,6 +74,7 @@ class Sample:
     word: str
     overflowed: bool
     received: float
+    served: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -118,18 +120,19 @@ def sample_of(node: Node, found: ua.DataValue, received: float) -> Sample:
         quality = "bad"
     elif status is not None and status.is_uncertain():
         quality = "uncertain"
-    stamps = (s for s in (found.SourceTimestamp, found.ServerTimestamp) if s is not None and s.year > 1601)
-    at = next(stamps, None)
-    if at is not None and at.tzinfo is None:
-        at = at.replace(tzinfo=UTC)
+    stated, served = (
+        None if s is None or s.year <= 1601 else s.replace(tzinfo=s.tzinfo or UTC).timestamp()
+        for s in (found.SourceTimestamp, found.ServerTimestamp)
+    )
     return Sample(
         node,
-        None if at is None else at.timestamp(),
+        served if stated is None else stated,
         value,
         quality,
         "Good" if status is None else type(status)(type(status.value)(status.value & 0xFFFF0000)).name,
         status is not None and status.value & 0x0C80 == OVERFLOW,
         received,
+        math.nan if served is None else served,
     )
 
 

@@ -98,7 +98,8 @@ class PayloadMapping:
     weather forecasts, which apply to all turbines unless they name one.  `form`: one of
     `payload_formats.FORMATS`; `records`: path to the records; `tag_pattern`: of tags or, without `tag`, of
     the names of values; `clock`: how times are written; `marks`: of numbers in texts, None where
-    they are not stated; `names`: turbine → its own names of fields.
+    they are not stated; `names`: turbine → its own names of fields; `revision`: which of several values of a
+    stamp counts, "last" or "neither".
     """
 
     fields: Mapping[str, Field]
@@ -117,6 +118,7 @@ class PayloadMapping:
     clock: Clock = STATED_OFFSETS
     marks: Marks | None = None
     names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    revision: str = "last"
     layout: Layout = field(init=False, repr=False, compare=False)
     """The same, prepared for reading."""
 
@@ -132,6 +134,7 @@ class PayloadMapping:
             use_uncertain=use_uncertain,
             turbines=turbines,
             weather=self.weather,
+            revision=self.revision,
         )
 
     @property

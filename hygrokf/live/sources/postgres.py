@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
@@ -25,10 +26,10 @@ from hygrokf.live.sources.endpoint import password_of
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Payload
 from hygrokf.live.sources.stream import (
-    WEATHER_HELP,
     BackOff,
     Delivery,
     SourceFault,
+    SourceKeys,
     SourceState,
     Stream,
     Threaded,
@@ -128,9 +129,12 @@ class PostgresQuery(Threaded):
     The place is type and text of a watermark below which every row is committed.
     """
 
+    ordered_by = "watermark"
+
     def __init__(self, query: Query, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.query = query
+        self.usual_interval_s = query.poll_s
         self.url = query.url
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
@@ -308,7 +312,8 @@ class PostgresQuery(Threaded):
         identity = hash(repr(row))
         if identity in self._seen:
             return
-        put(Delivery(columns.payload(row), time.time(), place=f"{columns.kind} {self._after}"))
+        place = f"{columns.kind} {self._after}"
+        put(Delivery(columns.payload(row), time.time(), place=place, mark=number_of(mark)))
         if len(self._seen) < REMEMBERED:
             self._seen[identity] = mark
 
@@ -358,6 +363,13 @@ def text_of(mark: Watermark) -> str:
     return mark.isoformat() if isinstance(mark, date) else str(mark)
 
 
+def number_of(mark: Watermark) -> float:
+    """A watermark as a finite number that grows with it."""
+    if isinstance(mark, datetime):
+        return mark.replace(tzinfo=mark.tzinfo or UTC).timestamp()
+    return min(float(mark.toordinal() if isinstance(mark, date) else mark), sys.float_info.max)
+
+
 def _plain(value: Any) -> Json:
     """A value of a row as it stands in a payload: times in ISO 8601, exact numbers as floating point."""
     if isinstance(value, date):
@@ -381,7 +393,7 @@ def reason_of(fault: Exception) -> str:
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class PostgresForm:
+class PostgresForm(SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`."""
 
     url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
@@ -395,7 +407,6 @@ class PostgresForm:
     name: str = setting("", "of this query, where a database has several")
     password_file: str = setting("", "file with the password")
     password_env: str = setting("", "environment variable with the password")
-    weather: bool = setting(False, WEATHER_HELP)
 
     @across("url")
     def no_secret(self) -> str | None:

@@ -16,7 +16,7 @@ from typing import IO, Any
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.live.sources.local import LONGEST_LINE, Lines, next_line
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import PAUSE_S, WEATHER_HELP, Delivery, Stream, Threaded
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceKeys, Stream, Threaded
 
 PIECE = 65_536
 """[bytes] read at once."""
@@ -92,11 +92,10 @@ class _Pipe:
 
 
 @dataclass(frozen=True)
-class InputForm:
+class InputForm(SourceKeys):
     """A [[source]] of `stdin`."""
 
     url: str = setting(help="stdin")
-    weather: bool = setting(False, WEATHER_HELP)
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
         """The stream."""

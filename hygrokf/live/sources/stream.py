@@ -7,22 +7,24 @@ store has committed.
 from __future__ import annotations
 
 import logging
+import math
 import random
 import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import MINUTE_S, duration
+from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
 
 LOG = logging.getLogger("hygrokf.track")
-WEATHER_HELP = "whether it brings weather forecasts, not readings"
-"""Help of the key `weather`, which every source has."""
 PAUSE_S = 0.2
 """[s] between two looks at a source that has nothing new."""
 BACK_OFF_S = (1.0, 60.0)
@@ -44,7 +46,7 @@ class Delivery:
     `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
     after this delivery; `memories`: name → JSON data of the source that the store keeps together with this
     delivery and gives back by `Stream.recall`; `token`: the source's receipt, None if there is nothing to
-    acknowledge.
+    acknowledge; `mark`: the source's own number of this version of its values (`Reading.mark`).
     """
 
     content: Content
@@ -53,6 +55,7 @@ class Delivery:
     place: str = ""
     memories: JsonObject = field(default_factory=dict)
     token: Receipt | None = field(default=None, compare=False)
+    mark: float = field(default=math.nan, compare=False)
 
 
 class BackOff:
@@ -99,6 +102,25 @@ class SourceState(NamedTuple):
     words: str
 
 
+REACHED = ("connected", "ended", "stopped")
+"""Words of the states in which a source is reached."""
+INTERVALS = 3.0
+"""Usual intervals of a source, but at least a minute, after which one that is not reached is an alarm."""
+
+
+class Reach(NamedTuple):
+    """Since when [s, this machine's clock] a source is not reached, None while it is; the time [s] after
+    which that is an alarm; and why."""
+
+    since: float | None
+    limit_s: float
+    words: str = ""
+
+    def share(self, now: float) -> float:
+        """The time that it has not been reached at `now` [s] as a multiple of the limit."""
+        return 0.0 if self.since is None else (now - self.since) / self.limit_s
+
+
 class Stream(Protocol):
     """A source of deliveries.
 
@@ -108,7 +130,9 @@ class Stream(Protocol):
     its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
     position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
     `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time
-    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor;
+    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor; `reach`
+    tells since when it is not reached; `reach_limit_s`: the limit [s] that it states; `ordered_by`: what
+    orders the versions of a value;
     `signals` are those of a turbine that the source can deliver; `left` says of turbines that their sender
     has left (turbine -> text).
     """
@@ -117,6 +141,8 @@ class Stream(Protocol):
     mapping: PayloadMapping
     played_back: bool
     label: str
+    ordered_by: str
+    reach_limit_s: float | None
 
     def recall(self, memories: JsonObject) -> None: ...
 
@@ -132,12 +158,30 @@ class Stream(Protocol):
 
     def now(self) -> float: ...
 
+    def reach(self) -> Reach: ...
+
     @property
     def state(self) -> SourceState: ...
 
     def signals(self, turbine: str) -> set[str]: ...
 
     def left(self) -> dict[str, str]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceKeys:
+    """The keys of every [[source]] table, whose form makes its stream."""
+
+    weather: bool = setting(False, "whether it brings weather forecasts, not readings")
+    revision: str = setting("last", "which of several values of a stamp counts", choices=("last", "neither"))
+    reach_limit_s: float | None = setting(
+        None, "after which a source that is not reached is an alarm", read=duration, above=0.0,
+        expected="longer than nothing",
+    )  # fmt: skip
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
+        """The stream; None with faults in `place`."""
+        raise NotImplementedError
 
 
 class Threaded:
@@ -151,6 +195,11 @@ class Threaded:
     url = ""
     played_back = False
     label = ""
+    ordered_by = "arrival"
+    reach_limit_s: float | None = None
+    usual_interval_s = 0.0
+    """[s] after which more comes from the source as a rule, if that is known."""
+    _unreached: float | None = None
 
     def __init__(self, mapping: PayloadMapping, clock: Callable[[], float] = time.time) -> None:
         self.mapping = mapping
@@ -210,6 +259,16 @@ class Threaded:
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""
         return self.clock()
+
+    def reach(self) -> Reach:
+        """Since when the source is not reached, whatever its state is called: seen whenever it is asked."""
+        word, words = self.state
+        if word in REACHED:
+            self._unreached = None
+        elif self._unreached is None:
+            self._unreached = self.clock()
+        limit_s = self.reach_limit_s or max(MINUTE_S, INTERVALS * self.usual_interval_s)
+        return Reach(self._unreached, limit_s, words)
 
     def stop(self) -> None:
         self._ended.set()

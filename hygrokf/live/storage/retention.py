@@ -75,7 +75,9 @@ def prune(store: Store, turbine: str, before: float, needed: float, most: int = 
             until = min(limit, edges[-1][0]) if edges else limit
             same = {"turbine": turbine, "signal": signal}
             count += _bite(store, cursor, "observation", same, "time", until, most - count)
-        for table, column in (("estimate", "time"), ("property", "time"), ("alarm", "ended")):
+        for table, column in (
+            ("revision", "time"), ("estimate", "time"), ("property", "time"), ("alarm", "ended"),
+        ):  # fmt: skip
             count += _bite(store, cursor, table, {"turbine": turbine}, column, limit, most - count)
     return count
 

@@ -15,6 +15,7 @@ from hygrokf.live.condition import QUANTITIES, Z95
 
 TIMESTAMPS: Mapping[str, tuple[str, ...]] = {
     "observation": ("time", "received"),
+    "revision": ("time", "received"),
     "held": ("time", "received"),
     "weather": ("time", "received"),
     "estimate": ("time",),
@@ -64,6 +65,7 @@ def _as_timestamps() -> tuple[str, ...]:
         f"ALTER TABLE {table} "
         + ", ".join(f"ALTER {name} TYPE TIMESTAMPTZ USING to_timestamp({name})" for name in columns)
         for table, columns in TIMESTAMPS.items()
+        if table != "revision"  # made later, with the types of then
     )
     return *merged, *changed
 
@@ -244,11 +246,24 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
         "CREATE INDEX outbox_by_due ON outbox (sent, due)",
     ),
     (),
+    (
+        "ALTER TABLE observation ADD COLUMN mark DOUBLE PRECISION",
+        "ALTER TABLE held ADD COLUMN mark DOUBLE PRECISION",
+        "ALTER TABLE held RENAME TO held_once",
+        "CREATE TABLE held AS SELECT * FROM held_once",
+        "DROP TABLE held_once",
+        "CREATE UNIQUE INDEX held_by_value ON held (turbine, signal, time, value)",
+        """CREATE TABLE revision AS
+            SELECT turbine, signal, time, value, received, mark, late, 0 AS number
+            FROM observation WHERE 1 = 0""",
+        "CREATE UNIQUE INDEX revision_by_value ON revision (turbine, signal, time, value)",
+        "CREATE INDEX revision_by_time ON revision (turbine, time)",
+    ),
 )
 """One tuple of statements per version that create and change tables, from 1 on; a released version is never
 changed, only followed by another.  Version 2 added the views; version 3 states, held readings, shelves,
 events and notices; version 4 rounds times to microseconds, and makes timestamps of them where the database
-has them (`Dialect.migrations`).
+has them (`Dialect.migrations`); version 5 keeps every version of a value.
 
 A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and an ALTER TABLE here.
 """
@@ -292,7 +307,7 @@ VIEWS = {
 """View -> its query; a view stands after those that it uses.  A migration drops and creates all views."""
 TABLES = (
     "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory",
-    "counter", "source", "claim", "held", "assessment", "shelf", "event", "outbox",
+    "counter", "source", "claim", "held", "assessment", "shelf", "event", "outbox", "revision",
 )  # fmt: skip
 """All tables except the one that records the schema's version."""
 

@@ -31,7 +31,7 @@ from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite
-from hygrokf.live.tracker import Point, Reading
+from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
 ESTIMATE_COLUMNS = (
     "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
@@ -45,7 +45,7 @@ WITH RECURSIVE known (signal) AS (
     FROM known WHERE known.signal IS NOT NULL)
 """
 _READINGS = f"""{_SIGNALS}
-SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
+SELECT o.signal, o.time, o.value, o.mark, o.contradicted FROM known CROSS JOIN observation o
 WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
     (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
     AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
@@ -55,8 +55,11 @@ ORDER BY o.signal, o.time
 """Query of `Store.readings`: one index lookup per signal, however long the history is."""
 FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
+ASKED = 500
+"""Stamps asked for in one query."""
 FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
 READING_COLUMNS = ("turbine", "signal", "time", "value", "received")
+MARKED_COLUMNS = (*READING_COLUMNS, "mark")
 PROPERTY_COLUMNS = (
     "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
 )  # fmt: skip
@@ -104,27 +107,29 @@ class Store:
     def commit(self, batch: Batch) -> None:
         """Write a batch completely or not at all."""
         with self.transaction() as cursor:
-            self._write_observations(cursor, batch)
-            self._write_estimates(cursor, batch)
-            self._write_findings(cursor, batch)
-            self._write_memories(cursor, batch)
-            self._write_forecasts(cursor, batch)
+            self.write(cursor, batch)
+
+    def write(self, cursor: Cursor, batch: Batch) -> None:
+        """Write a batch within a transaction."""
+        self._write_observations(cursor, batch)
+        self._write_estimates(cursor, batch)
+        self._write_findings(cursor, batch)
+        self._write_memories(cursor, batch)
+        self._write_forecasts(cursor, batch)
 
     def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
-        """Write readings and filter points; a reading that differs from a stored one marks that as
-        contradicted."""
+        """Write readings and filter points; of a stamp with several values the one that counts is written,
+        and every version is kept beside it."""
         self._many(
             cursor,
-            inserting("observation", (*READING_COLUMNS, "late", "contradicted"))
-            + " ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
-            "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted "
-            "ELSE 1 END",
-            [(*_reading_row(one), int(one.late), 0) for one in batch.observations],
+            inserting("observation", (*MARKED_COLUMNS, "late", "contradicted")) + " ON CONFLICT DO NOTHING",
+            [(*_marked_row(one), int(one.late), 0) for one in batch.observations if not one.revision],
         )
+        self._write_revisions(cursor, [one for one in batch.observations if one.revision])
         self._many(
             cursor,
-            replacing("held", READING_COLUMNS, key=READING_COLUMNS[:3]),
-            [_reading_row(one) for one in batch.held],
+            inserting("held", MARKED_COLUMNS) + " ON CONFLICT DO NOTHING",
+            [_marked_row(one) for one in batch.held],
         )
         self._many(
             cursor,
@@ -136,6 +141,37 @@ class Store:
             replacing("point", ("turbine", "time", "state"), key=("turbine",)),
             [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
         )
+
+    def _write_revisions(self, cursor: Cursor, revisions: Sequence[Observation]) -> None:
+        """Add versions of values to those of their stamps, and use those that count and come in time."""
+        stamps: dict[str, list[tuple[str, float]]] = {}
+        for one in revisions:
+            stamps.setdefault(one.turbine, []).append((one.reading.signal, one.reading.time))
+        known = {turbine: self.versions(turbine, own) for turbine, own in stamps.items()}
+        columns = (*MARKED_COLUMNS, "late", "number")
+        names = ", ".join(columns[:-1])
+        first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
+        first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
+        self._many(cursor, first, [_reading_row(one)[:3] for one in revisions])
+        added = self._text(inserting("revision", columns) + " ON CONFLICT DO NOTHING")
+        for one in revisions:
+            versions = known[one.turbine][one.reading.signal, one.reading.time]
+            cursor.execute(added, (*_marked_row(one), int(one.late), len(versions)))
+            versions.append(one.reading)
+            if not one.late:
+                self.use(cursor, one.turbine, versions)
+
+    def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
+        """Let the version of a stamp that counts be the observation."""
+        value, first = used_value(versions), versions[0]
+        statement = self._text(
+            "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, r.received, "
+            "r.mark FROM revision r WHERE r.turbine = observation.turbine AND r.signal = observation.signal "
+            "AND r.time = observation.time AND r.value = ?) WHERE turbine = ? AND signal = ? AND time = ?"
+        )
+        none = math.isnan(value)
+        used = first.value if none else value
+        cursor.execute(statement, (int(none), used, turbine, first.signal, first.time))
 
     def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
         """Write estimates in place of the provisional ones."""
@@ -311,18 +347,48 @@ class Store:
         The value is NaN where two readings contradict each other.
         """
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
-        return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
+        return [_reading(s, at, math.nan if wrong else value, mark) for s, at, value, mark, wrong in found]
+
+    def versions(self, turbine: str, stamps: Iterable[tuple[str, float]]) -> Versions:
+        """The versions of the values of some stamps (signal, time [s]), but for those that are not known."""
+        found: Versions = {}
+        ordered = sorted(stamps, key=lambda stamp: stamp[1])
+        for first in range(0, len(ordered), ASKED):
+            part = ordered[first : first + ASKED]
+            rows = self.rows(
+                "SELECT signal, time, value, mark FROM observation WHERE turbine = ? AND (signal, time) IN "
+                f"(VALUES {', '.join(['(?, TIME(?))'] * len(part))})",
+                [turbine, *(one for stamp in part for one in stamp)],
+            )
+            found |= {(one[0], one[1]): [_reading(*one)] for one in rows}
+        revised = self.revised(turbine, ordered[0][1]) if found else {}
+        return found | {stamp: known for stamp, known in revised.items() if stamp in found}
+
+    def revised(self, turbine: str, since: float = -math.inf) -> Versions:
+        """The versions of all stamps from `since` [s] on that had several values."""
+        found: Versions = {}
+        rows = self.rows(
+            "SELECT signal, time, value, mark FROM revision WHERE turbine = ? AND time >= ? "
+            "ORDER BY signal, time, number",
+            (turbine, since),
+        )
+        for signal, at, value, mark in rows:
+            found.setdefault((signal, at), []).append(_reading(signal, at, value, mark))
+        return found
 
     def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
         """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
         `until` [s], by time."""
         where = "" if turbine is None else " AND turbine = ?"
         found = self.rows(
-            f"SELECT {', '.join(READING_COLUMNS)} FROM held WHERE time <= ?{where} "
-            "ORDER BY time, turbine, signal",
+            f"SELECT {', '.join(MARKED_COLUMNS)} FROM held WHERE time <= ?{where} "
+            "ORDER BY time, turbine, signal, received",
             (until,) if turbine is None else (until, turbine),
         )
-        return [Observation(name, Reading(s, at, value), received) for name, s, at, value, received in found]
+        return [
+            Observation(name, _reading(s, at, value, mark), received)
+            for name, s, at, value, received, mark in found
+        ]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
         """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
@@ -379,12 +445,12 @@ class Store:
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of some signals from `since` to `until` [s], sorted by signal and
-        time."""
+        """(signal, time [s], value) of some signals from `since` to `until` [s] that the filter used, sorted
+        by signal and time."""
         return self.rows(
             "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
-            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY "
-            "signal, time",
+            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 "
+            "AND late = 0 ORDER BY signal, time",
             (turbine, *signals, since, until),
         )
 
@@ -447,6 +513,16 @@ def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequ
 def _reading_row(one: Observation) -> Row:
     """The row of a reading, in the order of `READING_COLUMNS`."""
     return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
+
+
+def _marked_row(one: Observation) -> Row:
+    """The row of a reading, in the order of `MARKED_COLUMNS`."""
+    mark = one.reading.mark
+    return (*_reading_row(one), None if math.isnan(mark) else mark)
+
+
+def _reading(signal: str, time: float, value: float, mark: float | None) -> Reading:
+    return Reading(signal, time, value, math.nan if mark is None else mark)
 
 
 def state_text(state: Gaussian) -> str:

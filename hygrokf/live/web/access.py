@@ -33,7 +33,7 @@ GUESSES_S = 300.0
 look."""
 ADDRESSES = 1000
 """Number of addresses whose wrong tokens are remembered."""
-OPEN = ("/", "/healthz", "/api/login")
+OPEN = ("/", "/healthz", "/readyz", "/api/login")
 """Paths that need no token, because they reveal nothing about a turbine."""
 READING = ("GET", "HEAD")
 """Methods that change nothing."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 import logging
 import math
 import os
+import time
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +46,8 @@ LOG = logging.getLogger("hygrokf.page")
 STATIC = Path(__file__).parent / "static"
 DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""
+LOOP_S = 300.0
+"""[s] that one round of the tracker may take before it counts as stuck."""
 KEPT_S = 10.0
 """[s] after which the fleet's rows are read again even without a change."""
 
@@ -103,6 +107,7 @@ class Page:
             Route("/events", EventStream(self.hub)),
             Route("/metrics", self.metrics),
             Route("/healthz", self.healthz),
+            Route("/readyz", self.readyz),
         ]
         made = Starlette(
             routes=routes,
@@ -174,7 +179,7 @@ class Page:
                 for one in self.service.channels
             ],
         }
-        return reply({**own, **health_view(self._sources(), self.service.health, counters)})
+        return reply({**own, **health_view(self.service.streams, self.service.health, counters)})
 
     def _sources(self) -> dict[str, SourceState]:
         return {url: one.state for url, one in self.service.streams.items()}
@@ -206,30 +211,44 @@ class Page:
             )
         except StoreFault:
             rows, counters, alarms, told = None, {}, [], {}
-        sources, clients = self._sources(), len(self.hub)
+        sources, reaches, clients = self._sources(), self.service.reaches(), len(self.hub)
         notices = {one.name: told.get(one.name, 0) for one in self.service.channels}
         text, kind = exposition(
-            Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices)
+            Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices, reaches)
         )
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:
-        """200 while readings can become estimates, else 503 with a reason that reveals no location and no
-        turbine.
+        """200 while the tracker's loop and store work, else 503: then restarting it may help.
 
         It waits neither for other requests nor for the threads that answer them.
         """
-        fault = ""
-        states = [state for state, _ in self._sources().values()]
+        return self._said(await self._fault())
+
+    async def readyz(self, request: Request) -> Response:
+        """200 while readings can become estimates, else 503: also while a source has not been reached for
+        longer than its limit."""
+        now = self.service.now
+        beyond = sum(one.share(now) >= 1.0 for one in self.service.reaches().values())
+        sources = f"{beyond} of {len(self.service.streams)} sources are not reached" if beyond else ""
+        return self._said(await self._fault() or sources)
+
+    def _said(self, fault: str) -> Response:
+        """The answer to a machine, with the number of sources in each state; it reveals no location and no
+        turbine."""
+        states = Counter(one.state.word for one in self.service.streams.values())
+        body = {"fault": fault} if fault else {"ok": True}
+        return reply({**body, "sources": states}, status=503 if fault else 200)
+
+    async def _fault(self) -> str:
+        """Why loop or store do not work; empty if they do."""
         if self.service.ending.is_set():
-            fault = "the tracker is ending"
-        elif self.service.health.store:
-            fault = "the tracker cannot reach its store"
-        elif states and all(state == "lost" for state in states):
-            fault = "every source is lost"
-        else:
-            fault = await self.answers.fault()
-        return refusal(503, fault) if fault else reply({"ok": True})
+            return "the tracker is ending"
+        if self.service.health.store:
+            return "the tracker cannot reach its store"
+        if time.monotonic() - self.service.health.looped > LOOP_S:
+            return f"the tracker's loop has not gone round for {LOOP_S:g} s"
+        return await self.answers.fault()
 
 
 def open_alarms(store: Store) -> int:

@@ -36,7 +36,7 @@ REQUESTS = 500
 """Largest number of requests that are answered at the same time; further ones are told to retry."""
 SWEEP_S = 0.5
 """[s] between two searches for connections that have waited too long."""
-HEALTH = "/healthz"
+HEALTH = ("/healthz", "/readyz")
 EVENTS = "/events"
 Peer = tuple[str, int]
 """A client's address and port."""
@@ -104,7 +104,7 @@ class Connections:
 
         async def limited(scope: Scope, receive: Receive, send: Send) -> None:
             host, port = scope["client"] or ("", 0)
-            if self.busy >= REQUESTS and scope["path"] != HEALTH:
+            if self.busy >= REQUESTS and scope["path"] not in HEALTH:
                 await answer(headed(send), 503, "too many requests at a time", {"Retry-After": "10"})
                 return
             held = self._waiting.pop((host, port), None)

@@ -19,7 +19,7 @@ from hygrokf.live.alarms import CLOCK, LOST, RULES
 from hygrokf.live.batch import STATES as TURBINE_STATES
 from hygrokf.live.batch import Alarm
 from hygrokf.live.service import WAITS_S, Health
-from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.sources.stream import Reach, SourceState
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.page_settings import NEEDED, PageFault
 from hygrokf.live.web.views import FleetRow
@@ -37,7 +37,7 @@ class Snapshot:
 
     `now` [s]; `clients`: number of pages that are notified of changes; `fleet`: rows of `fleet_view`, None if
     the store cannot be reached; `alarms` that are open; `counters`: (turbine, kind) → count;
-    `notices`: channel → notices that are not sent yet.
+    `notices`: channel → notices that are not sent yet; `reaches` of the sources.
     """
 
     now: float
@@ -48,6 +48,7 @@ class Snapshot:
     alarms: Sequence[Alarm]
     counters: Mapping[tuple[str, str], int]
     notices: Mapping[str, int] = field(default_factory=dict)
+    reaches: Mapping[str, Reach] = field(default_factory=dict)
 
 
 def exposition(found: Snapshot) -> tuple[bytes, str]:
@@ -115,6 +116,13 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
         "Time from a source's newest reading to its arrival, of the last delivery with readings",
         labels=["source"],
     )
+    silent = GaugeMetricFamily(
+        "hygrokf_source_not_reached_ratio",
+        "Time that a source has not been reached, as a multiple of its limit",
+        labels=["source"],
+    )
+    for url, reach in found.reaches.items():
+        silent.add_metric([url], reach.share(found.now))
     for url, (word, _) in found.sources.items():
         for one in dict.fromkeys((*SOURCE_STATES, word)):
             state.add_metric([url, one], int(one == word))
@@ -123,7 +131,7 @@ def _sources(found: Snapshot) -> Iterator[Metric]:
             last.add_metric([url], times.committed)
             if times.lag_s is not None:
                 lag.add_metric([url], times.lag_s)
-    yield from (state, last, lag)
+    yield from (state, last, lag, silent)
 
 
 def _notices(waiting: Mapping[str, int]) -> Metric:

@@ -24,7 +24,7 @@ from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health, SourceTimes
-from hygrokf.live.sources.stream import SourceState
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import ALARM_COLUMNS, Store
 from hygrokf.live.web.signal_rows import SignalRow, signal_rows
@@ -202,7 +202,8 @@ class SourceRow(TypedDict):
     """A source with its state in one word and its explanation.
 
     `heard`: when its last message was committed [s], None if none was; `lag`: time [s] from its newest
-    reading to its arrival.
+    reading to its arrival; `not_reached`: since when [s] it is not reached, None while it is; `ordered_by`:
+    what orders the versions of a value.
     """
 
     url: str
@@ -210,6 +211,8 @@ class SourceRow(TypedDict):
     words: str
     heard: float | None
     lag: float | None
+    not_reached: float | None
+    ordered_by: str
 
 
 class HealthView(TypedDict):
@@ -556,22 +559,25 @@ def _thin(rows: Sequence[T]) -> Sequence[T]:
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
-def _source(url: str, state: SourceState, times: SourceTimes | None) -> SourceRow:
+def _source(one: Stream, times: SourceTimes | None) -> SourceRow:
+    state = one.state
     return {
-        "url": url,
+        "url": one.url,
         "state": state.word,
         "words": state.words,
         "heard": None if times is None else times.committed,
         "lag": None if times is None else times.lag_s,
+        "not_reached": None if one.played_back else one.reach().since,
+        "ordered_by": "nothing: neither counts" if one.mapping.revision == "neither" else one.ordered_by,
     }
 
 
 def health_view(
-    streams: Mapping[str, SourceState], health: Health, counters: Mapping[tuple[str, str], int]
+    streams: Mapping[str, Stream], health: Health, counters: Mapping[tuple[str, str], int]
 ) -> HealthView:
     """State of sources and store, and counts of refused deliveries that belong to no turbine."""
     return {
-        "sources": [_source(url, state, health.sources.get(url)) for url, state in streams.items()],
+        "sources": [_source(one, health.sources.get(url)) for url, one in streams.items()],
         "store": health.store,
         "deliveries": health.deliveries,
         "committed": health.committed_s,

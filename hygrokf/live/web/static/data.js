@@ -26,7 +26,7 @@ export class Data {
     this.store.replaceChildren(`${whole(found.deliveries)} deliveries since the tracker started`, ...since, ".", wait);
     if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store cannot be reached: ${found.store}`));
     this.none.hidden = found.sources.length > 0;
-    this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.state === "lost" ? "lost" : null },
+    this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.not_reached === null ? null : "lost" },
       make("th", { scope: "row" }, one.url), make("td", { class: "word" }, one.state),
       make("td", { class: "word" }, ...(one.heard === null ? ["never"] : [age(one.heard), " ago"])),
       make("td", { class: "word" }, one.lag === null ? "–" : span(one.lag)),

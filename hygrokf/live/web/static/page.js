@@ -110,7 +110,7 @@ async function health() {
   try {
     const found = await ask("health");
     count("open-alarms", found.open_alarms, "open");
-    count("lost-sources", found.sources.filter((one) => one.state === "lost").length, "lost");
+    count("lost-sources", found.sources.filter((one) => one.not_reached !== null).length, "not reached");
     if (openAlarms !== null && found.open_alarms > openAlarms) say(part("said"), `${found.open_alarms} alarms are open`);
     openAlarms = found.open_alarms;
     heard = found.heard;

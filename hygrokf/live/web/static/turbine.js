@@ -30,7 +30,9 @@ const PROPERTIES = {
 };
 const NOT_USED = {
   late: "came too late to be used",
-  repeated: "came more than once",
+  repeated: "came again with the same value",
+  revised: "came with another value for the same time; the last one is used",
+  "revised late": "came with another value after the estimate was final; it is used once the store is filtered anew",
   contradicting: "had the same time and different values; none is used",
   "bad quality": "were marked as bad by the source",
   "ambiguous quality": "had a quality whose vocabulary is not stated",

@@ -9,8 +9,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
+from hygrokf.data.clocks import Shift, cabinet_moved, shifted, sources, turns_within
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.discovery.clocks import Shift, cabinet_moved, shifted, sources, summer_time, turns_within
+from hygrokf.data.timestamps import summer_time
 from hygrokf.discovery.held_out import difference_bounds
 
 HOUR_S = 3600.0

@@ -1,0 +1,380 @@
+"""Alternative readings of a record's files, and those that the record prefers to what is declared.
+
+Clocks are scored by the lag models of the cabinet (`lag_model`), every shift of every source at once; units,
+columns and decimal marks by `levels`, and by the lag models where these tell.  A row is named where it beats
+the declaration beyond chance.
+
+The models know one lag.  Where a cabinet seems to follow its surroundings too late, a chain of lags explains
+it as well as a clock does, so a second witness is needed: power, whose steps are sharp, vapour, which has a
+lag of its own, or the sun.  Where a cabinet seems to lead its surroundings, none is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hygrokf.cases.levels import Alternative, surprise, value_alternatives
+from hygrokf.data.clocks import Shift, in_america, shifted, source_of, sources
+from hygrokf.data.input_paths import centred
+from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
+from hygrokf.estimation.lag_model import (
+    LAGS_H,
+    QUARTER_S,
+    REACH,
+    Move,
+    Relation,
+    declared,
+    fitted,
+    relations,
+    shift_logliks,
+)
+from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, signed
+
+LEAST_S = 2700.0
+"""[s] smaller shifts are no clock's: response times, or the sun on a sensor."""
+OF_STEP = 0.85
+"""Shift, as a share of a step or interval, that the place of a stamp in it can look like."""
+APART = 4
+"""Quarters of an hour between a shift and those that it must beat."""
+SEPARATION = 5.0
+"""Standard errors, by days, by which a clock must win: hundreds of shifts are tried, with a rough model."""
+BEHIND = 3.0
+"""Standard errors by which another source must lose for one clock alone to be named."""
+WITNESS = 12.0
+"""[ln L] by which a witness must prefer the shift."""
+ODDS = 8.0
+"""[ln L] by which a unit, a column or a decimal mark must win."""
+SYSTEMATIC = 6.0
+"""[ln L] that the lag models may add to levels at most: no enclosure is as simple as they are."""
+FEWEST_D = 14
+"""Days to which a shift must apply; it must win in each quarter of them."""
+NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An alternative that the record prefers to what is declared.
+
+    gain: [ln L] ahead of the declaration. separation: of the gain, or of the lead over shifts an hour away if
+    that is less, in standard errors by days. witnesses: what shows it. verdict: "named"; "clock_or_wall": a
+    chain of lags explains it as well; "either_clock": so does the `rival`.
+    """
+
+    alternative: Alternative
+    gain: float
+    separation: float
+    witnesses: tuple[str, ...] = ()
+    verdict: str = NAMED
+    rival: Alternative | None = None
+
+    def sentence(self) -> str:
+        """The finding in words, with the line that corrects it."""
+        one, other = self.alternative, self.rival
+        shown = f" ({' and '.join(self.witnesses)}; {self.gain:.0f} in ln L)" if self.witnesses else ""
+        text = f"{one.name}{shown}: if so, {one.line}"
+        if self.verdict == WALL:
+            return (
+                f"clock, or a heavy wall: {text}; a second witness is missing (power, humidity, or the sun)"
+            )
+        return text if other is None else f"{text}; or {other.name}: then {other.line}"
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What a record says of its alternative readings, and what it cannot tell, in sentences."""
+
+    findings: tuple[Finding, ...] = ()
+    untold: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """A correction of a source's stamps [quarters of an hour], `more` of them in summer, and its gain.
+
+    between: [quarters of an hour] from the best shift of the grid to the top of the parabola through it.
+    """
+
+    source: str
+    quarters: int
+    more: int = 0
+    gain: float = 0.0
+    between: float = 0.0
+
+    @property
+    def seasons(self) -> tuple[int, int]:
+        """The corrections in winter and in summer."""
+        return self.quarters, self.quarters + self.more
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """ln L of all shifts in one relation; `days` (N,) counts days from the record's first."""
+
+    relation: Relation
+    summer: np.ndarray
+    days: np.ndarray
+    logliks: Mapping[Move, np.ndarray]
+
+    def move(self, source: str) -> tuple[frozenset[str], int]:
+        """The inputs that move with a source; for the cabinet's source all others, the other way (−1)."""
+        inputs = frozenset(s for s, clock in self.relation.sources.items() if clock == source)
+        own = source == self.relation.source
+        return (frozenset(self.relation.inputs) - inputs, -1) if own else (inputs, 1)
+
+    def gains(self, inputs: frozenset[str], sign: int, more: int = 0) -> np.ndarray:
+        """Gain in ln L (K,) of each shift."""
+        there = self.logliks.get((inputs, sign * more))
+        if there is None:
+            return np.zeros(2 * REACH + 1)
+        return there.max(axis=1)[::sign] - self.logliks[inputs, 0][REACH].max()
+
+    def by_day(self, shift: _Shift, count: int) -> np.ndarray:
+        """ln L (count,) of each day with a shift, its parameters estimated anew."""
+        inputs, sign = self.move(shift.source)
+        move, quarters = (inputs, sign * shift.more), sign * shift.quarters
+        if move not in self.logliks:  # nothing of this relation moves
+            move, quarters = next(one for one in self.logliks if one[1] == 0), 0
+        lag_h = LAGS_H[int(self.logliks[move][REACH + quarters].argmax())]
+        each = fitted(self.relation, lag_h, move, quarters, self.summer)[1]
+        return np.bincount(self.days, each, minlength=count)
+
+    def days_apart(self, one: _Shift, other: _Shift, count: int) -> np.ndarray:
+        """Whether two shifts differ on a day (count,) that is compared."""
+        winter, summer = (
+            a != b or (a != 0 and one.source != other.source)
+            for a, b in zip(one.seasons, other.seasons, strict=True)
+        )
+        apart = np.where(self.summer, summer, winter) & self.relation.rows
+        return np.bincount(self.days, apart, minlength=count) > 0.0
+
+
+def alternative_readings(record: Record) -> Readings:
+    """The clock and the other reading that a record prefers to what is declared, if any."""
+    found = relations(record)
+    if not found:
+        return Readings(_values(record), ("clocks: fewer than 14 days in common to tell whether they agree",))
+    scans = [_scanned(one, record) for one in found]
+    clocks, untold = _clocks(record, scans, solar_lag(record))
+    return Readings((*clocks, *_values(record)), untold)
+
+
+def _scanned(relation: Relation, record: Record) -> _Scan:
+    """The shifts of every source, and of the power alone, in one relation."""
+    summer = summer_time(relation.time, in_america(record))
+    turns = min(summer[relation.rows].sum(), (~summer)[relation.rows].sum()) * relation.every
+    extra = (0, -4, 4) if turns >= 3 * 96 else (0,)
+    empty = _Scan(relation, summer, np.zeros(0), {})
+    names = {relation.source, *relation.sources.values()}
+    groups = {_POWER & frozenset(relation.inputs), *(empty.move(name)[0] for name in names)}
+    moves: set[Move] = {(group, more) for group in groups if group for more in extra}
+    days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
+    return _Scan(relation, summer, days, shift_logliks(relation, declared(relation)[0], moves, summer))
+
+
+_POWER = frozenset({"active_power"})
+
+
+def _clocks(
+    record: Record, scans: Sequence[_Scan], sun_s: float | None
+) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+    """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
+    names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
+    lit = source_of(record[_LIGHT]) if sun_s is not None else None
+    profiles = {
+        (name, more): np.sum([scan.gains(*scan.move(name), more) for scan in scans], axis=0)
+        for name in names
+        for more in (0, -4, 4)
+    }
+    best, untold = [], []
+    for name in names:
+        rows = [(name, more) for more in (0, -4, 4)]
+        steady, _, _ = (_highest(profiles[row], *row) for row in rows)
+        near = np.abs(np.arange(-REACH, REACH + 1) - steady.quarters) < APART
+        if profiles[name, 0][~near].max() > steady.gain - WITNESS:
+            untold.append(f"the record cannot tell whether the clock of {name} is right within an hour")
+        if name != lit or sun_s is None or abs(sun_s) > TOLERANCE_S:  # the sun knows better
+            best += [_highest(profiles[row], *row) for row in rows]
+    for shift in sorted(best, key=lambda one: (-round(one.gain, 3), one.source != lit))[:3]:
+        finding = _judged(record, scans, profiles, shift, best, sun_s if shift.source == lit else None)
+        if finding is not None:
+            return (finding,), tuple(untold)
+    return (), tuple(untold)
+
+
+def _highest(profile: np.ndarray, name: str, more: int, apart_from: int | None = None) -> _Shift:
+    """The shift of a profile (K,) that gains most, among those at least an hour from another one."""
+    shifts = np.arange(-REACH, REACH + 1)
+    open_ = np.ones(len(shifts), bool) if apart_from is None else np.abs(shifts - apart_from) >= APART
+    place = int(np.where(open_, profile, -np.inf).argmax())
+    before, at, after = profile[np.clip((place - 1, place, place + 1), 0, len(profile) - 1)]
+    bend = before - 2.0 * at + after
+    between = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
+    return _Shift(name, int(shifts[place]), more, float(at), between)
+
+
+def _judged(
+    record: Record,
+    scans: Sequence[_Scan],
+    profiles: Mapping[tuple[str, int], np.ndarray],
+    shift: _Shift,
+    best: Sequence[_Shift],
+    sun_s: float | None,
+) -> Finding | None:
+    """The finding of a shift that wins beyond chance, or None."""
+    row = shift.source, shift.more
+    largest = max(shift.seasons, key=abs)
+    if abs(largest) * QUARTER_S < _least_s(record, shift.source):
+        return None
+    rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
+    if shift.more:
+        rivals.append(_highest(profiles[shift.source, 0], shift.source, 0))
+    separation = min(_lead(scans, shift, rival) for rival in rivals)
+    if separation < SEPARATION:
+        return None
+    witnesses = _witnesses(scans, shift, sun_s)
+    found = Finding(_clock(record, shift), shift.gain, separation, witnesses)
+    late = max(sign * largest for inputs, sign in (one.move(shift.source) for one in scans) if inputs)
+    if late > 0 and not set(witnesses) - {"temperature"}:
+        return replace(found, verdict=WALL)
+    others = [one for one in best if one.source != shift.source and "the sun" not in witnesses]
+    other = max(others, key=lambda one: one.gain, default=None)
+    if other is not None and _lead(scans, shift, other) < BEHIND:
+        return replace(found, verdict=EITHER, rival=_clock(record, other))
+    return found
+
+
+def _lead(scans: Sequence[_Scan], shift: _Shift, rival: _Shift) -> float:
+    """By how many standard errors a shift beats another one over the days on which they differ; −inf unless
+    it wins in each quarter of these."""
+    count = 1 + max(int(scan.days.max()) for scan in scans)
+    apart = np.any([scan.days_apart(shift, rival, count) for scan in scans], axis=0)
+    each = sum(scan.by_day(shift, count) - scan.by_day(rival, count) for scan in scans)[apart]
+    if len(each) < FEWEST_D or min(part.sum() for part in np.array_split(each, 4)) <= 0.0:
+        return -math.inf
+    return _standard_errors(each)
+
+
+def _standard_errors(each: np.ndarray) -> float:
+    """Sum of differences by day (D,) in standard errors."""
+    spread = math.sqrt(len(each) * each.var()) if len(each) else 0.0
+    return float(each.sum()) / spread if spread > 0.0 else 0.0
+
+
+def _least_s(record: Record, source: str) -> float:
+    """The smallest shift [s] of a source that is a clock's."""
+    moving = [one for one in record.series if source_of(one) == source or one.signal.startswith("cabinet_")]
+    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
+    return max([LEAST_S, *(OF_STEP * step for step in steps)])
+
+
+def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tuple[str, ...]:
+    """What prefers a shift by itself."""
+    found = []
+    for scan in scans:
+        inputs, sign = scan.move(shift.source)
+        for name, group in ((scan.relation.name, inputs), ("power", _POWER & inputs)):
+            if group and scan.gains(group, sign, shift.more)[REACH + shift.quarters] > WITNESS:
+                found.append(name)
+    if sun_s is not None and abs(shift.quarters * QUARTER_S + sun_s) <= 2.0 * TOLERANCE_S:
+        found.append("the sun")
+    return tuple(found)
+
+
+def _clock(record: Record, shift: _Shift) -> Alternative:
+    """The row of a shift, with the line that corrects it."""
+    winter = rounded(QUARTER_S * (shift.quarters + shift.between))
+    summer = winter + QUARTER_S * shift.more
+    south = record.site is not None and record.site.latitude_deg < 0.0
+    steps = [Shift(shift.source, winter)] * (winter != 0.0)
+    steps += [Shift(shift.source, summer - winter, summer=True)] * (shift.more != 0)
+    if shift.more:
+        name = f"the clock of {shift.source} seems {pace(winter)} in winter and {pace(summer)} in summer"
+        line = f"its stamps need {season_remedy(winter, summer, south)}"
+    else:
+        name = f"the clock of {shift.source} seems {pace(winter)}"
+        line = f'state clock_correction = "{signed(winter).replace(" ", "")}" in that source'
+    kind, signals = "summer_time" if shift.more else "clock", sources(record).get(shift.source, ())
+    return Alternative(kind, name, line, signals, partial(_corrected, tuple(steps)), tuple(steps))
+
+
+def _corrected(steps: Sequence[Shift], record: Record) -> Record:
+    return shifted(record, *steps)
+
+
+# -- units, columns, decimal marks ---------------------------------------------------------------------------
+def _values(record: Record) -> tuple[Finding, ...]:
+    """The reading of other units, columns or decimal marks that is likelier by far, if any."""
+    if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
+        return ()
+    usual, best = surprise(record), None
+    for row in value_alternatives(record):
+        try:
+            other = row.reading(record)
+        except ValueError:  # readings that no such signal can have
+            continue
+        levels = usual - surprise(other)
+        if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
+            continue
+        lead = _told(record, other)
+        gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
+        if gain >= ODDS and (best is None or gain > best.gain):
+            best = Finding(row, gain, lead, ("levels",))
+    return () if best is None else (best,)
+
+
+def _told(record: Record, other: Record) -> float:
+    """How much more the inputs tell of the cabinet in another reading, in standard errors by days."""
+    each = _information(other) - _information(record)
+    return _standard_errors(each[np.abs(each) > 1e-9])
+
+
+def _information(record: Record) -> np.ndarray:
+    """ln L by day (D,) that the inputs add to the cabinet's own past."""
+    found = np.zeros(int((record.end_s - record.start_s) / DAY_S) + 2)
+    for relation in relations(record):
+        told = declared(relation)[1] - fitted(replace(relation, inputs={}), LAGS_H[0])[1]
+        days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
+        found += np.bincount(days, told, minlength=len(found))
+    return found
+
+
+# -- the sun -------------------------------------------------------------------------------------------------
+_LIGHT = "global_horizontal_irradiance"
+
+
+def solar_lag(record: Record) -> float | None:
+    """Time from solar noon at the site to the middle of a day's radiation by its stamps [s]; None without
+    site or radiation, or with less than 20 days of it.
+
+    The equation of time is the usual three-term approximation, accurate to a minute.
+    """
+    if record.site is None or _LIGHT not in record:
+        return None
+    time, value = centred(record[_LIGHT]).known
+    step, _ = modal_step(record[_LIGHT].time)
+    if not (len(time) > 100 and step <= 3600.0):
+        return None
+    angle = 2.0 * math.pi * (np.mod(time / DAY_S, 365.2425) - 80.0) / 365.2425
+    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
+    solar = time + 240.0 * record.site.longitude_deg + 60.0 * equation_min
+    day = np.floor(solar / DAY_S).astype(int)
+    day -= day.min()
+    turn = 2.0 * math.pi * (solar / DAY_S - 0.5)
+    light = np.fmax(value, 0.0)
+    energy, east, north = (np.bincount(day, light * one) for one in (1.0, np.sin(turn), np.cos(turn)))
+    whole = (np.bincount(day) >= 0.95 * DAY_S / step) & (energy > 0.0)
+    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
+    if whole.sum() < 20:
+        return None
+    # circular within the day: a clock may be wrong by half a day
+    middle = math.atan2(east[whole].sum(), north[whole].sum())
+    apart = np.arctan2(east[whole], north[whole]) - middle
+    apart = np.mod(apart + math.pi, 2.0 * math.pi) - math.pi
+    lag = np.mod(middle + np.median(apart) + math.pi, 2.0 * math.pi) - math.pi
+    return float(lag / (2.0 * math.pi) * DAY_S)

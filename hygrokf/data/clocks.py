@@ -1,0 +1,74 @@
+"""Clocks of a record's sources: which signals share a clock, and how its stamps are corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import DAY_S, summer_time
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A correction of one source's stamps: `seconds` later, all year or, with `summer`, in summer time
+    only."""
+
+    source: str
+    seconds: float
+    summer: bool = False
+
+
+def source_of(series: Series) -> str:
+    """The source whose clock stamps a series: its file, or the signal where none is stated."""
+    return series.source.split(",")[0] or series.signal
+
+
+def sources(record: Record) -> dict[str, tuple[str, ...]]:
+    """Files of a record and the signals that each of them brings; the signals of a file share a clock."""
+    found: dict[str, list[str]] = {}
+    for series in record.series:
+        found.setdefault(source_of(series), []).append(series.signal)
+    return {name: tuple(signals) for name, signals in found.items()}
+
+
+def shifted(record: Record, *shifts: Shift) -> Record:
+    """The record with its sources' stamps corrected."""
+    for shift in shifts:
+        signals = sources(record).get(shift.source, ())
+        record = record.replace_series(*(_moved(record[name], record, shift) for name in signals))
+    return record
+
+
+def _moved(series: Series, record: Record, shift: Shift) -> Series:
+    if not shift.summer:
+        return replace(series, time=series.time + shift.seconds)
+    # stamps are local: where they run ahead, summer time ends an hour late by them
+    local = series.time + min(shift.seconds, 0.0)
+    time = series.time + shift.seconds * summer_time(local, in_america(record))
+    new = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
+    return replace(series, time=time[new], value=series.value[new])
+
+
+def cabinet_moved(record: Record, shifts: Sequence[Shift]) -> float:
+    """Time [s] by which corrections that hold all year move the cabinet's readings."""
+    known = sources(record)
+    return sum(
+        shift.seconds
+        for shift in shifts
+        if not shift.summer and any(name.startswith("cabinet_") for name in known.get(shift.source, ()))
+    )
+
+
+def in_america(record: Record) -> bool:
+    """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is
+    stated."""
+    return record.site is not None and record.site.in_north_america
+
+
+def turns_within(record: Record) -> bool:
+    """Whether the clocks were changed within the record."""
+    ends = summer_time(np.arange(record.start_s, record.end_s, DAY_S), in_america(record))
+    return bool(ends.any() and not ends.all())

@@ -1,0 +1,272 @@
+"""A lag model of two parameters, and the likelihood of every shift of its inputs at once.
+
+Temperature or vapour of the cabinet is a constant plus shares of the ambient value, now and lagged, and of
+the other inputs, lagged; one first-order lag serves all, and the residuals are a second-order autoregression:
+
+    y(t) = c + a u₀(t) + Σ bᵢ L uᵢ(t) + e(t),    e(t) = φ₁ e(t−1) + φ₂ e(t−2) + N(0, σ²).
+
+With the lag and φ fixed the model is linear, and shifts of an input only shift its columns: the products of
+least squares for all shifts are correlations, which fast Fourier transforms give together.
+
+Shapes: N quarters of an hour, K = 2 REACH + 1 shifts, H lags.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.data.ambient import at_times, bridge_h, place_absolute_humidity
+from hygrokf.data.clocks import source_of
+from hygrokf.data.input_paths import centred, input_path
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import HOUR_S, modal_step
+
+QUARTER_S = 900.0
+"""[s] the grid."""
+REACH = 56
+"""Quarters of an hour of the largest shift, 14 h: the widest difference between two time zones in use."""
+LAGS_H = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0)
+FEWEST = 14 * 96
+"""Quarters of an hour in common, 14 days, below which nothing is compared."""
+LONGEST = 120 * 96
+"""Quarters of an hour that are compared at most; more would tell no more about a clock."""
+_FINE = 3
+_BRIDGE_H = 3.0
+_RIDGE = 1e-8
+_EXACT = 1e-9
+"""Share of the target's variance below which what is left is rounding."""
+
+
+@dataclass(frozen=True)
+class Relation:
+    """What the cabinet shows and what drives it, as means over quarters of an hour.
+
+    name: "temperature" or "vapour". time: (N,) [s] middles of the quarters. target: (N,) less its mean; 0
+    where there is no reading. rows: (N,) whether a quarter is compared, and the two before it, `every` apart,
+    are known.
+    inputs: signal -> columns (N, c), standardised, the first of them direct where it is ambient.
+    sources: clock of each input; source: that of the target.
+    """
+
+    name: str
+    time: np.ndarray
+    target: np.ndarray
+    rows: np.ndarray
+    every: int
+    inputs: Mapping[str, np.ndarray]
+    sources: Mapping[str, str]
+    source: str
+
+    def columns(self, lag_h: float) -> dict[str, np.ndarray]:
+        """The columns of each input under a lag [h]."""
+        from scipy.signal import lfilter
+
+        keep = math.exp(-QUARTER_S / HOUR_S / lag_h)
+        found = {}
+        for signal, columns in self.inputs.items():
+            start = keep * columns[:1]
+            lagged = lfilter([1.0 - keep], [1.0, -keep], columns, axis=0, zi=start)[0]
+            direct = columns[:, :1] if signal.startswith("ambient_") else columns[:, :0]
+            found[signal] = np.hstack([direct, lagged])
+        return found
+
+    def whitened(self, values: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Values (N, ...) less their prediction by the autoregression."""
+        every = self.every
+        result = values.copy()
+        result[every:] -= phi[0] * values[:-every]
+        result[2 * every :] -= phi[1] * values[: -2 * every]
+        return result
+
+
+def relations(record: Record) -> tuple[Relation, ...]:
+    """The relations of a record that span at least 14 days: of its temperature, of its vapour."""
+    if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
+        return ()
+    made = [_relation("temperature", record["cabinet_temperature"], _heat_inputs(record))]
+    inside, outside = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    if inside is not None and outside is not None:
+        made.append(_relation("vapour", inside, {"ambient_absolute_humidity": [outside]}))
+    return tuple(one for one in made if one is not None)
+
+
+def _heat_inputs(record: Record) -> dict[str, list[Series]]:
+    found: dict[str, list[Series]] = {}
+    for one in record.series:
+        if len(one.known[0]) < 2:
+            continue
+        if one.signal == "active_power":
+            top = float(np.nanmax(np.abs(one.value), initial=1.0))
+            share = one.value / top
+            operating = np.where(one.missing, np.nan, (share > 0.0).astype(float))
+            found[one.signal] = [replace(one, value=v) for v in (share, share**2, operating)]
+        elif one.signal in _HEAT_INPUTS or one.signal.endswith("_duty"):
+            found[one.signal] = [one]
+    return found
+
+
+_HEAT_INPUTS = ("ambient_temperature", "global_horizontal_irradiance", "wind_speed")
+
+
+def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:
+    from scipy.fft import next_fast_len
+
+    known = [one.known[0] for one in (target, *(group[0] for group in inputs.values()))]
+    if any(len(one) < 2 for one in known):
+        return None
+    first = math.ceil(max(one[0] for one in known) / QUARTER_S) * QUARTER_S
+    count = int((min(one[-1] for one in known) - first) // QUARTER_S)
+    if count < FEWEST:
+        return None
+    # the middle of a long record
+    spare = max(count - LONGEST, 0)
+    first, count = first + spare // 2 * QUARTER_S, count - spare
+    length = int(next_fast_len(count, real=True))
+    every = max(1, round(modal_step(target.known[0])[0] / QUARTER_S))
+    value, there = _means(target, first, length)
+    if every > 1:  # once a reading
+        there &= np.isin(np.arange(length), (centred(target).known[0] - first) // QUARTER_S)
+    rows, columns = there.copy(), {}
+    for signal, group in inputs.items():
+        means = [_means(one, first, length) for one in group]
+        rows &= means[0][1]
+        filled = np.column_stack([_standardised(*one) for one in means])
+        if len(kept := np.flatnonzero(filled.std(axis=0) > 0.0)):
+            columns[signal] = filled[:, kept]
+    rows[: REACH + 2 * every] = rows[count - REACH :] = False
+    for before in (every, 2 * every):
+        rows[before:] &= there[:-before]
+    if rows.sum() * every < FEWEST // 2 or not columns or not np.ptp(value[there]) > 0.0:
+        return None
+    return Relation(
+        name,
+        first + QUARTER_S * (np.arange(length) + 0.5),
+        np.where(there, value - value[there].mean(), 0.0),
+        rows,
+        every,
+        columns,
+        {signal: source_of(inputs[signal][0]) for signal in columns},
+        source_of(target),
+    )
+
+
+def _means(series: Series, first: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means over quarters of an hour (N,), and where they are known."""
+    fine = first + QUARTER_S / _FINE * (np.arange(count * _FINE) + 0.5)
+    value = at_times(input_path(series), fine, bridge_h(series, _BRIDGE_H)).reshape(count, _FINE).mean(axis=1)
+    return value, np.isfinite(value)
+
+
+def _standardised(value: np.ndarray, there: np.ndarray) -> np.ndarray:
+    place = np.flatnonzero(there)
+    filled = np.interp(np.arange(len(value)), place, value[place]) if len(place) else np.zeros(len(value))
+    spread = float(filled.std())
+    return (filled - filled.mean()) / spread if spread > 1e-9 * np.abs(filled).max() else np.zeros(len(value))
+
+
+# -- one likelihood, and those of all shifts ----------------------------------------------------------------
+Move = tuple[frozenset[str], int]
+"""Inputs that are shifted together, and by how many more quarters of an hour in summer time."""
+
+
+def moved(columns: np.ndarray, quarters: int, summer: np.ndarray, more: int) -> np.ndarray:
+    """Columns (N, c) stamped later by some quarters of an hour, and by `more` in summer (N,)."""
+    result = np.roll(columns, quarters, axis=0)
+    return np.where(summer[:, None], np.roll(columns, quarters + more, axis=0), result) if more else result
+
+
+def fitted(
+    relation: Relation,
+    lag_h: float,
+    move: Move = (frozenset(), 0),
+    quarters: int = 0,
+    summer: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """φ (2,) and ln L (N,) of each row, 0 where none is compared, at a lag [h] with some inputs shifted.
+
+    Least squares and the autoregression take turns.
+    """
+    inputs, more = move
+    season = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
+    columns = relation.columns(lag_h)
+    shifted = [
+        moved(one, quarters, season, more) if signal in inputs else one for signal, one in columns.items()
+    ]
+    x = np.hstack([np.ones((len(relation.time), 1)), *shifted])
+    y, rows, every = relation.target, relation.rows, relation.every
+    phi = np.array([0.9, 0.0])
+    for _ in range(4):
+        wx, wy = relation.whitened(x, phi)[rows], relation.whitened(y, phi)[rows]
+        products = wx.T @ wx
+        products[np.diag_indices_from(products)] *= 1.0 + _RIDGE
+        residual = y - x @ np.linalg.solve(products, wx.T @ wy)
+        past = np.column_stack([np.roll(residual, every)[rows], np.roll(residual, 2 * every)[rows]])
+        memory = past.T @ past
+        memory[np.diag_indices_from(memory)] *= 1.0 + _RIDGE
+        phi = np.linalg.solve(memory + 1e-300 * np.eye(2), past.T @ residual[rows])
+    error = residual[rows] - past @ phi
+    variance = max(float(error @ error) / len(error), _EXACT * float(y[rows] @ y[rows]) / len(error))
+    each = np.zeros(len(y))
+    each[rows] = -0.5 * (math.log(variance) + error**2 / variance)
+    return phi, each
+
+
+def declared(relation: Relation) -> tuple[np.ndarray, np.ndarray]:
+    """`fitted` without a shift, at the lag of the largest likelihood."""
+    return max((fitted(relation, lag_h) for lag_h in LAGS_H), key=lambda one: float(one[1].sum()))
+
+
+def shift_logliks(
+    relation: Relation, phi: np.ndarray, moves: set[Move], summer: np.ndarray
+) -> dict[Move, np.ndarray]:
+    """ln L (K, H) of every shift of each move under every lag, at one autoregression.
+
+    The products of least squares are correlations of shifted with unshifted columns; those among shifted
+    columns are correlations of their products with the rows that are compared.
+    """
+    found = {move: np.empty((2 * REACH + 1, len(LAGS_H))) for move in moves}
+    for place, lag_h in enumerate(LAGS_H):
+        columns = relation.columns(lag_h)
+        for move in moves:
+            inputs, more = move
+            still = [one for signal, one in columns.items() if signal not in inputs]
+            fixed = np.hstack([np.ones((len(relation.time), 1)), *still])
+            fixed[:, 1:] = relation.whitened(fixed[:, 1:], phi)
+            going = np.hstack([moved(one, 0, summer, more) for s, one in columns.items() if s in inputs])
+            found[move][:, place] = _all_shifts(relation, phi, fixed, relation.whitened(going, phi))
+    return found
+
+
+def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, going: np.ndarray) -> np.ndarray:
+    """ln L (K,) with the columns `going` at every shift beside the `fixed` ones."""
+    from scipy.fft import irfft, rfft
+
+    rows = relation.rows.astype(float)
+    target = relation.whitened(relation.target, phi) * rows
+    kept, still, count = fixed.shape[1], fixed * rows[:, None], len(rows)
+    shifts = np.arange(-REACH, REACH + 1)
+    upper = np.triu_indices(going.shape[1])
+
+    def correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Σ one(t) other(t − shift), (K, a, b)."""
+        spectrum = rfft(one, axis=0)[:, :, None] * rfft(other, axis=0)[:, None, :].conj()
+        return np.asarray(irfft(spectrum, count, axis=0)[shifts])
+
+    against = correlations(np.column_stack([still, target]), going)
+    among = correlations(rows[:, None], going[:, upper[0]] * going[:, upper[1]])[:, 0]
+    products = np.empty((len(shifts), kept + going.shape[1], kept + going.shape[1]))
+    products[:, :kept, :kept] = still.T @ fixed
+    products[:, :kept, kept:] = against[:, :kept]
+    products[:, kept:, :kept] = against[:, :kept].transpose(0, 2, 1)
+    products[:, kept + upper[0], kept + upper[1]] = products[:, kept + upper[1], kept + upper[0]] = among
+    aims = np.hstack([np.broadcast_to(target @ fixed, (len(shifts), kept)), against[:, kept]])
+    diagonal = np.einsum("kii->ki", products)
+    diagonal *= 1.0 + _RIDGE
+    explained = np.einsum("ki,ki->k", np.linalg.solve(products, aims[:, :, None])[:, :, 0], aims)
+    least = _EXACT * float(relation.target**2 @ rows)
+    number = rows.sum()
+    return -0.5 * number * np.log(np.maximum(target @ target - explained, least) / number) - 0.5 * number

@@ -1,0 +1,156 @@
+"""Alarms about the process, and the causes of shifts, follow from the times of the readings alone, not from
+when these came or in which portions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.live_case import live_record, live_turbine
+
+from hygrokf.data.record import Record
+from hygrokf.live.alarms import DELIVERY_RULES
+from hygrokf.live.condition import Surface
+from hygrokf.live.fault_isolation import EVERY_S
+from hygrokf.live.forecast_job import isolation_steps
+from hygrokf.live.service import Service
+from hygrokf.live.sources.local import Playback, delay_and_repeat, record_mapping, record_messages
+from hygrokf.live.sources.payload_formats import Content
+from hygrokf.live.sources.stream import Delivery, Reach
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.turbines import Fleet, Turbine
+
+HUMIDITY = "cabinet_relative_humidity"
+Messages = Sequence[tuple[float, Content]]
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """Eleven days with three wrong readings of humidity."""
+    made = live_record(tmp_path_factory.mktemp("turbine"), seed=61, days=11.0)
+    value = made[HUMIDITY].value.copy()
+    wrong = [700, 900, 901]
+    value[wrong] = np.where(value[wrong] < 0.5, 0.95, 0.1)
+    return made.replace_series(replace(made[HUMIDITY], value=value))
+
+
+@pytest.fixture(scope="module")
+def cold(record: Record) -> Turbine:
+    """A cabinet that exchanges less air than its model says, with a cold surface."""
+    return replace(live_turbine(record, hygric_k=0.1), surface=Surface(0.0, -2.0))
+
+
+def isolated(fleet: Fleet, store: Store) -> list[float]:
+    """Isolate every cause that is due; returns for which times."""
+    times = []
+    while (due := fleet.isolation_due()) is not None:
+        name, step = due
+        found = next(filter(None, isolation_steps(name, fleet.turbines[name], step, store)))
+        store.commit(fleet.keep_finding(name, found))
+        times.append(step.time)
+    return times
+
+
+def told(store: Store) -> dict[str, object]:
+    """What a store holds of alarms about the process, of causes, properties and final estimates."""
+    delivery = tuple(rule.kind for rule in DELIVERY_RULES)
+    alarms = "SELECT id, kind, severity, began, ended, statement, remedy FROM alarm ORDER BY id"
+    return {
+        "alarms": [row for row in store.rows(alarms) if row[1] not in delivery],
+        "finding": store.memory("T1", "finding"),
+        "shifts": store.memory("T1", "parameter_shifts"),
+        "properties": store.rows("SELECT * FROM property ORDER BY time, name"),
+        "estimates": store.rows("SELECT * FROM estimate WHERE final = 1 ORDER BY time"),
+    }
+
+
+def tracked(
+    folder: Path, turbine: Turbine, record: Record, messages: Messages, count: int, at_once: bool = True,
+    restarts: int = 0,
+) -> tuple[dict[str, object], list[float]]:  # fmt: skip
+    """What a store holds after rounds of `count` messages, and for which times causes were isolated: after
+    each round, or only at the end.  The tracker begins anew after every so many rounds."""
+    mapping, store = record_mapping(record, "T1"), open_store(f"sqlite:{folder / 'live.db'}")
+    fleet, times = Fleet.from_store({"T1": turbine}, store), []
+    for number, first in enumerate(range(0, len(messages), count), 1):
+        part = [Delivery(content, at) for at, content in messages[first : first + count]]
+        store.commit(fleet.round(part, mapping, "replay:"))
+        if restarts and number % restarts == 0:
+            fleet = Fleet.from_store({"T1": turbine}, store)
+        if at_once:
+            times += isolated(fleet, store)
+    times += isolated(fleet, store)
+    found = told(store)
+    store.close()
+    return found, times
+
+
+@pytest.fixture(scope="module")
+def expected(
+    tmp_path_factory: pytest.TempPathFactory, cold: Turbine, record: Record
+) -> tuple[dict[str, object], list[float]]:
+    return tracked(tmp_path_factory.mktemp("expected"), cold, record, record_messages(record, "T1"), 400)
+
+
+def test_there_is_something_to_compare(expected: tuple[dict, list]) -> None:
+    found, times = expected
+    kinds = {row[1] for row in found["alarms"]}
+    assert kinds >= {"condensation", "cabinet changed", "reading contradicts"}
+    assert len(times) > 3 and times == sorted(times)
+    assert EVERY_S in set(np.diff(times)), "once a day while shifts last"
+    assert all(at % 3600.0 < 900.0 for at in times), "with the first estimate of an hour"
+
+
+@pytest.mark.parametrize(
+    ("count", "late_s", "at_once", "restarts"),
+    [(60, 0.0, False, 0), (100_000, 0.0, False, 0), (150, 1700.0, True, 0), (97, 1700.0, False, 10)],
+    ids=["small rounds", "at once", "shuffled and repeated", "restarted"],
+)
+def test_alarms_and_causes_hang_on_event_times_alone(
+    tmp_path: Path, cold: Turbine, record: Record, expected: tuple[dict, list], count: int, late_s: float,
+    at_once: bool, restarts: int,
+) -> None:  # fmt: skip
+    messages = delay_and_repeat(record_messages(record, "T1"), late_s, 0.1 * bool(late_s), seed=3)
+    found, times = tracked(tmp_path, cold, record, messages, count, at_once, restarts)
+    assert times == expected[1]
+    for name, rows in expected[0].items():
+        assert found[name] == rows, name
+
+
+@pytest.mark.parametrize("speed", [0.0, 3e5, 1e6])
+def test_a_replay_gives_the_same_at_any_speed(
+    tmp_path: Path, cold: Turbine, record: Record, expected: tuple[dict, list], speed: float
+) -> None:
+    """And no alarm about delivery, although the record is years old and has no rain gauge."""
+    stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), speed)
+    url = f"sqlite:{tmp_path / 'live.db'}"
+    Service({"T1": cold}, [stream], url).run(until_ended=True)
+    store = open_store(url)
+    assert told(store) == expected[0]
+    assert store.rows("SELECT COUNT(*) FROM alarm") == [(len(expected[0]["alarms"]),)]
+    store.close()
+
+
+def test_alarms_about_delivery_do_not_begin_in_a_replay(cold: Turbine) -> None:
+    """The same turbine, silent for a day: live it is stale, played back nothing is said."""
+    for quiet, kinds in (((), ["data stale"]), (("T1",), [])):
+        fleet = Fleet({"T1": cold})
+        for hour in range(25):
+            fleet.tick(1.6e9 + 3600.0 * hour, {}, None, quiet)
+        assert [one.kind for one in fleet.open_alarms()] == kinds
+
+
+def test_a_source_that_is_not_reached_is_one_alarm_after_its_limit(cold: Turbine) -> None:
+    fleet, begin = Fleet(dict.fromkeys(("T1", "T2", "T3"), cold)), 1.6e9
+    limits = {"mqtt://b": 60.0, "file:hourly.csv": 3.0 * 3600.0}
+    begun = {}
+    for second in range(0, 4 * 3600, 10):
+        reaches = {url: Reach(begin, limit, "no answer") for url, limit in limits.items()}
+        for alarm in fleet.tick(begin + second, reaches).alarms:
+            if alarm.kind == "source lost":
+                begun[alarm.id] = (alarm.turbine, alarm.began - begin, alarm.statement)
+    assert [(turbine, after) for turbine, after, _ in begun.values()] == [("", 60.0), ("", 10800.0)]
+    assert all("not been reached since 2020-09-13T12:26:40Z: no answer" in one[2] for one in begun.values())
