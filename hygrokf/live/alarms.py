@@ -281,7 +281,8 @@ def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
     """
     lasting = {shift.name: shift for shift in step.lasting}
     known = finding if lasting else None
-    moist = step.deviations.get(MOIST)
+    deviations = {name: TrackedState(*one) for name, one in step.deviations.items()}
+    moist = deviations.get(MOIST)
     levels = []
     if moist is not None and (known is None or known.cause not in SENSORS or known.cause == HUMIDITY_SENSOR):
         statement = (
@@ -295,7 +296,7 @@ def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
         return [*levels, *_sensor_levels(known)]
     named = {known.cause: lasting[known.cause]} if known.cause in lasting else lasting
     return levels + [
-        _shift_level(name, step.deviations.get(name, TrackedState(shift.change, 0.0)), known)
+        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), known)
         for name, shift in named.items()
         if (name, shift.change > 0.0) in CABINET_CHANGES
     ]

@@ -78,7 +78,7 @@ class ShiftStep:
     time: float
     lasting: tuple[ParameterShift, ...]
     due: bool
-    deviations: Mapping[str, TrackedState] = field(default_factory=dict)
+    deviations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def shift_step(

@@ -34,9 +34,10 @@ def frozen_runs(
     """The runs of identical readings that are longer than the signal stays still (`still_s` [s]) and that
     last at or beyond a time `after_s` [s].
 
-    readings: times [s] (T,) and values [SI unit] (T,).  In the range of saturated air, where the gate lets readings pass, the value must be below one that was
-    read within `context_s` [s] before the run became too long: a sensor at its ceiling is not frozen.  Of a
-    run that became so up to `after_s` it is `known`, because older readings may be gone.
+    readings: times [s] (T,) and values [SI unit] (T,).  In the range of saturated air, where the gate lets
+    readings pass, the value must be below one that was read within `context_s` [s] before the run became too
+    long: a sensor at its ceiling is not frozen.  Of a run that became so up to `after_s` it is `known`,
+    because older readings may be gone.
     """
     time, value = readings
     if not len(time):

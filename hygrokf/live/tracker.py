@@ -91,15 +91,15 @@ class Course:
     """Estimates after the point, or after those that go on from it in silence: the run, and the filter's
     moments at its instants.
 
-    `after_s`: time [s] after which they begin, −∞ at the first ones; `before`: time [s] of each cabinet
-    signal's newest reading up to it.  Alarms are to be judged at instants in (`judged_s`, `final_s`] [s],
+    `after_s`: time [s] after which they begin, −∞ at the first ones; `read`: times [s] of each
+    signal's accepted readings.  Alarms are to be judged at instants in (`judged_s`, `final_s`] [s],
     those that no reading within the lateness can change any more.  `frozen`: signals that repeat a value.
     """
 
     run: Run
     trace: Trace
     after_s: float = -math.inf
-    before: Mapping[str, float] = field(default_factory=dict)
+    read: Mapping[str, np.ndarray] = field(default_factory=dict)
     judged_s: float = -math.inf
     final_s: float = -math.inf
     frozen: tuple[Frozen, ...] = ()
@@ -116,9 +116,8 @@ class Course:
 
     def heard(self, signal: str) -> np.ndarray:
         """Time (T,) [s] of the newest reading of a cabinet signal up to each instant, −∞ before the first."""
-        there = np.isfinite(self.run.timeline.reading(signal))
-        times = np.where(there, self.seconds, self.before.get(signal, -math.inf))
-        return np.maximum.accumulate(times)
+        times = np.append(-math.inf, self.read.get(signal, ()))
+        return times[np.searchsorted(times, self.seconds + SAME_S, side="right") - 1]
 
 
 class Tracker:
@@ -395,14 +394,8 @@ class Tracker:
             return None
         part = t.window(first, end)
         piece = Run(part, made.operating[first:end], made.scored[first:end])
-        before = {signal: self._heard_until(signal, after) for signal in t.outputs}
-        return Course(piece, self._filter(part, start), after - SAME_S, before)
-
-    def _heard_until(self, signal: str, time: float) -> float:
-        """Time [s] of the newest accepted reading of a signal up to a time [s]; −∞ without one."""
-        times, _ = self._accepted.get(signal, (np.empty(0), None))
-        place = int(times.searchsorted(time, side="right"))
-        return float(times[place - 1]) if place else -math.inf
+        read = {signal: times for signal, (times, _) in self._accepted.items()}
+        return Course(piece, self._filter(part, start), after - SAME_S, read)
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -543,7 +536,8 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     accepted = record_of(plan, times, values)
     silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
     made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
-    return Course(made, changed_trace(plan.likelihood(made.timeline), plan.values, None, changes))
+    trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
+    return Course(made, trace, read={s.signal: s.time for s in accepted.series})
 
 
 def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:
