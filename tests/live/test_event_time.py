@@ -30,8 +30,8 @@ Messages = Sequence[tuple[float, Content]]
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    """Eleven days with three wrong readings of humidity, six hours without any reading of the cabinet, and air
-    that is moister than explained at last."""
+    """Eleven days with three wrong readings of humidity, six hours without any reading of the cabinet,
+    and air that is moister than explained at last."""
     made = live_record(tmp_path_factory.mktemp("turbine"), seed=61, days=11.0)
     value = made[HUMIDITY].value.copy()
     wrong = [700, 900, 901]
