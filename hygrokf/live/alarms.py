@@ -9,19 +9,21 @@ that no alarm is raised twice after a crash.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
-from hygrokf.identification.wording import signed
+from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
-from hygrokf.live.condition import Condition
-from hygrokf.live.fault_isolation import SENSORS, Finding
+from hygrokf.live.condition import Z95, Condition
+from hygrokf.live.fault_isolation import SENSORS, Finding, ShiftStep
+from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
-from hygrokf.live.properties import ParameterShift
+from hygrokf.live.properties import TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
 from hygrokf.modelling.design import PARTS
 
@@ -57,6 +59,11 @@ LOST = Rule(
     "run `hygrokf doctor` to find out what cannot be reached and why",
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
+SENSOR_OR_WATER = Rule(
+    "sensor or water", 1.0, 0.5, 6 * HOUR_S, "warning", np.inf,
+    "look for water in the cabinet, and compare the humidity sensor with another one; if it is the sensor, "
+    "state it on the turbine's page with the date",
+)  # fmt: skip
 CONTRADICTS = Rule(
     "reading contradicts", 1.0, 0.5, 0.0, "warning", np.inf,
     "compare the sensor with another one, and ask what happened in the cabinet at that time",
@@ -69,10 +76,17 @@ CLOCK = Rule(
     "clock wrong", 1.0, 0.5, 15 * MINUTE_S, "alarm", 1.0,
     "compare the clocks of this machine and of the sender, and synchronise both by NTP",
 )  # fmt: skip
-ESTIMATE_RULES = (CONDENSATION,)
+STUCK = Rule(
+    "sensor frozen", 1.0, 0.5, 0.0, "warning", np.inf,
+    "look whether sensor, logger and data path are alive; what is estimated from it is doubtful",
+)  # fmt: skip
+FROZEN_S = 6 * HOUR_S
+"""[s] for which a signal must have repeated one value, beyond what it ever did before."""
+ESTIMATE_RULES = (CONDENSATION, STUCK)
 """Rules whose levels follow from each final estimate."""
-SHIFT_RULES = (CHANGED, SUSPECT)
-"""Rules whose levels follow from lasting shifts and their cause (`fault_isolation.ShiftStep`)."""
+SHIFT_RULES = (CHANGED, SUSPECT, SENSOR_OR_WATER)
+"""Rules whose levels follow from the tracked properties and the cause of lasting shifts
+(`fault_isolation.ShiftStep`)."""
 DELIVERY_RULES = (STALE, MISSING, CLOCK, LOST)
 """Rules that follow from the arrival of readings, by the wall clock; none of them begins in a replay."""
 RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, *SHIFT_RULES, CONTRADICTS, *DELIVERY_RULES)}
@@ -99,10 +113,6 @@ CABINET_CHANGES = {
         "the cabinet exchanges more air with the ambient",
         "check door, seals and cable glands",
     ),
-    ("humidity_offset", True): (
-        "the air is moister than air exchange and heat release explain",
-        "look for water in the cabinet, and compare the humidity sensor with another one",
-    ),
     ("humidity_offset", False): (
         "the air is drier than air exchange and heat release explain",
         "compare the humidity sensor with another one, and check whether something dries the air",
@@ -116,18 +126,22 @@ CABINET_CHANGES = {
         "check the heater and its thermostat, and the temperature sensor against another one",
     ),
 }
-"""(property, whether it increased) -> (statement, what to check)."""
+"""(property, whether it increased) -> (statement, what to check); for moister air see `SENSOR_OR_WATER`."""
+MOIST = "humidity_offset"
+HUMIDITY_SENSOR = "humidity_sensor"
+UNSURE = 0.75
+"""Level of a change whose bounds contain zero: no alarm begins, and none ends."""
 SENSOR_ERRORS = {
     "temperature_reading_change": (
-        "the temperature sensor reads {0:.1f} K too {1}: the humidity readings do not follow it",
+        "the temperature sensor reads {0} K too {1}: the humidity readings do not follow it",
         "compare the temperature sensor with another one, and check where it is mounted",
     ),
     "humidity_reading_change": (
-        "the humidity sensor reads {0:.0f} % too {1}: air exchange and heat release do not explain its level",
+        "the humidity sensor reads {0} % too {1}: air exchange and heat release do not explain its level",
         "compare the humidity sensor with another one; clean or renew it",
     ),
     "humidity_scale_change": (
-        "the humidity sensor reads {0:.0f} % of its value too {1}",
+        "the humidity sensor reads {0} % of its value too {1}",
         "compare the humidity sensor with another one at low and at high humidity; clean or renew it",
     ),
 }
@@ -169,7 +183,8 @@ def judge(
 ) -> tuple[dict[str, Standing], list[Alarm]]:
     """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
 
-    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.
+    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.  `now` may go
+    back where a late delivery changed what was judged; what was before an alarm began does not end it.
     """
     given = {f"{level.kind} {level.subject}".strip(): level for level in levels}
     standings = {key: standing for key, standing in known.items() if _kind(key) not in kinds}
@@ -190,8 +205,8 @@ def _judge_level(
     """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
     rule, alarm = RULES[level.kind], before.alarm
     severity = "alarm" if level.level >= rule.severe else level.severity or rule.severity
-    past = level.level < rule.off if alarm is not None else level.level >= rule.on
-    since = None if not past else now if before.since is None else before.since
+    past = level.level >= rule.on if alarm is None else level.level < rule.off and now >= alarm.began
+    since = None if not past else now if before.since is None else min(now, before.since)
     if since is not None and now - since >= rule.hold_s:
         if alarm is not None:
             return Standing(), replace(alarm, ended=since)
@@ -218,10 +233,11 @@ def _kind(key: str) -> str:
 # -- levels that follow from estimates -----------------------------------------------------------------------
 @dataclass(frozen=True)
 class Estimated:
-    """A turbine's estimates: the condition, of which instant `place` is judged."""
+    """A turbine's estimates: the condition, of which instant `place` is judged, and its frozen signals."""
 
     condition: Condition
     place: int
+    frozen: Sequence[Frozen] = ()
 
 
 def condensation_levels(now: Estimated) -> list[Level]:
@@ -240,38 +256,85 @@ def condensation_levels(now: Estimated) -> list[Level]:
     return [Level(CONDENSATION.kind, chance, statement)]
 
 
-def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) -> list[Level]:
-    """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
-
-    There is no level before fault isolation has a finding; a finding without a cause gives one level for each
-    property.
-    """
-    lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
-    if not lasting or finding is None:
-        return []
-    if finding.cause in SENSORS:
-        words, remedy = SENSOR_ERRORS[finding.state]
-        size = abs(finding.value) * (1.0 if finding.state.startswith("temperature") else 100.0)
-        statement = words.format(size, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
-        return [Level(SUSPECT.kind, 1.0, statement, remedy, finding.cause)]
-    named = {finding.cause: lasting[finding.cause]} if finding.cause in lasting else lasting
+def frozen_levels(now: Estimated) -> list[Level]:
+    """One level for each signal that repeats a value: for how long, as a multiple of `FROZEN_S`."""
+    time = float(now.condition.time_s[now.place])
     return [
-        _shift_level(name, shift.change, finding)
+        Level(
+            STUCK.kind,
+            (time - one.since) / FROZEN_S,
+            f"{one.signal.replace('_', ' ')} has read {in_words(one.value, signal_named(one.signal))} since "
+            f"{stamp_text(one.since)} without any change",
+            subject=one.signal,
+        )
+        for one in now.frozen
+        if one.known_s <= time < one.end
+    ]
+
+
+def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
+    """Levels that follow from the tracked properties: for moister air at once, for other lasting shifts by
+    fault isolation.
+
+    There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
+    level for each property.  No alarm begins while the bounds of its size contain zero.
+    """
+    lasting = {shift.name: shift for shift in step.lasting}
+    known = finding if lasting else None
+    deviations = {name: TrackedState(*one) for name, one in step.deviations.items()}
+    moist = deviations.get(MOIST)
+    levels = []
+    if moist is not None and (known is None or known.cause not in SENSORS or known.cause == HUMIDITY_SENSOR):
+        statement = (
+            f"the humidity sensor reads {_size(MOIST, moist)[0]} more than air exchange and heat release "
+            "explain: the sensor errs, or there is water in the cabinet"
+        )
+        levels.append(Level(SENSOR_OR_WATER.kind, relative_shift(MOIST, moist), statement))
+    if known is None:
+        return levels
+    if known.cause in SENSORS:
+        return [*levels, *_sensor_levels(known)]
+    named = {known.cause: lasting[known.cause]} if known.cause in lasting else lasting
+    return levels + [
+        _shift_level(name, deviations.get(name, TrackedState(shift.change, 0.0)), known)
         for name, shift in named.items()
         if (name, shift.change > 0.0) in CABINET_CHANGES
     ]
 
 
-def _shift_level(name: str, change: float, finding: Finding) -> Level:
-    statement, remedy = CABINET_CHANGES[name, change > 0.0]
-    if name == "heat_release_change":
-        size = f"{signed(change, 1)} K"
-    elif name == "humidity_offset":
-        size = f"{signed(100.0 * change, 0)} % relative humidity"
-    else:
-        size = f"{signed(100.0 * np.expm1(change), 0)} %"
+def _sensor_levels(finding: Finding) -> list[Level]:
+    """The level of a sensor that fault isolation names; a humidity sensor that reads too high may be right,
+    and is part of `SENSOR_OR_WATER`."""
+    if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
+        return []
+    words, remedy = SENSOR_ERRORS[finding.state]
+    factor = 1.0 if finding.state.startswith("temperature") else 100.0
+    low, size, high = (factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0))
+    digits = 1 if factor == 1.0 else 0
+    bounds = f"{fixed(size, digits)} ({fixed(low, digits)} … {fixed(high, digits)})"
+    statement = words.format(bounds, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
+    return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNSURE, statement, remedy, finding.cause)]
+
+
+def _shift_level(name: str, deviation: TrackedState, finding: Finding) -> Level:
+    statement, remedy = CABINET_CHANGES[name, deviation.x > 0.0]
+    size, sure = _size(name, deviation)
     words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
-    return Level(CHANGED.kind, 1.0, words, remedy, name)
+    return Level(CHANGED.kind, sure, words, remedy, name)
+
+
+def _size(name: str, deviation: TrackedState) -> tuple[str, float]:
+    """The size of a deviation with its bounds in words, and the level: `UNSURE` while these contain zero."""
+    x, sd = deviation
+    ends = np.array([x, x - Z95 * sd, x + Z95 * sd])
+    if name == "heat_release_change":
+        values, digits, unit = ends, 1, "K"
+    elif name == MOIST:
+        values, digits, unit = 100.0 * ends, 0, "% relative humidity"
+    else:
+        values, digits, unit = 100.0 * np.expm1(ends), 0, "%"
+    size, low, high = (signed(one, digits) for one in values.tolist())
+    return f"{size} ({low} … {high}) {unit}", 1.0 if abs(x) > Z95 * sd else UNSURE
 
 
 def _alternatives(finding: Finding) -> str:
@@ -280,7 +343,7 @@ def _alternatives(finding: Finding) -> str:
 
 RESTS_ON = {
     "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
-    "humidity_offset": PARTS[1:],
+    "humidity_offset": PARTS[1:], "sensor or water": PARTS[1:], "sensor frozen": (),
 }  # fmt: skip
 """Property, or kind of alarm -> the numbers of the fit on which its level rests; all others rest on both."""
 
@@ -298,7 +361,7 @@ def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> l
     ]
 
 
-ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_levels,)
+ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_levels, frozen_levels)
 """Functions that give the levels of the rules in `ESTIMATE_RULES`."""
 
 

@@ -52,7 +52,8 @@ class Known:
     model has humidity; `outlook`: the forecast; `alarms`: its open alarms; `standstill`:
     whether it has fed no power for `STANDSTILL_S`; `history_until_s`: time [s] until which
     readings must come before the first estimate; `fault`: why the filter cannot run; `catching_up`: whether
-    a backlog is being delivered; `stale_s` [s]: age of stale data.
+    a backlog is being delivered; `stale_s` [s]: age of stale data; `silent_s`: time [s] since when no sensor
+    of the cabinet says anything, so that the estimates go on from the inputs alone, None if one does.
     """
 
     known_s: float
@@ -68,10 +69,30 @@ class Known:
     fault: str = ""
     catching_up: bool = False
     stale_s: float = 2.0 * HOUR_S
+    silent_s: float | None = None
 
 
 def assess(known: Known, now: float) -> tuple[str, str]:
-    """The state at `now` [s], one of `batch.STATES`, and its reason."""
+    """The state at `now` [s], one of `batch.STATES`, and its reason, with what the estimate lacks."""
+    state, reason = _assess(known, now)
+    return state, reason + _lacking(known, now)
+
+
+def _lacking(known: Known, now: float) -> str:
+    """The sensors of the cabinet that are silent while estimates go on, in words; empty if there is none."""
+    if known.estimate_s is None:
+        return ""
+    if known.silent_s is not None:
+        return f"; from the inputs alone since {stamp_text(known.silent_s)}"
+    silent = [
+        f"without {signal.replace('_', ' ')} since {stamp_text(at)}"
+        for signal, at in sorted(known.heard.items())
+        if signal.startswith("cabinet_") and known.estimate_s - at > known.stale_s
+    ]
+    return "".join(f"; {one}" for one in silent)
+
+
+def _assess(known: Known, now: float) -> tuple[str, str]:
     for state, judge in _JUDGES:
         reason = judge(known, now)
         if reason:

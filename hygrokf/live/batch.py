@@ -84,7 +84,7 @@ class Shelf:
 class Event:
     """A change at a turbine at `time` [s] that a person stated at `made` [s].
 
-    kind: "settings changed" or "defect repaired".
+    kind: one of `changes.KINDS`.
     """
 
     id: str

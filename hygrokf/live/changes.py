@@ -1,4 +1,5 @@
-"""Changes at a cabinet that people state (settings changed, defect repaired), as the filter takes them.
+"""Changes at a cabinet that people state (settings changed, defect repaired, humidity sensor wrong), as the
+filter takes them.
 
 At a stated change every tracked property may jump by an unknown amount: its variance is increased by the
 square of `Watched.blind`, so that the property counts as unknown until readings show it again.  The other
@@ -19,7 +20,9 @@ from hygrokf.live.ceiling import censored_trace, joined
 from hygrokf.live.properties import WATCHED, TrackedState
 from hygrokf.physics.model import Model
 
-KINDS = ("settings changed", "defect repaired")
+SENSOR_WRONG = "humidity sensor wrong"
+"""From this event to the next one the humidity sensor's readings are no evidence of condensation."""
+KINDS = ("settings changed", "defect repaired", SENSOR_WRONG)
 """Kinds of events."""
 SETTLED_S = 7.0 * DAY_S
 """[s] after a change at which a property becomes the reference for later shifts."""
@@ -29,7 +32,7 @@ SAME_S = 1e-3
 
 @dataclass(frozen=True)
 class Change:
-    """The event with an id, as taken into account from a `time` [s] on.
+    """The event with an id and a kind, as taken into account from a `time` [s] on.
 
     This is the event's time, or that of the newest final estimate if the event became known later: final
     estimates stay as they are.
@@ -37,6 +40,7 @@ class Change:
 
     event: str
     time: float
+    kind: str = ""
 
 
 def jump_variance(model: Model) -> np.ndarray:

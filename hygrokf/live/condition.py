@@ -52,7 +52,8 @@ class Condition:
     `relative_humidity` [1] is over water, `frost_point_K` is NaN above freezing.  `margin_K` is the coldest
     surface's temperature above the dew point or, below freezing, above the frost point; `condensation` (T,)
     [1] is the probability that the margin is negative; `surface_humidity` [1] is the relative humidity of the
-    air at that surface.  Quantities that the model lacks are None.
+    air at that surface; `excess_g_m3` (T,) is the vapour by which the newest reading exceeds the estimate
+    (`live.water`), NaN without one.  Quantities that the model lacks are None.
     """
 
     time_s: np.ndarray
@@ -64,6 +65,7 @@ class Condition:
     margin_K: Quantity | None
     condensation: np.ndarray | None
     surface_humidity: Quantity | None
+    excess_g_m3: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -185,8 +187,8 @@ def only(found: Condition, kept: np.ndarray | slice) -> Condition:
         for name, q in vars(found).items()
         if isinstance(q, Quantity)
     }
-    chance = None if found.condensation is None else found.condensation[kept]
-    return replace(found, time_s=found.time_s[kept], condensation=chance, **chosen)
+    chance, excess = (one if one is None else one[kept] for one in (found.condensation, found.excess_g_m3))
+    return replace(found, time_s=found.time_s[kept], condensation=chance, excess_g_m3=excess, **chosen)
 
 
 def probability_below(quantity: Quantity, limit: float) -> np.ndarray:

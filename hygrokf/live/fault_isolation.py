@@ -10,7 +10,7 @@ demands, while a heater that stays on does not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
-from hygrokf.live.properties import LASTING_S, ParameterShift
+from hygrokf.live.properties import LASTING_S, ParameterShift, TrackedState
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.inputs import prepare_run
 
@@ -52,9 +52,9 @@ EVERY_S = DAY_S
 class Finding:
     """The most likely cause of a parameter shift, "" if none explains the readings.
 
-    `state`, `value`: the state that explains it, and its value now; `gain`: in ln L over an unchanged
-    cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot be distinguished from
-    it.
+    `state`, `value`, `sd`: the state that explains it, its value now and its standard deviation; `gain`: in
+    ln L over an unchanged cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot
+    be distinguished from it.
     """
 
     time_s: float
@@ -64,38 +64,43 @@ class Finding:
     gain: float = 0.0
     lead: float | None = None
     alike: tuple[str, ...] = ()
+    sd: float = 0.0
 
 
 @dataclass(frozen=True)
 class ShiftStep:
-    """A time [s] of final estimates at which the `lasting` shifts became others, or at which fault isolation
-    is `due` for them; their alarms are judged step after step, however fast the estimates came."""
+    """What the final estimates at a `time` [s] say of the tracked properties: the `lasting` shifts, how far
+    each property is from its reference, and whether fault isolation is `due` for the shifts.
+
+    Their alarms are judged step after step, however fast the estimates came.
+    """
 
     time: float
     lasting: tuple[ParameterShift, ...]
     due: bool
+    deviations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def shift_step(
-    time: float, before: Mapping[str, ParameterShift], after: Mapping[str, ParameterShift], last_s: float
-) -> ShiftStep | None:
-    """The step at a time [s] at which shifts went from `before` to `after`, if there is one.  Isolation is
-    due when a shift becomes lasting and then once per `EVERY_S`; last_s: when it last was [s]."""
-    lasting = tuple(one for one in after.values() if one.lasting)
+    time: float, shifts: Mapping[str, ParameterShift], deviations: Mapping[str, TrackedState], last_s: float
+) -> ShiftStep:
+    """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`;
+    last_s: when it last was [s]."""
+    lasting = tuple(one for one in shifts.values() if one.lasting)
     newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
     due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)
-    if due or {one.name for one in lasting} != {one.name for one in before.values() if one.lasting}:
-        return ShiftStep(time, lasting, due)
-    return None
+    return ShiftStep(time, lasting, due, dict(deviations))
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, and its value now."""
+    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, its value now and the
+    standard deviation of it."""
 
     gain: float
     state: str
     value: float
+    sd: float = 0.0
 
 
 def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Iterator[Finding | None]:
@@ -126,7 +131,8 @@ def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Itera
                 found = censored_trace(likelihood, {**still, f"{state}_rate": rate}, begin)
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
-                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
+                    sd = float(np.sqrt(max(found.covariance[-1, place, place], 0.0)))
+                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]), sd)
                 yield None
     yield finding_from(gains, end_s)
 
@@ -153,10 +159,10 @@ def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     if not ordered or gains[ordered[0]].gain < LEAST:
         return Finding(time_s, "")
     best = ordered[0]
-    gain, state, value = gains[best].gain, gains[best].state, gains[best].value
+    gain, state, value, sd = vars(gains[best]).values()
     lead = gain - gains[ordered[1]].gain if len(ordered) > 1 else None
     alike = tuple(cause for cause in ordered[1:] if gain - gains[cause].gain < CLOSE)
-    return Finding(time_s, best, state, value, gain, lead, alike)
+    return Finding(time_s, best, state, value, gain, lead, alike, sd)
 
 
 def _lowest_rates(plan: Plan) -> dict[str, float]:

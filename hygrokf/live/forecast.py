@@ -10,16 +10,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.timeline import Timeline
 from hygrokf.evaluation.self_switching import self_switched
-from hygrokf.live.condition import Condition, Quantity, Surface, condition, only, probability_above
+from hygrokf.live.condition import (
+    Condition,
+    Quantity,
+    Surface,
+    condition,
+    inputs_of,
+    only,
+    probability_above,
+)
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
+from hygrokf.live.water import on_the_safe_side
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.holds import LINEAR, MEAN
 
@@ -57,14 +67,20 @@ class ForecastMade:
 
 
 def forecast(
-    plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, limit: float = LIMIT
+    plan: Plan,
+    state: Point,
+    scenarios: Scenarios,
+    surface: Surface,
+    limit: float = LIMIT,
+    excess: float = np.nan,
 ) -> Forecast:
     """The forecast from the newest state under scenarios.
 
+    `excess` [g/m³]: vapour by which the newest reading exceeds the estimate (`live.water`); it stays.
     Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
     exist.
     """
-    found = conditions_by_member(plan, state, scenarios, surface)
+    found = conditions_by_member(plan, state, scenarios, surface, excess)
     mixed = mixture(found)
     humidities = [one.relative_humidity for one in found if one.relative_humidity is not None]
     above = np.full(len(mixed.time_s), np.nan)
@@ -73,14 +89,20 @@ def forecast(
     return Forecast(state.time, mixed, above, limit, scenarios.words)
 
 
-def conditions_by_member(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface) -> list[Condition]:
-    """The condition at the state's time and at the scenarios' instants after it, one for each member.
+def conditions_by_member(
+    plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, excess: float = np.nan
+) -> list[Condition]:
+    """The condition at the state's time and at the scenarios' instants after it, one for each member, on the
+    safe side of model and sensor.
 
     The state's time must be the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
     """
     found = []
     for moments in moments_by_member(plan, state, scenarios):
-        whole = condition(plan.model, plan.values, *moments, surface)
+        t, mean, covariance = moments
+        by_model = condition(plan.model, plan.values, t, mean, covariance, surface)
+        known, u = np.full(len(t), excess), inputs_of(plan.model, t)
+        whole = on_the_safe_side(by_model, plan.model, plan.values, u, mean, covariance, surface, known)
         found.append(only(whole, np.isin(np.round(whole.time_s), np.round(scenarios.time_s))))
     return found
 
@@ -138,7 +160,7 @@ def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -
 def mixture(found: Sequence[Condition]) -> Condition:
     """The mixture of equally likely conditions at the same instants: means and standard deviations."""
     first = found[0]
-    mixed: dict[str, Quantity] = {}
+    mixed: dict[str, Any] = {}
     for name, quantity in vars(first).items():
         if not isinstance(quantity, Quantity):
             continue

@@ -59,11 +59,12 @@ def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> Fo
     history = _history(store, name, plan, signals, state.time - (DAYS + 5) * DAY_S, state.time)
     try:
         scenarios = _scenarios(store, name, plan.further, history, state)
-        found = forecast(plan, state, scenarios, one.surface, one.limit)
+        found = forecast(plan, state, scenarios, one.surface, one.limit, tracker.excess)
         # a running turbine needs no restart advice
         advice = None
         if not tracker.running:
-            advice = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K)
+            heating_sd_K, excess = one.heating_sd_K, tracker.excess
+            advice = restart(plan, state, scenarios, one.surface, one.limit, heating_sd_K, excess)
     except (NoScenarios, NoForecast) as fault:
         return ForecastResult(state.time, None, None, str(fault))
     return ForecastResult(state.time, found, advice, scenarios.words)

@@ -143,43 +143,56 @@ def properties(
     return found
 
 
-def parameter_shifts(
-    known: Mapping[str, ParameterShift],
-    time: float,
+def deviations(
     states: Mapping[str, TrackedState],
     errors: Mapping[str, float],
     references: Mapping[str, TrackedState] | None = None,
-) -> dict[str, ParameterShift]:
-    """Parameter shifts at `time` [s], updated from the known ones.
+) -> dict[str, TrackedState]:
+    """How far each observable property is from its reference, with the standard deviation of both.
 
     `references`: the states from which shifts count after a stated change, None for the fit's values; a
     property without one is not judged.
-
-    A shift begins when a property differs from the fit's value by more than the smallest change that
-    matters and by `SURE` standard deviations.  It is lasting after `LASTING_S`.  It ends when less than the
-    share `BACK` of it is left, or when the property cannot be observed.
     """
     found = {}
     for one in WATCHED:
-        if one.name not in states:
+        if one.name not in states or states[one.name].sd >= one.blind:
             continue
         x, sd = states[one.name]
-        before = known.get(one.name)
-        if sd >= one.blind or (references is not None and one.name not in references):
-            continue
-        spread = math.hypot(sd, errors.get(one.name, 0.0))
-        if references is not None:
-            x, spread = x - references[one.name].x, math.hypot(sd, references[one.name].sd)
+        if references is None:
+            found[one.name] = TrackedState(x, math.hypot(sd, errors.get(one.name, 0.0)))
+        elif one.name in references:
+            reference = references[one.name]
+            found[one.name] = TrackedState(x - reference.x, math.hypot(sd, reference.sd))
+    return found
+
+
+def relative_shift(name: str, deviation: TrackedState) -> float:
+    """A deviation of a property as a multiple of the smallest that counts as a shift."""
+    (least,) = (one.least for one in WATCHED if one.name == name)
+    return deviation.x / max(least, SURE * deviation.sd)
+
+
+def parameter_shifts(
+    known: Mapping[str, ParameterShift], time: float, found: Mapping[str, TrackedState]
+) -> dict[str, ParameterShift]:
+    """Parameter shifts at `time` [s], updated from the known ones by the `deviations` found now.
+
+    A shift begins when a property differs from its reference by more than the smallest change that matters
+    and by `SURE` standard deviations.  It is lasting after `LASTING_S`.  It ends when less than the share
+    `BACK` of it is left, or when the property cannot be observed.
+    """
+    shifts = {}
+    for name, deviation in found.items():
+        x, large = deviation.x, abs(relative_shift(name, deviation)) > 1.0
+        before = known.get(name)
         if before is None or before.change * x < 0.0:
-            if abs(x) > max(one.least, SURE * spread):
-                found[one.name] = ParameterShift(one.name, time, False, x)
+            if large:
+                shifts[name] = ParameterShift(name, time, False, x)
             continue
-        if abs(x) < BACK * abs(before.change):
-            continue
-        if not before.lasting and abs(x) <= max(one.least, SURE * spread):
+        if abs(x) < BACK * abs(before.change) or not (before.lasting or large):
             continue
         change = x if abs(x) > abs(before.change) else before.change
-        found[one.name] = replace(
+        shifts[name] = replace(
             before, lasting=before.lasting or time - before.since >= LASTING_S, change=change
         )
-    return found
+    return shifts

@@ -52,12 +52,13 @@ def restart(
     surface: Surface,
     limit: float = LIMIT,
     heating_sd_K: float = 0.0,
+    excess: float = np.nan,
 ) -> Advice:
     """How long to pre-heat from now on, at standstill and with all heaters of the model at full power.
 
     The advice is the shortest time after which the relative humidity at the coldest surface is below `limit`
     with a probability of at least `ENOUGH`, and stays so for `STAYS_H`.  The probability includes the
-    standard error `heating_sd_K` of the heaters' effect.
+    standard error `heating_sd_K` of the heaters' effect.  `excess` as in `live.forecast.forecast`.
     """
     found = heating(plan, heating_sd_K)
     if found is None:
@@ -74,7 +75,7 @@ def restart(
     chances = []
     for effect_K in effects:
         own = replace(plan, values=found.values_at(effect_K, plan.values))
-        conditions = conditions_by_member(own, state, heated, surface)
+        conditions = conditions_by_member(own, state, heated, surface, excess)
         humidities = [one.surface_humidity for one in conditions if one.surface_humidity is not None]
         if not humidities:
             return Advice(state.time, None, None, limit, "the model has no humidity")

@@ -97,6 +97,7 @@ class States:
             fault=fault,
             catching_up=catching_up,
             stale_s=one.stale_s,
+            silent_s=tracker.silent_since(),
         )
         state, reason = assess(known, now)
         before = self.assessments.get(name)

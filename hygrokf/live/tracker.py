@@ -27,9 +27,12 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.changes import SAME_S as SAME_S
 from hygrokf.live.changes import changed_trace
+from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
+WAITS_S = 7 * DAY_S
+"""[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
 Column = Sequence[float] | np.ndarray
 Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
@@ -85,17 +88,21 @@ class Point:
 
 @dataclass(frozen=True)
 class Course:
-    """Estimates after the point: the run, and the filter's moments at its instants.
+    """Estimates after the point, or after those that go on from it in silence: the run, and the filter's
+    moments at its instants.
 
-    `after_s`: time [s] of the point, −∞ without one; `before`: time [s] of each cabinet signal's newest
-    reading up to it; `final`: number of instants, the first ones, whose estimates are final.
+    `after_s`: time [s] after which they begin, −∞ at the first ones; `read`: times [s] of each
+    signal's accepted readings.  Alarms are to be judged at instants in (`judged_s`, `final_s`] [s],
+    those that no reading within the lateness can change any more.  `frozen`: signals that repeat a value.
     """
 
     run: Run
     trace: Trace
     after_s: float = -math.inf
-    before: Mapping[str, float] = field(default_factory=dict)
-    final: int = 0
+    read: Mapping[str, np.ndarray] = field(default_factory=dict)
+    judged_s: float = -math.inf
+    final_s: float = -math.inf
+    frozen: tuple[Frozen, ...] = ()
 
     @property
     def seconds(self) -> np.ndarray:
@@ -109,27 +116,34 @@ class Course:
 
     def heard(self, signal: str) -> np.ndarray:
         """Time (T,) [s] of the newest reading of a cabinet signal up to each instant, −∞ before the first."""
-        there = np.isfinite(self.run.timeline.reading(signal))
-        times = np.where(there, self.seconds, self.before.get(signal, -math.inf))
-        return np.maximum.accumulate(times)
+        times = np.append(-math.inf, self.read.get(signal, ()))
+        return times[np.searchsorted(times, self.seconds + SAME_S, side="right") - 1]
 
 
 class Tracker:
     """The state of one turbine's filter.
 
     A restart begins from the `point` and the `readings()` of before.  `newest_state` is the estimate at the
-    newest instant, which may still change, and `running` tells whether the turbine operates then; `newest` is
-    the time [s] of the newest reading, −∞ without any.  `counts` counts distinct readings: "late" (the first
+    newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
+    [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
+    [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value at the point.
+    `counts` counts distinct readings: "late" (the first
     value of its stamp, received after the estimate at that time was final), "revised" (another value of a
     stamp before that, of which `used_value` counts), "revised late" (after it: not used), "contradicting"
     (values of which none counts), and, once final, "departed" and "frozen" (kept out by `data.gate`); and
     "repeated", values that their stamp has had before.
+
+    While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
+    for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
+    delivery can change, and from which the filter goes on.  Alarms do not wait: they are judged up to
+    `judged_s` [s], and again from the point on where a late delivery changes what they followed from.
 
     plan: what the tracker needs of a fit (`live.plan.plan`).
     point: the final estimate to begin from, or None.
     readings: stored readings after it, in SI units.
     changes: [s] times of stated changes of the cabinet.
     versions: of stamps that had several values.
+    judged_s, frozen: of before.
     """
 
     def __init__(
@@ -139,12 +153,17 @@ class Tracker:
         readings: Iterable[Reading] = (),
         changes: Iterable[float] = (),
         versions: Versions | None = None,
+        judged_s: float = -math.inf,
+        frozen: Mapping[str, Frozen] | None = None,
     ) -> None:
         self.plan = plan
         self.changes = tuple(changes)
         self.point = point
+        self.ahead: Point | None = None
+        self.judged_s = -math.inf
         self.newest_state = point
         self.running = False
+        self.excess = math.nan
         self.newest = -math.inf
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
@@ -152,8 +171,10 @@ class Tracker:
         self._marks: dict[str, array[float]] = {}
         self._versions = dict(versions or {})
         self._accepted: dict[str, Readings] = {}
+        self.frozen = dict(frozen or {})
         for one in readings:
             self._insert(one)
+        self.judged_s = judged_s if point is None else max(point.time, judged_s)
 
     # -- readings --------------------------------------------------------------------------------------------
     def take(self, readings: Iterable[Reading], stored: Versions | None = None) -> list[str]:
@@ -185,8 +206,14 @@ class Tracker:
         before the newest final estimate."""
         if self.point is not None:
             time = max(time, self.point.time)
+        self._doubt(time)
         self.changes = (*self.changes, time)
         return time
+
+    def _doubt(self, time: float) -> None:
+        """Filter and judge anew from the point on if something new acts at a `time` [s] that is judged."""
+        if time <= self.judged_s + SAME_S:
+            self.ahead, self.judged_s = None, -math.inf
 
     def is_late(self, one: Reading) -> bool:
         """Whether the estimate at a reading's time is already final."""
@@ -203,6 +230,7 @@ class Tracker:
 
     def _insert(self, one: Reading) -> str:
         """Insert a reading; returns the count that it belongs to, "" for the first value of its stamp."""
+        self._doubt(one.time)
         if one.signal not in self._times:
             for columns in (self._times, self._values, self._marks):
                 columns[one.signal] = array("d")
@@ -282,24 +310,57 @@ class Tracker:
             for signal, times in self._times.items()
         }
         self._accepted = {signal: one.accepted for signal, one in judged.items()}
-        made = prepare_run(self.plan.design, self._record_with_ended_gaps())
+        made = prepare_run(
+            self.plan.design, self._record_with_ended_gaps(), beyond=self.silent_since() is not None
+        )
+        silent_s = silent_since(self._times, self.plan.lateness_s)
+        waits = silent_s is not None and self.newest - silent_s <= WAITS_S
+        if not waits:
+            self.ahead = None
         course = self._course(made)
         if course is None:
             return None
         seconds = course.seconds
         # a mean that ends after the run may have an interval that begins within it
         settled = min((one.judgement.settled_s for one in judged.values()), default=math.inf)
-        final = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
-        last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
+        final_s = min(self._final(), settled, float(seconds[-1]) - self.plan.longest_mean_s)
+        frozen = self._frozen(judged)
+        course = replace(course, judged_s=self.judged_s, final_s=final_s, frozen=frozen)
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
-        self.running = bool(made.operating[-1])
-        if last > 0:
+        self.running = bool(course.run.operating[-1])
+        reached = self._reached(course, final_s)
+        point = self._reached(course, min(final_s, silent_s)) if waits and silent_s else reached
+        if point is not None:
             before = -math.inf if self.point is None else self.point.time
-            self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
+            self.point = point
             for one in judged.values():
-                self.counts.update(one.kept_out(before + SAME_S, self.point.time + SAME_S))
+                self.counts.update(one.kept_out(before + SAME_S, point.time + SAME_S))
+            self.frozen = {one.signal: one for one in frozen if one.known_s <= point.time < one.end}
             self._forget()
-        return replace(course, final=last)
+        if reached is not None:
+            self.ahead = reached if waits else None
+            self.judged_s = reached.time
+        return course
+
+    def _reached(self, course: Course, time: float) -> Point | None:
+        """The state after the last instant of a course up to a time [s]; None without one."""
+        last = int(np.searchsorted(course.seconds, time + SAME_S, side="right")) - 1
+        return None if last < 0 else Point(float(course.seconds[last]), self._state_at(course, last))
+
+    def silent_since(self) -> float | None:
+        """Time [s] of the cabinet's newest usable reading if estimates go on without it; None else."""
+        return silent_since({s: times for s, (times, _) in self._accepted.items()}, self.plan.lateness_s)
+
+    def _frozen(self, judged: Mapping[str, Judged]) -> tuple[Frozen, ...]:
+        """The signals of ambient and cabinet that repeat a value after the point."""
+        after_s = -math.inf if self.point is None else self.point.time
+        found: list[Frozen] = []
+        for signal, one in judged.items():
+            scale = self.plan.scale(signal)
+            if scale is not None and signal.startswith(("ambient_", "cabinet_")):
+                known = self.frozen.get(signal)
+                found += frozen_runs(signal, one.readings, scale.still_s, self.plan.context_s, after_s, known)
+        return tuple(found)
 
     def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
@@ -324,22 +385,17 @@ class Tracker:
         return first, last, longest
 
     def _course(self, made: Run) -> Course | None:
-        t = made.timeline
-        seconds = t.seconds
-        after = -math.inf if self.point is None else self.point.time + SAME_S
-        first = int(np.searchsorted(seconds, after, side="right"))
-        if first == len(t):
+        t, start = made.timeline, self._start()
+        after = -math.inf if start is None else start.time + SAME_S
+        first = int(np.searchsorted(t.seconds, after, side="right"))
+        # a gap of the ambient that has not ended yet reaches far ahead
+        end = int(np.searchsorted(t.seconds, self.newest + SAME_S, side="right"))
+        if first >= end:
             return None
-        part = t.window(first, len(t))
-        piece = Run(part, made.operating[first:], made.scored[first:])
-        before = {signal: self._heard_until(signal, after) for signal in t.outputs}
-        return Course(piece, self._filter(part, self._start()), after - SAME_S, before)
-
-    def _heard_until(self, signal: str, time: float) -> float:
-        """Time [s] of the newest accepted reading of a signal up to a time [s]; −∞ without one."""
-        times, _ = self._accepted.get(signal, (np.empty(0), None))
-        place = int(times.searchsorted(time, side="right"))
-        return float(times[place - 1]) if place else -math.inf
+        part = t.window(first, end)
+        piece = Run(part, made.operating[first:end], made.scored[first:end])
+        read = {signal: times for signal, (times, _) in self._accepted.items()}
+        return Course(piece, self._filter(part, start), after - SAME_S, read)
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
@@ -349,13 +405,13 @@ class Tracker:
             return self._filter(t.window(0, place + 1), self._start()).last
         return course.state(place)
 
-    def _start(self) -> Gaussian | None:
-        return None if self.point is None else self.point.state
+    def _start(self) -> Point | None:
+        return self.ahead or self.point
 
-    def _filter(self, t: Timeline, start: Gaussian | None) -> Trace:
-        final = -math.inf if self.point is None else self.point.time
-        coming = [time for time in self.changes if time + SAME_S >= final]
-        return changed_trace(self.plan.likelihood(t), self.plan.values, start, coming)
+    def _filter(self, t: Timeline, start: Point | None) -> Trace:
+        since, state = (-math.inf, None) if start is None else (start.time, start.state)
+        coming = [time for time in self.changes if time + SAME_S >= since]
+        return changed_trace(self.plan.likelihood(t), self.plan.values, state, coming)
 
     @property
     def _limit(self) -> float:
@@ -477,5 +533,19 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     """
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
-    made = prepare_run(plan.design, record_of(plan, times, values))
-    return Course(made, changed_trace(plan.likelihood(made.timeline), plan.values, None, changes))
+    accepted = record_of(plan, times, values)
+    silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
+    made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
+    trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
+    return Course(made, trace, read={s.signal: s.time for s in accepted.series})
+
+
+def silent_since(times: Mapping[str, Column], lateness_s: float) -> float | None:
+    """Time [s] of the cabinet's newest reading if the ambient is known for more than the lateness [s] after
+    it; None else, and without any reading of the cabinet.  `times` [s] are those of each signal's readings.
+    """
+    newest = {signal: float(some[-1]) for signal, some in times.items() if len(some)}
+    cabinet = max((at for signal, at in newest.items() if signal.startswith("cabinet_")), default=math.inf)
+    vapour = max((newest[signal] for signal in AMBIENT_HUMIDITIES if signal in newest), default=math.inf)
+    inputs = min(newest.get("ambient_temperature", -math.inf), vapour)
+    return cabinet if inputs - cabinet > lateness_s else None

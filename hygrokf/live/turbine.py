@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -12,15 +13,17 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.live.changes import Change
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Plan
-from hygrokf.live.tracker import Course
+from hygrokf.live.tracker import SAME_S, Course
+from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
 
 THIN_S = 600.0
 """[s] between two stored estimates of a cabinet whose sensors have been silent for `SILENT_S`, or that has
 none."""
-SILENT_S = HOUR_S
+SILENT_S = 0.5 * HOUR_S
 STALE_S = 2.0 * HOUR_S
 """[s] age above which data are stale, unless the turbine states another one."""
 
@@ -43,8 +46,20 @@ class Turbine:
     heating_sd_K: float = 0.0
 
 
-def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
-    """The condition of each turbine at the instants of its course that the store keeps.
+@dataclass(frozen=True)
+class Evidence:
+    """What the humidity readings up to a course say beyond the model: the `excess` [g/m³] of the newest one
+    (NaN without any), and the stated `changes`, which may say that the sensor is wrong."""
+
+    excess: float = math.nan
+    changes: Sequence[Change] = ()
+
+
+def conditions(
+    courses: Mapping[str, tuple[Turbine, Course]], evidence: Mapping[str, Evidence] | None = None
+) -> dict[str, Condition]:
+    """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
+    what the model and what the humidity sensor says (`live.water`).
 
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of one.
@@ -59,25 +74,40 @@ def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condi
         kept = [instants_kept(course) for course in runs]
         counts = [len(places) for places in kept]
         inputs = [inputs_of(model, course.run.timeline) for course in runs]
-        together = air_condition(
-            model,
-            {
-                p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts)
-                for p in model.parameters
-            },
-            _joined((course.seconds for course in runs), kept),
-            {name: _joined((u[name] for u in inputs), kept) for name in model.inputs},
-            _joined((course.trace.mean for course in runs), kept),
-            _joined((course.trace.covariance for course in runs), kept),
-            Surface(
-                np.repeat([one.surface.follows for one in turbines], counts),
-                np.repeat([one.surface.offset_K for one in turbines], counts),
-            ),
+        values = {
+            p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts) for p in model.parameters
+        }
+        u = {name: _joined((u[name] for u in inputs), kept) for name in model.inputs}
+        mean = _joined((course.trace.mean for course in runs), kept)
+        covariance = _joined((course.trace.covariance for course in runs), kept)
+        seconds = _joined((course.seconds for course in runs), kept)
+        surface = Surface(
+            np.repeat([one.surface.follows for one in turbines], counts),
+            np.repeat([one.surface.offset_K for one in turbines], counts),
         )
+        together = air_condition(model, values, seconds, u, mean, covariance, surface)
         ends = np.cumsum(counts)
+        if together.condensation is not None and together.temperature_K is not None:
+            readings = {
+                name: _joined((course.run.timeline.reading(name) for course in runs), kept)
+                for name in model.outputs
+            }
+            shown = vapour_read(readings, together.temperature_K.value, u["ambient_temperature"])
+            beyond = np.split(shown - mean[:, model.states.index("vapour")], ends[:-1])
+            said = [(evidence or {}).get(name, Evidence()) for name in names]
+            pieces = zip(beyond, np.split(seconds, ends[:-1]), said, strict=True)
+            excess = np.concatenate([_excess(*piece) for piece in pieces])
+            together = on_the_safe_side(together, model, values, u, mean, covariance, surface, excess)
         for name, count, end in zip(names, counts, ends.tolist(), strict=True):
             found[name] = only(together, slice(end - count, end))
     return found
+
+
+def _excess(beyond: np.ndarray, seconds: np.ndarray, said: Evidence) -> np.ndarray:
+    """The excess (T,) [g/m³] of each instant's newest reading; NaN while a person says that the sensor is
+    wrong."""
+    trusted = believed(said.changes, seconds)
+    return np.where(trusted, carried(np.where(trusted, beyond, np.nan), said.excess), np.nan)
 
 
 def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
@@ -87,13 +117,13 @@ def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndar
 
 def instants_kept(course: Course) -> np.ndarray:
     """Indices of the instants that the store keeps: those with cabinet readings, while these are silent one
-    per `THIN_S`, and the last one while it is provisional; final ones whatever the courses are."""
+    per `THIN_S`, and the last one while it may change; the others whatever the courses are."""
     outputs = course.run.timeline.outputs
     heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
     kept = np.isfinite(course.run.timeline.y).any(axis=1)
     kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
-    kept[-1] |= course.final < len(kept)
+    kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
     return np.flatnonzero(kept)
 
 

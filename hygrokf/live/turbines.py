@@ -44,10 +44,12 @@ from hygrokf.live.condition import Condition
 from hygrokf.live.contradiction import contradiction_level, innovations
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import Forecast, ForecastMade
+from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
     ParameterShift,
     TrackedState,
+    deviations,
     parameter_shifts,
     properties,
     states_of,
@@ -60,6 +62,7 @@ from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
+from hygrokf.live.turbine import Evidence
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
 from hygrokf.live.turbine import digest as digest
@@ -88,10 +91,13 @@ class Fleet:
         self.turbines = dict(turbines)
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
         self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
+        self.deviations: dict[str, dict[str, TrackedState]] = defaultdict(dict)
         self.standings: dict[str, dict[str, Standing]] = defaultdict(dict)
         self.faults: dict[str, str] = {}
         self.forecast_made_s: dict[str, float] = {}
         self.findings: dict[str, Finding] = {}
+        # vapour [g/m³] by which the newest humidity reading exceeds the final estimate
+        self.excesses: dict[str, float] = {}
         self.changes: dict[str, list[Change]] = defaultdict(list)
         # what shifts are judged against after a stated change: states of properties, and the whole state
         self.references: dict[str, dict[str, TrackedState]] = {}
@@ -106,6 +112,7 @@ class Fleet:
         # at which lasting shifts have still to be judged, the first one as soon as its cause is isolated
         self.steps: dict[str, list[ShiftStep]] = defaultdict(list)
         self._slots: dict[str, float] = {}
+        self._frozen: dict[str, dict[str, Frozen]] = defaultdict(dict)
         self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
@@ -124,18 +131,26 @@ class Fleet:
             fleet.changes[name] = structured(list[Change], known.get("changes", []))
             times = [change.time for change in fleet.changes[name]]
             readings, versions = store.readings(name, since), store.revised(name, since)
-            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions)
+            judged_s = -math.inf if known.get("judged") is None else structured(float, known["judged"])
+            found = structured(dict[str, tuple[float, float, float]], known.get("frozen", {}))
+            frozen = {signal: Frozen(signal, *parts) for signal, parts in found.items()}
+            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions, judged_s, frozen)
+            fleet._frozen[name] = frozen
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
             fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
             if known.get("reference_point"):
                 kept = structured(KeptState, known["reference_point"])
                 fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
+            pairs = structured(dict[str, tuple[float, float]], known.get("deviations", {}))
+            fleet.deviations[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
             fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
             fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
             if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])
+            if known.get("excess") is not None:
+                fleet.excesses[name] = structured(float, known["excess"])
             if "forecast" in known:
                 fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
             fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps") or [])
@@ -210,9 +225,15 @@ class Fleet:
             replace(one, late="late" in outcome, revision=outcome in REVISIONS)
             for one, outcome in zip(observations, outcomes, strict=True)
         ]
+        self._note_doubt(name, batch)
         self.waiting.setdefault(name)
         counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
         self._counted[name] = Counter(tracker.counts)
+
+    def _note_doubt(self, name: str, batch: Batch) -> None:
+        """Keep that alarms will be judged anew from the point on."""
+        if self.trackers[name].point is not None and self.trackers[name].judged_s == -math.inf:
+            batch.memories[name, "judged"] = None
 
     def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
@@ -229,7 +250,8 @@ class Fleet:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
-        found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
+        known = {name: Evidence(self.excesses.get(name, math.nan), self.changes[name]) for name in courses}
+        found = conditions({name: (self.turbines[name], course) for name, course in courses.items()}, known)
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
         for name in done:
@@ -247,22 +269,35 @@ class Fleet:
 
     def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
-        point = self.trackers[name].point
+        tracker, point = self.trackers[name], self.trackers[name].point
         if len(found.time_s):
             final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
             batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
             self.states.note_estimate(name, found)
+            if found.excess_g_m3 is not None:
+                tracker.excess = float(found.excess_g_m3[-1])
+                if final:
+                    excess = self.excesses[name] = float(found.excess_g_m3[final - 1])
+                    batch.memories[name, "excess"] = excess if math.isfinite(excess) else None
         if point is None:
             return
         batch.points[name] = point
+        if tracker.ahead is not None:
+            batch.memories[name, "judged"] = tracker.judged_s
+        if tracker.frozen != self._frozen[name]:
+            self._frozen[name] = tracker.frozen
+            batch.memories[name, "frozen"] = {
+                signal: [one.since, one.value, one.known_s] for signal, one in tracker.frozen.items()
+            }
         self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
         for one in innovations(course, point.time):
             # between the two thresholds a level says nothing: that of the other signals
             others = [s for s in course.run.timeline.outputs if s != one.signal]
             silent = [Level(CONTRADICTS.kind, CONTRADICTS.off, "", subject=s) for s in others]
             self._judge(name, one.time_s, [*silent, contradiction_level(one)], (CONTRADICTS,), batch)
-        for i in np.flatnonzero(found.time_s <= point.time + SAME_S):
-            levels = estimate_levels(Estimated(found, int(i)), self.turbines[name].verdicts)
+        due = (found.time_s > course.judged_s + SAME_S) & (found.time_s <= course.final_s + SAME_S)
+        for i in np.flatnonzero(due):
+            levels = estimate_levels(Estimated(found, int(i), course.frozen), self.turbines[name].verdicts)
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
 
     def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
@@ -282,13 +317,14 @@ class Fleet:
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
             references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
-            known = self.shifts[name]
-            self.shifts[name] = parameter_shifts(known, at, states, errors, references)
+            present = deviations(states, errors, references)
+            self.deviations[name] |= present  # what cannot be observed now stays as it was
+            self.shifts[name] = parameter_shifts(self.shifts[name], at, present)
+            batch.memories[name, "deviations"] = {k: list(d) for k, d in self.deviations[name].items()}
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
-            step = shift_step(at, known, self.shifts[name], self._isolated_s(name))
-            if step is not None:
-                self.steps[name].append(step)
-                self._judge_shifts(name, batch)
+            known = self.deviations[name]
+            self.steps[name].append(shift_step(at, self.shifts[name], known, self._isolated_s(name)))
+            self._judge_shifts(name, batch)
 
     def _isolated_s(self, name: str) -> float:
         """Time [s] at which the cause of a turbine's shifts was last due; −∞ if it never was."""
@@ -301,8 +337,7 @@ class Fleet:
         steps, finding = self.steps[name], self.findings.get(name)
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
             step = steps.pop(0)
-            shifts = {one.name: one for one in step.lasting}
-            levels = with_doubts(shift_levels(shifts, finding), self.turbines[name].verdicts)
+            levels = with_doubts(shift_levels(step, finding), self.turbines[name].verdicts)
             self._judge(name, step.time, levels, SHIFT_RULES, batch)
         batch.memories[name, "shift_steps"] = [asdict(step) for step in steps]
 
@@ -332,16 +367,18 @@ class Fleet:
             if name not in self.trackers or event.id in [one.event for one in self.changes[name]]:
                 continue
             tracker = self.trackers[name]
-            self.changes[name].append(Change(event.id, tracker.note_change(event.time)))
+            self.changes[name].append(Change(event.id, tracker.note_change(event.time), event.kind))
             self.changes[name].sort(key=lambda one: one.time)
-            self.shifts[name], self.references[name] = {}, {}
+            self.shifts[name], self.references[name], self.deviations[name] = {}, {}, {}
             self.findings.pop(name, None)
             self.reference_points.pop(name, None)
             self.steps[name].clear()
             batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
-            for key, nothing in (("parameter_shifts", {}), ("references", {}), ("finding", None)):
-                batch.memories[name, key] = nothing
-            batch.memories[name, "reference_point"] = batch.memories[name, "shift_steps"] = None
+            for key in ("parameter_shifts", "references", "deviations"):
+                batch.memories[name, key] = {}
+            for key in ("finding", "reference_point", "shift_steps"):
+                batch.memories[name, key] = None
+            self._note_doubt(name, batch)
             if tracker.point is not None:
                 self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
             self.waiting[name] = None

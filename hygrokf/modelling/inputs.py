@@ -55,11 +55,12 @@ def longest_gap_h(signal: str) -> float:
     return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
 
 
-def prepare_run(design: Design, record: Record) -> Run:
+def prepare_run(design: Design, record: Record, *, beyond: bool = False) -> Run:
     """Put inputs and readings of a record on the instants of the filter.
 
     design: which inputs the model reads, and how (`fit.design`).
     record: spans as far as the cabinet's readings and the ambient's series both exist.
+    beyond: whether the run goes on where the cabinet's readings end, to the end of the ambient's series.
 
     Interval means of the ambient are replaced by a path with the same means (`data.input_paths`); of
     overlapping interval means of the cabinet, the later ones are left out.
@@ -74,7 +75,7 @@ def prepare_run(design: Design, record: Record) -> Run:
     _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
     ambient = _courses(design, record)
-    first, last = _common_span(record, ambient)
+    first, last = _common_span(record, ambient, beyond)
     switched = [
         record[name]
         for name in ("active_power", "preheating")
@@ -123,8 +124,9 @@ def _courses(design: Design, record: Record) -> dict[str, Series]:
     return ambient
 
 
-def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, float]:
-    """First and last instant [s] of the cabinet's readings as far as the ambient series reach."""
+def _common_span(record: Record, ambient: dict[str, Series], beyond: bool) -> tuple[float, float]:
+    """First and last instant [s] of the cabinet's readings as far as the ambient series reach; `beyond`: the
+    last one is that of the ambient series."""
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
     spans = observed or list(ambient.values())
     known = [s.known[0] for s in ambient.values()]
@@ -136,7 +138,8 @@ def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, flo
         )
         raise ValueError(f"no reading of {empty} can be used, and every model needs it; check the source")
     first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
-    last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
+    ends = [time[-1] for time in known]
+    last = min(ends if beyond else [max(s.time[-1] for s in spans), *ends])
     if not first < last:
         series = "the cabinet's readings and the ambient series" if observed else "the ambient series"
         raise ValueError(

@@ -21,6 +21,7 @@ from hygrokf.live.properties import (
     HUMIDITIES,
     TEMPERATURES,
     ParameterShift,
+    deviations,
     parameter_shifts,
     standard_errors,
     states_of,
@@ -164,7 +165,7 @@ def followed(
         time = float(seconds[i])
         heard = dict.fromkeys((*TEMPERATURES, *HUMIDITIES), time)
         states = states_of(plan.model, course.trace.mean[i], course.trace.covariance[i], time, heard)
-        known = parameter_shifts(known, float(seconds[i]), states, errors)
+        known = parameter_shifts(known, float(seconds[i]), deviations(states, errors))
         yield float(seconds[i]), known
 
 

@@ -10,7 +10,17 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, clocks, contradictions, forecast, notification, restart, saturation, spikes
+from trials import (
+    changes,
+    clocks,
+    contradictions,
+    faulty,
+    forecast,
+    notification,
+    restart,
+    saturation,
+    spikes,
+)
 from trials.picture import reliability_png
 
 
@@ -39,6 +49,10 @@ TRIALS = {
     ),
     "clocks": Trial(clocks.one, clocks.table, "how often a wrong clock, unit or column is named"),
     "spikes": Trial(spikes.one, spikes.table, "bad readings in a record, and what they move in its fit"),
+    **{
+        name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a plant: {name}")
+        for name, one in faulty.ONES.items()
+    },
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

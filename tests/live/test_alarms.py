@@ -13,22 +13,35 @@ from hygrokf.identification.verdict_terms import REJECT, Inherited
 from hygrokf.live import alarms
 from hygrokf.live.alarms import (
     CABINET_CHANGES,
+    CHANGED,
+    FROZEN_S,
     RULES,
+    SENSOR_OR_WATER,
+    STUCK,
+    SUSPECT,
     Estimated,
     Level,
     Standing,
     condensation_levels,
     estimate_levels,
+    frozen_levels,
     judge,
     shift_levels,
 )
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition, Quantity
-from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.properties import WATCHED, ParameterShift
+from hygrokf.live.fault_isolation import Finding, shift_step
+from hygrokf.live.frozen import Frozen
+from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 MINUTE = 60.0
+
+
+def said_of(
+    shifts: dict[str, ParameterShift], finding: Finding | None, now: dict[str, TrackedState]
+) -> list[Level]:
+    return shift_levels(shift_step(0.0, shifts, now, -math.inf), finding)
 
 
 def course(levels: list[tuple[float, float | None]], kind: str = "condensation") -> tuple[dict, list[Alarm]]:
@@ -66,6 +79,15 @@ def test_it_worsens_once_and_keeps_its_name() -> None:
     assert [one.severity for one in changes] == ["warning", "alarm"]
     assert changes[1].id == changes[0].id and changes[1].statement == "level 0.97"
     assert course([(0, 0.97), (20, 0.97)])[1][0].severity == "alarm"
+
+
+def test_a_late_delivery_goes_back_and_ends_only_what_began_before() -> None:
+    """Judged again from the fortieth minute on, with a beginning at the sixtieth."""
+    begun = [(40, 0.1), (60, 0.6), (80, 0.6)]
+    assert len(course([*begun, (40, 0.1), (50, 0.7), (59, 0.7), (80, 0.6)])[1]) == 1
+    _, changes = course([*begun, (30, 0.1), (55, 0.1), (65, 0.1), (85, 0.1)])
+    assert [one.ended for one in changes] == [None, 65 * MINUTE]
+    assert course([(60, 0.6), (20, 0.6), (40, 0.6)])[1][0].began == 20 * MINUTE  # what was pending
 
 
 def test_the_same_course_gives_the_same_alarms_also_in_pieces() -> None:
@@ -110,11 +132,55 @@ def test_shifts_name_cause_and_remedy() -> None:
         "thermal_time_constant": ParameterShift("thermal_time_constant", 0.0, False, 0.4),
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25),
     }
-    exchange, heat = shift_levels(found, Finding(0.0, ""))
-    assert exchange.statement.endswith("hygric k −50 %")
+    now = {"hygric_k": TrackedState(math.log(0.5), 0.1), "heat_release_change": TrackedState(2.25, 0.5)}
+    exchange, heat = said_of(found, Finding(0.0, ""), now)
+    assert exchange.statement.endswith("hygric k −50 (−59 … −39) %")
     assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
-    assert heat.statement.endswith("heat release change +2.2 K")
+    assert heat.statement.endswith("heat release change +2.2 (+1.3 … +3.2) K")
     assert {name for name, _ in CABINET_CHANGES} == {one.name for one in WATCHED}
+
+
+def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
+    """What is open then stays open."""
+    found = {"heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25)}
+    (unsure,) = said_of(found, Finding(0.0, ""), {"heat_release_change": TrackedState(1.2, 0.7)})
+    assert CHANGED.off <= unsure.level < CHANGED.on
+    sensor = Finding(0.0, "temperature_sensor", "temperature_reading_change", 0.4, 20.0, sd=0.3)
+    (unsure,) = said_of(found, sensor, {})
+    assert SUSPECT.off <= unsure.level < SUSPECT.on and "0.4 (−0.2 … 1.0) K too high" in unsure.statement
+    (sure,) = said_of(found, replace(sensor, sd=0.1), {})
+    assert sure.level == SUSPECT.on
+
+
+def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None:
+    """It is said before the shift lasts; only another sensor's fault explains it."""
+    moist, dry = ({"humidity_offset": TrackedState(x, 0.006)} for x in (0.12, -0.12))
+    (level,) = said_of({}, None, moist)
+    assert level.kind == SENSOR_OR_WATER.kind and level.level == pytest.approx(3.0)
+    assert "+12 (+11 … +13) % relative humidity" in level.statement and "water" in level.statement
+    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.12)}
+    high = Finding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
+    for finding in (None, Finding(9.0, ""), high):
+        assert [one.kind for one in said_of(lasting, finding, moist)] == [SENSOR_OR_WATER.kind]
+    other = Finding(9.0, "temperature_sensor", "temperature_reading_change", 3.0, 50.0, sd=0.2)
+    assert [one.kind for one in said_of(lasting, other, moist)] == [SUSPECT.kind]
+    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, -0.12)}
+    below, low = said_of(lasting, replace(high, value=-0.3), dry)
+    assert below.level < 0.0 and low.kind == SUSPECT.kind
+    assert "30 (26 … 34) % of its value too low" in low.statement
+
+
+def test_a_frozen_signal_is_named_whichever_it_is() -> None:
+    frozen = (
+        Frozen("ambient_temperature", 0.0, 281.45, 3600.0),
+        Frozen("cabinet_relative_humidity", 1800.0, 0.6, 3600.0),
+        Frozen("cabinet_temperature", 0.0, 290.0, 3600.0, FROZEN_S),
+    )
+    bare = Condition(np.array([FROZEN_S - 600.0, FROZEN_S + 600.0]), *[None] * 8)
+    early, late = (frozen_levels(Estimated(bare, i, frozen)) for i in (0, 1))
+    assert [one.level >= STUCK.on for one in early + late] == [False, False, False, True, False]
+    assert late[0].statement.startswith("ambient temperature has read 8.3 degC since 1970-01-01T00:00Z")
+    assert late[0].subject == "ambient_temperature"
 
 
 def test_rules_can_end_what_they_begin() -> None:

@@ -86,6 +86,13 @@ def coming(*chances: float) -> Outlook:
             "cannot run: no time",
         ),
         ({"standstill": True}, "off", "feeds no power"),
+        ({"silent_s": NOW - 600.0}, "ok", "from the inputs alone since 2020-09-13T12:16:40Z"),
+        ({"silent_s": NOW - 600.0, "alarms": [alarm("data stale")]}, "stale", "from the inputs alone since"),
+        (
+            {"heard": {"cabinet_temperature": NOW, "cabinet_relative_humidity": NOW - 3.0 * HOUR_S}},
+            "ok",
+            "without cabinet relative humidity since 2020-09-13T09:26:40Z",
+        ),
         ({"standstill": True, "heard": {"active_power": NOW - 3.0 * HOUR_S}}, "ok", ""),
         ({"standstill": True, "condensation": 0.7}, "at risk", "now"),
         ({"standstill": True, "condensation": None}, "no estimate", ""),

@@ -17,7 +17,7 @@ from hygrokf.live import service as service_module
 from hygrokf.live.acknowledgement import acknowledge
 from hygrokf.live.batch import Alarm, Batch, Event
 from hygrokf.live.changes import SETTLED_S, jump_variance, settled
-from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState, parameter_shifts
+from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState, deviations, parameter_shifts
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
@@ -81,10 +81,11 @@ def test_shifts_count_from_the_settled_property() -> None:
     assert settled({}, 0.0, SETTLED_S, {"hygric_k": TrackedState(0.5, 0.3)}) == {}
     found = settled({}, 0.0, SETTLED_S, x)
     assert found == x and settled(found, 0.0, SETTLED_S + 1.0, {"hygric_k": TrackedState(0.9, 0.02)}) == x
-    assert parameter_shifts({}, 0.0, x, {}, {}) == {}
-    assert parameter_shifts({}, 0.0, x, {}, found) == {}
-    assert list(parameter_shifts({}, 0.0, x, {}, None)) == ["hygric_k"]
-    shift = parameter_shifts({}, 0.0, {"hygric_k": TrackedState(0.8, 0.02)}, {}, found)["hygric_k"]
+    assert parameter_shifts({}, 0.0, deviations(x, {}, {})) == {}
+    assert parameter_shifts({}, 0.0, deviations(x, {}, found)) == {}
+    assert list(parameter_shifts({}, 0.0, deviations(x, {}))) == ["hygric_k"]
+    moved = {"hygric_k": TrackedState(0.8, 0.02)}
+    shift = parameter_shifts({}, 0.0, deviations(moved, {}, found))["hygric_k"]
     assert shift == ParameterShift("hygric_k", 0.0, False, pytest.approx(0.3))
 
 

@@ -12,6 +12,7 @@ import pytest
 from builders.live_case import live_record, live_turbine
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.condition import Surface
 from hygrokf.live.fault_isolation import EVERY_S
@@ -29,12 +30,20 @@ Messages = Sequence[tuple[float, Content]]
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    """Eleven days with three wrong readings of humidity."""
+    """Eleven days with three wrong readings of humidity, six hours without any reading of the cabinet,
+    and air that is moister than explained at last."""
     made = live_record(tmp_path_factory.mktemp("turbine"), seed=61, days=11.0)
     value = made[HUMIDITY].value.copy()
     wrong = [700, 900, 901]
     value[wrong] = np.where(value[wrong] < 0.5, 0.95, 0.1)
-    return made.replace_series(replace(made[HUMIDITY], value=value))
+    value[made[HUMIDITY].time > made.start_s + 9.0 * DAY_S] += 0.2
+    made = made.replace_series(replace(made[HUMIDITY], value=np.minimum(value, 0.99)))
+    begin = made.start_s + 8.0 * DAY_S
+    for signal in (HUMIDITY, "cabinet_temperature"):
+        one = made[signal]
+        heard = (one.time < begin) | (one.time > begin + 0.25 * DAY_S)
+        made = made.replace_series(replace(one, time=one.time[heard], value=one.value[heard]))
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +107,12 @@ def expected(
 def test_there_is_something_to_compare(expected: tuple[dict, list]) -> None:
     found, times = expected
     kinds = {row[1] for row in found["alarms"]}
-    assert kinds >= {"condensation", "cabinet changed", "reading contradicts"}
+    assert kinds >= {
+        "condensation",
+        "cabinet changed",
+        "reading contradicts",
+        "sensor or water",
+    }
     assert len(times) > 3 and times == sorted(times)
     assert EVERY_S in set(np.diff(times)), "once a day while shifts last"
     assert all(at % 3600.0 < 900.0 for at in times), "with the first estimate of an hour"

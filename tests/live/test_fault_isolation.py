@@ -17,9 +17,17 @@ from hygrokf.data.record import Record, Series
 from hygrokf.identification.procedure import identify
 from hygrokf.live.alarms import CHANGED, SUSPECT, shift_levels
 from hygrokf.live.defaults import SIGNALS
-from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, finding_from, isolate
+from hygrokf.live.fault_isolation import (
+    CLOSE,
+    LEAST,
+    Explanation,
+    Finding,
+    finding_from,
+    isolate,
+    shift_step,
+)
 from hygrokf.live.plan import Plan, plan
-from hygrokf.live.properties import ParameterShift
+from hygrokf.live.properties import ParameterShift, TrackedState
 from hygrokf.live.sources.local import form_of
 from hygrokf.live.tracker import Point, offline_course
 from hygrokf.physics.psychrometrics import saturation_pressure_water
@@ -201,16 +209,17 @@ def test_what_is_said_of_it() -> None:
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.2),
         "humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.08),
     }
-    assert shift_levels(lasting, None) == []  # nobody has looked yet
-    sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0)
-    (one,) = shift_levels(lasting, sensor)
+    now = {"heat_release_change": TrackedState(2.2, 0.2)}
+    assert shift_levels(shift_step(9.0, lasting, now, 0.0), None) == []  # nobody has looked yet
+    sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0, sd=0.5)
+    (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), sensor)
     assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"
-    assert one.statement.startswith("the temperature sensor reads 2.9 K too high")
+    assert one.statement.startswith("the temperature sensor reads 2.9 (1.9 … 3.9) K too high")
     cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, 1.0, ("temperature_sensor",))
-    (one,) = shift_levels(lasting, cabinet)
+    (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), cabinet)
     assert one.kind == CHANGED.kind and one.subject == "heat_release_change"
-    assert one.statement.endswith("(or the temperature sensor)") and "+2.2 K" in one.statement
-    nothing = shift_levels(lasting, Finding(9.0, ""))
-    assert [one.subject for one in nothing] == ["heat_release_change", "humidity_offset"]
+    assert one.statement.endswith("(or the temperature sensor)") and "+2.2 (+1.8 … +2.6) K" in one.statement
+    nothing = shift_levels(shift_step(9.0, lasting, now, 0.0), Finding(9.0, ""))
+    assert [one.subject for one in nothing] == ["heat_release_change"]
     assert all(math.isfinite(one.level) and one.remedy for one in nothing)
-    assert shift_levels({}, sensor) == []
+    assert shift_levels(shift_step(9.0, {}, now, 0.0), sensor) == []

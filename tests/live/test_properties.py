@@ -8,7 +8,15 @@ import pytest
 from builders.fit_case import typed
 
 from hygrokf.identification.fit import Fit
-from hygrokf.live.properties import DAY_S, ParameterShift, parameter_shifts, properties, standard_errors
+from hygrokf.live.properties import (
+    DAY_S,
+    ParameterShift,
+    TrackedState,
+    deviations,
+    parameter_shifts,
+    properties,
+    standard_errors,
+)
 from hygrokf.modelling.design import Design
 
 TAU = "thermal_time_constant"
@@ -19,7 +27,8 @@ def followed(course: list[tuple[float, float, float]], name: str = TAU) -> dict[
     """Parameter shifts after a course of (day, x, standard deviation)."""
     known: dict[str, ParameterShift] = {}
     for day, x, sd in course:
-        known = parameter_shifts(known, DAY_S * day, {name: (x, sd)}, ERRORS)
+        found = deviations({name: TrackedState(x, sd)}, ERRORS)
+        known = parameter_shifts(known, DAY_S * day, found)
     return known
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,10 +15,13 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.gate import REACH_S
 from hygrokf.data.readings import SATURATED
 from hygrokf.data.record import Record, Series
+from hygrokf.live import tracker as tracker_module
 from hygrokf.live.ceiling import censored_trace
+from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.live.sources.local import form_of
-from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course
+from hygrokf.live.tracker import NEITHER, Reading, Tracker, offline_course, record_of
+from hygrokf.live.turbine import SILENT_S, instants_kept
 
 HOUR_S = 3600.0
 
@@ -256,6 +260,94 @@ def test_a_restart_from_the_point_and_the_readings_that_are_kept_changes_nothing
         course = again.advance()
     assert np.array_equal(course.trace.mean[-1], through.trace.mean[-1])
     assert not again.counts
+
+
+@pytest.mark.parametrize("quiet", [("cabinet_",), ("cabinet_relative_humidity",)])
+def test_estimates_go_on_from_the_inputs_while_sensors_are_silent(record: Record, quiet: tuple) -> None:
+    """Twenty hours without the cabinet's readings: estimates after half an hour, by the filter that never had
+    them; no instant is filtered again and again."""
+    model, begin = planned(record), record.start_s + 60.0 * HOUR_S
+    heard = [one for one in readings_of(record) if one.time <= begin + 20.0 * HOUR_S]
+    kept = [one for one in heard if one.time <= begin or not one.signal.startswith(quiet)]
+    tracker, told, steps = Tracker(model), set(), 0
+    for place in range(0, len(kept), 40):
+        tracker.take(kept[place : place + 40])
+        course = tracker.advance()
+        if course is not None:
+            told |= set(np.round(course.seconds[instants_kept(course)]).tolist())
+            steps += len(course.seconds) * (course.seconds[0] > begin + 2.0 * HOUR_S)
+    silent = np.array(sorted(at for at in told if begin <= at))
+    assert np.diff(silent).max() < SILENT_S + 1200.0 and np.median(np.diff(silent)) <= 900.0
+    assert silent[-1] >= begin + 19.5 * HOUR_S
+    offline = offline_course(model, record_of(model, *_columns(kept)))
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+    if quiet == ("cabinet_",):
+        assert tracker.silent_since() == max(one.time for one in kept if one.signal.startswith("cabinet_"))
+        assert steps < 5 * len(silent)
+    else:
+        assert tracker.silent_since() is None
+
+
+def _columns(readings: list[Reading]) -> tuple[dict, dict]:
+    """Times and values by signal."""
+    times: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
+    for one in readings:
+        times.setdefault(one.signal, []).append(one.time)
+        values.setdefault(one.signal, []).append(one.value)
+    return times, values
+
+
+def test_a_late_delivery_fills_in_what_the_inputs_alone_told(record: Record) -> None:
+    """What a logger kept for twenty hours is used in full: the state is the offline filter's, bit for bit."""
+    model, begin = planned(record), record.start_s + 60.0 * HOUR_S
+    end = begin + 20.0 * HOUR_S
+    readings = readings_of(record)
+    held = [one for one in readings if begin < one.time <= end and one.signal.startswith("cabinet_")]
+    prompt = [one for one in readings if one not in held]
+    order = [one for one in prompt if one.time <= end] + held + [one for one in prompt if one.time > end]
+    tracker, course = followed(model, order, 40)
+    assert tracker.counts["late"] == 0
+    offline = offline_course(model, record)
+    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
+    assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+
+
+def test_after_a_week_the_inputs_alone_are_final(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker_module, "WAITS_S", 12.0 * HOUR_S)
+    model, begin = planned(record), record.start_s + 60.0 * HOUR_S
+    kept = [one for one in readings_of(record) if one.time <= begin or not one.signal.startswith("cabinet_")]
+    tracker, _ = followed(model, [one for one in kept if one.time <= begin + 11.0 * HOUR_S], 40)
+    assert tracker.point.time <= begin < tracker.ahead.time
+    assert tracker.judged_s == tracker.ahead.time, "alarms do not wait"
+    tracker.take([Reading("cabinet_temperature", begin + HOUR_S, 300.0)])
+    assert tracker.ahead is None and tracker.advance().judged_s < begin, "and are judged again"
+    tracker, _ = followed(model, kept, 40)
+    offline = offline_course(model, record_of(model, *_columns(kept)))
+    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right")) - 1
+    assert tracker.ahead is None and tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
+    assert np.array_equal(tracker.point.state.mean, offline.trace.mean[last])
+
+
+def test_a_signal_that_repeats_a_value_is_frozen_since_its_first_repetition() -> None:
+    """In saturated air, where the gate lets all pass, only below what the sensor has read before."""
+    time = 600.0 * np.arange(6)
+
+    def found(*value: float, after_s: float = -math.inf, known: Frozen | None = None) -> list[Frozen]:
+        readings = time[: len(value)], np.array(value)
+        return list(frozen_runs("cabinet_relative_humidity", readings, 900.0, 8.0 * HOUR_S, after_s, known))
+
+    stuck = Frozen("cabinet_relative_humidity", 600.0, 0.6, 1800.0)
+    assert found(0.5, 0.6, 0.6, 0.6, 0.6, 0.6) == [stuck]
+    assert found(0.5, 0.6, 0.6, 0.6, 0.6, 0.7) == [replace(stuck, end=3000.0)]
+    assert found(0.5, 0.6, 0.6, 0.5) == found() == []
+    assert [one.value for one in found(0.98, 0.97, 0.97, 0.97, 0.97, 0.97)] == [0.97]
+    assert found(0.9, 0.97, 0.97, 0.97, 0.97, 0.97) == []
+    # what was found before stands, because the readings from before may be gone
+    known = Frozen("cabinet_relative_humidity", -9e5, 0.97, -8e5)
+    assert found(0.97, 0.97, 0.97, 0.97, after_s=1800.0, known=known) == [known]
+    assert found(0.6, 0.6, 0.6, 0.6, after_s=1800.0) == []
 
 
 def test_readings_whose_source_states_that_neither_counts_are_both_left_out(record: Record) -> None:
