@@ -460,7 +460,9 @@ def _series(
     for name, quantity in readings.items():
         value, sd = predicted.of(quantity) or (nothing, nothing)
         simulated |= {f"{name}_simulated": value, f"{name}_sd": sd}
-    trace = Likelihood(base.model, t, rate_step=rate_step).trace(values)
+    # of the linear filter: whiteness and kurtosis mean nothing where a reading's influence is bounded
+    linear = replace(base.model, bound=math.inf)
+    trace = Likelihood(linear, t, rate_step=rate_step).trace(values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
 
     def innovation(*names: str) -> np.ndarray:

@@ -53,5 +53,6 @@ def frozen_runs(
                 yield replace(known, end=end)
             continue
         earlier = value[np.searchsorted(time, at - context_s) : start]
-        if not resting(signal, value[start : start + 1], math.inf)[0] or value[start] < earlier.max(initial=-math.inf):
+        rests = resting(signal, value[start : start + 1], math.inf)[0]
+        if not rests or value[start] < earlier.max(initial=-math.inf):
             yield Frozen(signal, float(time[start]), float(value[start]), at, end)
