@@ -495,7 +495,7 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
     always = named("internal_moisture_source").variants(made)[0]
     found = attempt(made, always)
     assert found.lr > 12.0
-    assert attempt(made, restarted(made, found)).lr > 12.0
+    assert attempt(made, restarted(made, found)).lr > 9.0  # the bounded likelihood counts bursts less
     monkeypatch.setattr("hygrokf.discovery.baseline.disturbances", lambda model: {})
     assert attempt(made, replace(always, starts=always.starts[:2])).lr < 5.0
 
