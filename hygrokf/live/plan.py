@@ -137,10 +137,10 @@ class Plan:
     @property
     def context_s(self) -> float:
         """[s] before a final estimate for which readings are kept: inputs look back over gaps, features over
-        a day, the gate over the time for which a signal may stay still."""
+        a day, and the gate, which judges these readings, over the time for which a signal may stay still."""
         hours = FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + 2.0
         still_s = max((scale[1] for scale in self.design.scales.values()), default=0.0)
-        return max(HOUR_S * hours, REACH_STEPS * still_s + 2.0 * REACH_S)
+        return HOUR_S * hours + REACH_STEPS * still_s + 2.0 * REACH_S
 
     @cached_property
     def longest_mean_s(self) -> float:

@@ -38,6 +38,10 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
     value[wrong] = np.where(value[wrong] < 0.5, 0.95, 0.1)
     value[made[HUMIDITY].time > made.start_s + 9.0 * DAY_S] += 0.2
     made = made.replace_series(replace(made[HUMIDITY], value=np.minimum(value, 0.99)))
+    ambient = made["ambient_temperature"]
+    stuck = (ambient.time > made.start_s + 6.0 * DAY_S) & (ambient.time < made.start_s + 6.5 * DAY_S)
+    repeated = np.where(stuck, ambient.value[stuck][0], ambient.value)
+    made = made.replace_series(replace(ambient, value=repeated))
     begin = made.start_s + 8.0 * DAY_S
     for signal in (HUMIDITY, "cabinet_temperature"):
         one = made[signal]
