@@ -191,7 +191,7 @@ def test_a_source_of_these_schemes(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     for text in (SHORT, TLS):
         stream, faults = made(text)
-        assert faults == [] and stream.mapping is MAPPING and stream.state == ("idle", "not started")
+        assert faults == [] and stream.mapping == MAPPING and stream.state == ("idle", "not started")
     stream, (fault,) = made(f'url = "mqt://u:{SECRET}@h"\ntopics = ["a"]')
     assert stream is None and "mqtt:, mqtts:" in fault and SECRET not in fault
     monkeypatch.setitem(sys.modules, "paho.mqtt.enums", None)

@@ -83,7 +83,8 @@ def test_a_reading_that_contradicts_is_flagged_once_its_estimate_is_final(
     assert f"reads {100.0 * wrong:.1f} %, where the estimate expects" in alarm.statement
     view = turbine_view(store, "T1", at - 3600.0, at, needs=turbine.plan.needs)
     assert [one["signal"] for one in view["signals"] if one["contradicts"]] == [HUMIDITY]
-    assert view["state"] == "alarm"
+    # a reading that is too high may be water, and counts as such
+    assert view["state"] == ("at risk" if step > 0.0 else "alarm")
     # a restart does not judge it again
     again = Fleet.from_store({"T1": turbine}, store)
     store.commit(again.filter_waiting(Batch()))

@@ -16,6 +16,7 @@ from builders.sparkplug_peer import FLOAT, EdgeNode
 from builders.track_case import write_model
 from builders.waiting import eventually
 
+from hygrokf.data.numbers import stated_marks
 from hygrokf.data.toml_form import Place
 from hygrokf.live.config import read_config
 from hygrokf.live.doctor import machine as doctor_machine
@@ -66,7 +67,8 @@ def test_a_sparkplug_table(topics: str) -> None:
 
 def test_a_metric_s_name_may_contain_the_turbine() -> None:
     mapping = replace(
-        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", comma=True, records="values"
+        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", marks=stated_marks(",", None),
+        records="values",
     )
     place = Place("[[source]] 1")
     stream = stream_of(tomllib.loads(f'{TABLE}topics = ["spBv1.0/#"]'), place, Path(), mapping)
