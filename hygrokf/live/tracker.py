@@ -143,7 +143,8 @@ class Tracker:
     readings: stored readings after it, in SI units.
     changes: [s] times of stated changes of the cabinet.
     versions: of stamps that had several values.
-    judged_s, frozen: of before.
+    judged_s: [s] time up to which alarms have been judged before.
+    frozen: signals that repeated a value at the point.
     """
 
     def __init__(

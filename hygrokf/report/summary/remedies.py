@@ -23,6 +23,7 @@ REMEDIES = {
     "imprecise": LONGER,
     "free_run_silent": LONGER,
     "few_readings": LONGER,
+    "input_not_needed": LONGER,
     "record_short": LONGER,
     "guard_reached": LONGER,
     "criteria_disagree": LACKING,
