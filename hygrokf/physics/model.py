@@ -139,8 +139,8 @@ class Model:
     mechanisms: in any order.
     holds: input → its hold, as `compose` takes it.
     averaged: outputs that are read as interval means → the interval [h].
-    bound: [1] distance of a reading from its prediction in standard deviations beyond which it moves the state
-        no further; its square is a whole number, or it is infinite, as for the exact Gaussian likelihood.
+    bound: [1] distance of a reading from its prediction in standard deviations beyond which it moves the
+        state no further; its square is a whole number, or it is infinite, as for the exact Gaussian likelihood.
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
