@@ -140,7 +140,7 @@ class Model:
     holds: input → its hold, as `compose` takes it.
     averaged: outputs that are read as interval means → the interval [h].
     bound: [1] distance of a reading from its prediction in standard deviations beyond which it moves the
-        state no further; its square is a whole number, or it is infinite, as for the exact Gaussian likelihood.
+        state no further; its square is whole, or it is infinite, as for the exact Gaussian likelihood.
 
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
