@@ -1,10 +1,8 @@
 """The pieces of a run that the compiled loops take in one call, and what comes between: long steps and gaps.
 
-At the end of a gap of the inputs, the states that follow the inputs are unknown.
-
 In a gap too long to bridge the inputs hold their last values, and no reading is used.  The true inputs may
-have been any, so every state that follows an input, at once or through other states, is then as
-uncertain about its course as it is at a record's first instant: at the end of the gap
+have been any, so every state that follows an input, at once or through other states, is as uncertain at the
+end of the gap as at a record's first instant:
 
     P ← P + diag(p₀),    p₀ the initial variance of these states, 0 of the others.
 

@@ -127,11 +127,10 @@ class Tracker:
     newest instant, which may still change, and `running` tells whether the turbine operates then; `excess`
     [g/m³] is the vapour by which the newest humidity reading exceeds it (`live.water`); `newest` is the time
     [s] of the newest reading, −∞ without any; `frozen` are the signals that repeat a value at the point.
-    `counts` counts distinct readings: "late" (the first
-    value of its stamp, received after the estimate at that time was final), "revised" (another value of a
-    stamp before that, of which `used_value` counts), "revised late" (after it: not used), "contradicting"
-    (values of which none counts), and, once final, "departed" and "frozen" (kept out by `data.gate`); and
-    "repeated", values that their stamp has had before.
+    `counts` counts distinct readings: "late" (the first value of its stamp, received after the estimate at
+    that time was final), "revised" (another value of a stamp before that, of which `used_value` counts),
+    "revised late" (after it: not used), "contradicting" (values of which none counts), and, once final,
+    "departed" and "frozen" (kept out by `data.gate`); and "repeated", values that their stamp has had before.
 
     While all sensors of the cabinet are silent, estimates go on from the inputs alone.  They are provisional
     for `WAITS_S`, because a late delivery fills them in; `ahead` is the last of them that only such a
