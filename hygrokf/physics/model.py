@@ -145,7 +145,7 @@ class Model:
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
     outside the library must then be those of a module.
-    Raises ValueError for an unknown hold, and at first use where mechanisms do not fit together.
+    Raises ValueError for an unknown hold or bound, and at first use where mechanisms do not fit together.
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -157,6 +157,11 @@ class Model:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "holds", holds_named(self.holds))
+        if not (self.bound > 0.0 and (math.isinf(self.bound) or (self.bound**2).is_integer())):
+            raise ValueError(
+                f"bound: expected a number above 0 whose square is whole, or infinity, found {self.bound}; "
+                "take 3 or 4, or leave it out"
+            )
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
