@@ -392,8 +392,11 @@ def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record
     kept = [one.time for one in tracker.readings()]
     before_s = (BEFORE + 1) * 900.0
     assert 7 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
-    assert tracker.plan.context_s == 8.0 * HOUR_S
     assert max(kept) == tracker.newest
+    stillest_s = max(scale[1] for scale in tracker.plan.design.scales.values())
+    without = replace(tracker.plan, design=replace(tracker.plan.design, scales={}))
+    assert without.context_s == 8.0 * HOUR_S + 2.0 * 1800.0
+    assert tracker.plan.context_s - without.context_s == 3.0 * stillest_s > 0.0
 
 
 def test_no_number_is_no_reading(record: Record) -> None:
