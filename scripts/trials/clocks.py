@@ -69,22 +69,35 @@ def turning(record: Record, seed: int) -> Record:
     return record.replace_series(*(replace(one, time=one.time + moved) for one in record.series))
 
 
-def one(seed: int) -> dict:
-    """What is named in the right record and in each wrong one, with instants and with ten-minute means."""
+def _record(seed: int, kind: str) -> Record:
+    """The record of a plant as its loggers wrote it."""
+    return turning(to_record(make_plant(seed, ROWS[kind], DAYS)), seed)
+
+
+def right(seed: int) -> dict:
+    """What is named in the right records, with instants and with ten-minute means."""
     line: dict = {"seed": seed}
     for kind in KINDS:
-        right = turning(to_record(make_plant(seed, ROWS[kind], DAYS)), seed)
+        record = _record(seed, kind)
         begun = time.process_time()
-        line[f"{kind}, right"] = _said(alternative_readings(right))
+        line[f"{kind}, right"] = _said(alternative_readings(record))
         line[f"{kind}, CPU [s]"] = time.process_time() - begun
+    return line
+
+
+def one(seed: int) -> dict:
+    """What is named in the right record and in each wrong one, with instants and with ten-minute means."""
+    line = right(seed)
+    for kind in KINDS:
+        right_record = _record(seed, kind)
         for source in SOURCES:
             for name, hours in SHIFTS_H.items():
                 fault = Shift(source, HOUR_S * hours, summer=name == "summer")
-                found = alternative_readings(shifted(right, fault))
+                found = alternative_readings(shifted(right_record, fault))
                 line[f"{kind}, {source}, {name}"] = _corrects(found, fault), _said(found)
         for name, (wanted, spoil) in VALUES.items():
             try:
-                found = alternative_readings(spoil(right))
+                found = alternative_readings(spoil(right_record))
             except ValueError:
                 line[f"{kind}, {name}"] = True, ["refused as a series"]
                 continue
@@ -116,10 +129,19 @@ def table(lines: Sequence[Mapping]) -> str:
         for source in SOURCES:
             cells = [[line[f"{kind}, {source}, {name}"][0] for line in lines] for name in SHIFTS_H]
             text.append(f"| {source} | " + " | ".join(f"{sum(c)} of {len(c)}" for c in cells) + " |")
-        wrong = [said for line in lines for said in line[f"{kind}, right"]]
-        cpu = [line[f"{kind}, CPU [s]"] for line in lines]
-        text.append(f"\nnamed in right records: {len(wrong)} {wrong}; CPU {np.median(cpu):.2f} s (median)")
+        text += ["", _table_of_right(lines, kind)]
         for name in VALUES:
             cell = [line[f"{kind}, {name}"][0] for line in lines]
             text.append(f"- {name}: {sum(cell)} of {len(cell)}")
     return "\n".join(text)
+
+
+def table_of_right(lines: Sequence[Mapping]) -> str:
+    """What is named in right records."""
+    return "\n".join(f"{len(lines)} plants, {kind}: {_table_of_right(lines, kind)}" for kind in KINDS)
+
+
+def _table_of_right(lines: Sequence[Mapping], kind: str) -> str:
+    wrong = [said for line in lines for said in line[f"{kind}, right"]]
+    cpu = [line[f"{kind}, CPU [s]"] for line in lines]
+    return f"named in right records: {len(wrong)} {wrong}; CPU {np.median(cpu):.2f} s (median)"

@@ -48,6 +48,7 @@ TRIALS = {
         contradictions.one, contradictions.table, "readings that are said to contradict the estimate"
     ),
     "clocks": Trial(clocks.one, clocks.table, "how often a wrong clock, unit or column is named"),
+    "clocks_right": Trial(clocks.right, clocks.table_of_right, "what is named where all clocks are right"),
     "spikes": Trial(spikes.one, spikes.table, "bad readings in a record, and what they move in its fit"),
     **{
         name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a plant: {name}")
