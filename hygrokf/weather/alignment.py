@@ -74,28 +74,23 @@ class Alignment:
 
     signal: of both. one, other: their files. start_s, end_s: [s] common span. days: [d] in common.
     offset: [SI unit] mean of one minus other, at their stamps.
-    amplitude, other_amplitude: [SI unit] of the daily wave. amplitude_ratio: one over other.
+    amplitude, other_amplitude: [SI unit] of the daily wave.
     whole: lag over the common span; winter, summer: lag outside and inside summer time, None where too short.
     change, mean_day_change: [s] lag in summer minus lag in winter, from the weather and from the mean day.
-    months: (start [s], lag from the weather, lag from the mean day) of every month with enough days.
     """
 
     signal: str
     one: str
     other: str
-    start_s: float
-    end_s: float
     days: float
     offset: Bounded
     amplitude: float
     other_amplitude: float
-    amplitude_ratio: Bounded
     whole: Lag
     winter: Lag | None
     summer: Lag | None
     change: Bounded
     mean_day_change: Bounded
-    months: tuple[tuple[float, Bounded, Bounded], ...]
 
 
 def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
@@ -140,48 +135,11 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
     offset = _bounded(
         float(np.sum(sums.difference) / np.sum(sums.count)), (weights @ sums.difference) / number
     )
-    wave, other_wave = abs(np.sum(sums.wave)), abs(np.sum(sums.other_wave))
-    ratio = _bounded(wave / other_wave, np.abs(weights @ sums.wave) / np.abs(weights @ sums.other_wave))
     size = 2.0 * GRID_S / (DAY_S * float(np.sum(sums.days)))
-    months = []
-    for month in np.unique(sums.month):
-        inside = sums.month == month
-        if sums.days[inside].sum() >= 0.5 * FEWEST_D:
-            lag, _ = _lag(sums, inside, random)
-            months.append((float(month.astype("datetime64[s]").astype(int)), lag.weather, lag.mean_day))
     return Alignment(
-        one.signal, one.file, other.file, float(start), float(end), days, offset, size * wave,
-        size * other_wave,
-        ratio, whole, winter, summer, change, mean_day_change, tuple(months),
+        one.signal, one.file, other.file, days, offset, size * abs(np.sum(sums.wave)),
+        size * abs(np.sum(sums.other_wave)), whole, winter, summer, change, mean_day_change,
     )  # fmt: skip
-
-
-def mean_days(
-    one: Series, other: Series, shift: tuple[float, float] = (0.0, 0.0), *, america: bool = False
-) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Mean daily course of both series by the hour of UTC, separately for winter and summer, for a figure.
-
-    one, other: as for `align`. shift: [s] added to the stamps of `one` in winter and in summer.
-    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the mean of the
-    day [SI unit]; a season with fewer than 10 days is left out.
-    """
-    first, second = centred(one), centred(other)
-    start, end = (f(first.known[0][k], second.known[0][k]) for f, k in ((max, 0), (min, -1)))
-    time = np.arange(math.ceil(start / 3600.0) * 3600.0, end, 3600.0)
-    warm = summer_time(time, america)
-    found = {}
-    for name, inside, late in (("winter", ~warm, shift[0]), ("summer", warm, shift[1])):
-        x = at_times(first, time - late, bridge_h(first, BRIDGE_H))
-        y = at_times(second, time, bridge_h(second, BRIDGE_H))
-        known = inside & np.isfinite(x) & np.isfinite(y)
-        hour = np.mod(time[known] / 3600.0, 24.0).astype(int)
-        number = np.bincount(hour, minlength=24)
-        if number.min() < 10:
-            continue
-        courses = [np.bincount(hour, value[known], minlength=24) / number for value in (x, y)]
-        first_day, second_day = (course - course.mean() for course in courses)
-        found[name] = (np.arange(24.0), first_day, second_day)
-    return found
 
 
 @dataclass(frozen=True)
@@ -189,7 +147,7 @@ class _Sums:
     """Sums over each block, which the bootstrap weighs (B blocks, L lags).
 
     lags: [s] (L,). xy, xx, yy: (B, L) of the series without mean day. wave, other_wave: (B,) complex.
-    difference, count: (B,) of one minus other. days: (B,). summer: (B,). month: (B,) datetime64[M].
+    difference, count: (B,) of one minus other. days: (B,). summer: (B,).
     """
 
     lags: np.ndarray
@@ -202,7 +160,6 @@ class _Sums:
     count: np.ndarray
     days: np.ndarray
     summer: np.ndarray
-    month: np.ndarray
 
 
 def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sums:
@@ -235,7 +192,7 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     difference = np.add.reduceat(np.where(both, x - y, 0.0), starts)
     days = np.add.reduceat(known.astype(float), starts) * GRID_S / DAY_S
     return _Sums(
-        GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts], month[starts]
+        GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts]
     )  # fmt: skip
 
 

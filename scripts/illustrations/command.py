@@ -9,7 +9,7 @@ from pathlib import Path
 from illustrations.drafts import drafts
 from illustrations.house_plan import house_plan
 from illustrations.live_page import live_page
-from illustrations.measured import attic, climate, clocks, uk
+from illustrations.measured import attic, climate, uk
 from illustrations.synthetic import compare, demo, fleet, transfer
 from illustrations.theory import clock, noise
 
@@ -25,7 +25,7 @@ SYNTHETIC = {
 }
 
 
-WITH_DATA = {"attic": attic, "uk": uk, "clocks": clocks, "climate": climate, "drafts": drafts}
+WITH_DATA = {"attic": attic, "uk": uk, "climate": climate, "drafts": drafts}
 
 
 def main(description: str | None) -> None:
@@ -42,7 +42,7 @@ def main(description: str | None) -> None:
     options = parser.parse_args()
     wanted = options.only or [*SYNTHETIC, *(WITH_DATA if options.data else ())]
     if set(wanted) & set(WITH_DATA) and options.data is None:
-        parser.error("attic, uk, clocks, climate and drafts need the data directory")
+        parser.error("attic, uk, climate and drafts need the data directory")
     with tempfile.TemporaryDirectory() as directory:
         for name in wanted:
             if name in SYNTHETIC:

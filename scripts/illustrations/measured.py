@@ -24,9 +24,6 @@ until = "2011-12-31T22:00:00Z"
 """
 
 
-FRENCH = ("R80736_10min_2014_2015", "era5_hourly_2014_2015")
-
-
 def _attic_scores(label: str, r: Mapping) -> list[list[str]]:
     """RMSE of the model in the validation period, and that of a rule without a model."""
     rows = []
@@ -123,38 +120,6 @@ def uk(directory: Path, data: Path) -> None:
             flush=True,
         )
     save(truth_and_estimate(fits, truths), "uk_truth", "simulated cabinet")
-
-
-def clocks(directory: Path, data: Path) -> None:
-    """The French wind farm's clock against the reanalysis."""
-    from hygrokf.cases.case_file import read_case
-    from hygrokf.report.figures.weather import figure_clocks
-    from hygrokf.weather.clocks import alignments, clock_errors
-
-    case = directory / "french.toml"
-    files = {name: (data / f"la_haute_borne_{name}.csv.gz").resolve() for name in FRENCH}
-    case.write_text(
-        f'[[source]]\nfile = "{files["R80736_10min_2014_2015"]}"\ntime = "Date_time"\nstamp = "start"\n'
-        'signals.ambient_temperature = { column = "Ot_avg", unit = "degC" }\nsignals.wind_speed = { column = '
-        f'"Ws_avg", unit = "m/s" }}\n[[source]]\nfile = "{files["era5_hourly_2014_2015"]}"\ntime = '
-        '"datetime"\ntimezone = "UTC"\ncompare = true\nsignals.ambient_temperature = { column = "t_2m", unit '
-        '= "K" }\nsignals.wind_speed = { column = "ws_100m", unit = "m/s" }\n',
-        encoding="utf-8",
-    )
-    record = read_case(case, cabinet=False)
-    found = alignments(record)
-    (error,) = clock_errors(found)
-    by_signal = {one.signal: one for one in found}
-    temperature = by_signal["ambient_temperature"]
-    (second,) = (one for one in record.compared if one.signal == "ambient_temperature")
-    figure = figure_clocks(
-        record["ambient_temperature"],
-        second,
-        temperature,
-        error.corrections_s,
-        names=("turbine", "reanalysis"),
-    )
-    save(figure, "clocks", "measured")
 
 
 def climate(directory: Path, data: Path) -> None:

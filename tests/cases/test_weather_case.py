@@ -215,24 +215,3 @@ def test_check_says_that_two_files_have_too_little_in_common(folder: Path) -> No
         "is used" in said
     )
     assert not any("cannot be compared" in one for one in describe(case(folder, SITE, CABINET, ERA5)).doubts)
-
-
-def test_the_picture(tmp_path: Path) -> None:
-    from hygrokf.data.timestamps import summer_time
-    from hygrokf.report.figures.drawing import NothingToShow, png
-    from hygrokf.report.figures.weather import figure_clocks
-    from hygrokf.weather.alignment import align
-
-    one, other = made.weather_pair(5991, 300, -3600.0, -3600.0, 0.0, 0.0, summer_time)
-    found = align(one, other)
-    figure = figure_clocks(one, other, found, (3600.0, 7200.0))
-    titles = [axes.get_title("left") for axes in figure.axes]
-    assert titles[:4] == [
-        "winter, as stamped", "winter, stamps of scada.csv +1 h", "summer, as stamped",
-        "summer, stamps of scada.csv +2 h",
-    ]  # fmt: skip
-    assert len(png(figure)) > 10_000
-    known = sum(lag.known for _, *both in found.months for lag in both)
-    assert len([line for line in figure.axes[-1].lines if line.get_marker() in "os"]) == known
-    with pytest.raises(NothingToShow):
-        figure_clocks(one.window(one.time[0], one.time[600]), other, found, (0.0, 0.0))

@@ -13,7 +13,7 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
-from hygrokf.weather.alignment import UNKNOWN, Bounded, align, mean_days
+from hygrokf.weather.alignment import UNKNOWN, Bounded, align
 from hygrokf.weather.clocks import (
     ClockError,
     alignments,
@@ -106,18 +106,15 @@ def test_bounds_hold_and_right_clocks_give_no_alarm() -> None:
     assert (alarms, wrong) == (0, 0) and missed <= 6
 
 
-def test_offset_amplitude_and_months() -> None:
+def test_offset_and_amplitude() -> None:
     one, other = made.weather_pair(5600, 90, sun=0.0)
     changed = replace(one, value=281.0 + 0.5 * (one.value - 281.0) + 2.0)
     found, plain = align(changed, other), align(one, other)
     both = np.interp(one.time, other.time, other.value)
     assert found.offset.value == pytest.approx(np.mean(changed.value - both), abs=0.02)
     assert found.offset.low < found.offset.value < found.offset.high
-    assert found.amplitude_ratio.value == pytest.approx(0.5 * plain.amplitude_ratio.value, rel=1e-6)
-    assert found.amplitude / found.other_amplitude == pytest.approx(found.amplitude_ratio.value)
-    assert [np.datetime64(int(start), "s").astype("datetime64[M]") for start, *_ in found.months] == list(
-        np.array(["2014-01", "2014-02", "2014-03"], dtype="datetime64[M]")
-    )
+    assert found.amplitude == pytest.approx(0.5 * plain.amplitude, rel=1e-6)
+    assert found.other_amplitude == plain.other_amplitude
 
 
 def test_the_daily_wave_is_that_of_a_least_squares_fit() -> None:
@@ -182,18 +179,6 @@ def test_gaps_change_little() -> None:
 )
 def test_corrections_are_rounded_as_clocks_are_set(seconds: float, correction: float) -> None:
     assert rounded(seconds) == correction
-
-
-def test_mean_days_after_shifting_lie_together() -> None:
-    one, other = made.weather_pair(5950, 300, -3600.0, -3600.0, 0.0, 0.0, summer_time)
-    before, after = mean_days(one, other), mean_days(one, other, (3600.0, 7200.0))
-    assert set(before) == set(after) == {"winter", "summer"}
-    for season in before:
-        hour, x, y = after[season]
-        misfit = np.std(x - y * np.std(x) / np.std(y))
-        _, x0, y0 = before[season]
-        assert misfit < 0.4 * np.std(x0 - y0 * np.std(x0) / np.std(y0)), season
-        assert abs(x.mean()) < 1e-9 and list(hour) == list(range(24))
 
 
 # -- a record that holds both --------------------------------------------------------------------------------
