@@ -50,6 +50,9 @@ TRIALS = {
     "clocks": Trial(clocks.one, clocks.table, "how often a wrong clock, unit or column is named"),
     "clocks_right": Trial(clocks.right, clocks.table_of_right, "what is named where all clocks are right"),
     "spikes": Trial(spikes.one, spikes.table, "bad readings in a record, and what they move in its fit"),
+    "tracked_spikes": Trial(
+        spikes.tracked, spikes.table_of_tracked, "bad readings, and what they move in the tracker's states"
+    ),
     **{
         name.replace(" ", "_"): Trial(one, faulty.table, f"estimates and alarms of a plant: {name}")
         for name, one in faulty.ONES.items()

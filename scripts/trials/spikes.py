@@ -2,7 +2,8 @@
 
 In each signal in turn 1, 3 or 10 single readings, or one run of three, are moved by a step whose size is
 drawn log-uniformly from five standard deviations of the signal's increments to its range.  The shift of the
-logarithm of a time constant is told in half widths of its bounds.
+logarithm of a time constant is told in half widths of its bounds; that of a tracked state, two hours after
+the last bad reading, in its standard deviations.
 """
 
 from __future__ import annotations
@@ -12,13 +13,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from other_make import make_plant
+from other_make import Scenario, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
+from hygrokf.live.plan import Plan
+from hygrokf.live.tracker import offline_course
+from trials.cabinets import plan_of
 
 DAYS = 30.0
 SIGNALS = (
@@ -32,15 +37,26 @@ KINDS = {"1": (1, 1), "3": (3, 1), "10": (10, 1), "run of 3": (1, 3)}
 """Number of bad places and of readings in each, by name."""
 
 
+STEPS_S = {"1 min": 60.0, "10 min": 600.0, "1 h": 3600.0}
+FITTED_S, TRACKED_S = 20.0 * DAY_S, 10.0 * DAY_S
+APART_S = 12.0 * HOUR_S
+AFTER_S = 2.0 * HOUR_S
+
+
 def spoilt(
-    series: Series, places: int, length: int, random: np.random.Generator
+    series: Series,
+    places: int,
+    length: int,
+    random: np.random.Generator,
+    starts: np.ndarray | None = None,
 ) -> tuple[Series, np.ndarray]:
-    """The series with bad readings, and True (T,) where they are."""
+    """The series with bad readings, and True (T,) where they are; `starts`: their first readings among those
+    that are there, drawn by default."""
     value = series.value.copy()
     there = np.flatnonzero(np.isfinite(value))
     spread = float(np.std(np.diff(value[there])))
     bad = np.zeros(len(value), bool)
-    for start in random.choice(len(there) - length - 1, places, replace=False):
+    for start in random.choice(len(there) - length - 1, places, replace=False) if starts is None else starts:
         size = math.exp(random.uniform(math.log(5.0 * spread), math.log(float(np.ptp(value[there])))))
         chosen = there[start : start + length]
         value[chosen] += size * random.choice([-1.0, 1.0])
@@ -112,4 +128,69 @@ def table(lines: Sequence[Mapping]) -> str:
             )
     moved = np.array([shift for row in rows for shift in row["shifts"].values()])
     text.append(f"all: {np.mean(moved <= 0.25):.1%} of {len(moved)} within a quarter of the half width")
+    return "\n".join(text)
+
+
+def tracked(seed: int) -> dict:
+    """The line of a seed: how far one bad reading or one run of three moves the tracker's states (final
+    estimates, which the offline filter gives bit for bit)."""
+    line: dict = {"seed": seed, "rows": []}
+    days = (FITTED_S + TRACKED_S) / DAY_S
+    for step, step_s in STEPS_S.items():
+        scenario = Scenario(cabinet_step_s=step_s, ambient_step_s=step_s)
+        record = to_record(make_plant(seed, scenario, days))
+        begin = record.start_s + FITTED_S
+        plan = plan_of(_fit(mask(record.window(record.start_s, begin))), record)
+        later = record.window(begin, record.end_s)
+        random = np.random.default_rng([seed, 17])
+        for signal in SIGNALS:
+            for kind, (_, length) in (("1", (1, 1)), ("run of 3", (1, 3))):
+                if length > 1 and step_s > 600.0:
+                    continue
+                moved = [
+                    _moved(plan, later, signal, length, begin + APART_S * place, random)
+                    for place in range(1, round(TRACKED_S / APART_S) - 1)
+                ]
+                line["rows"].append({"step": step, "signal": signal, "kind": kind, "moved": moved})
+    return line
+
+
+def _moved(
+    plan: Plan, record: Record, signal: str, length: int, at_s: float, random: np.random.Generator
+) -> float:
+    """The largest difference of a state two hours after bad readings at a time [s], in its standard
+    deviations."""
+    time = record[signal].known[0]
+    start = int(np.searchsorted(time, at_s + random.uniform(0.0, HOUR_S)))
+    after_s = time[start + length - 1] + AFTER_S
+    series, bad = spoilt(record[signal], 1, length, random, np.array([start]))
+    found, right = (
+        offline_course(plan, record.replace_series(one).window(record.start_s, after_s + HOUR_S))
+        for one in (series, without(record[signal], bad))
+    )
+    i, j = (int(np.searchsorted(one.seconds, after_s - 1e-3)) for one in (found, right))
+    difference = np.abs(found.trace.mean[i] - right.trace.mean[j])
+    return float(np.max(difference / np.sqrt(np.diag(right.trace.covariance[j]))))
+
+
+def table_of_tracked(lines: Sequence[Mapping]) -> str:
+    """Share of bad readings after which no state differs by a tenth of its standard deviation."""
+    rows = [row for line in lines for row in line["rows"]]
+    text = [
+        f"{len(lines)} plants",
+        f"{'step':8}{'signal':28}{'bad':10}{'n':>6}{'≤ 0.1 sd':>10}{'median':>8}{'largest':>9}",
+    ]
+    for step in STEPS_S:
+        for signal in SIGNALS:
+            for kind in ("1", "run of 3"):
+                part = [r for r in rows if (r["step"], r["signal"], r["kind"]) == (step, signal, kind)]
+                moved = np.array([one for row in part for one in row["moved"]])
+                if len(moved):
+                    share = np.mean(moved <= 0.1)
+                    text.append(
+                        f"{step:8}{signal:28}{kind:10}{len(moved):6}{share:10.1%}{np.median(moved):8.2f}"
+                        f"{moved.max():9.2f}"
+                    )
+    moved = np.array([one for row in rows for one in row["moved"]])
+    text.append(f"all: {np.mean(moved <= 0.1):.1%} of {len(moved)} within 0.1 sd")
     return "\n".join(text)

@@ -32,7 +32,7 @@ class Scenario:
 
     power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell
     all; else it also moves within them, and starts and stops fall anywhere.
-    ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean:
+    cabinet_step_s, ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean:
     the same for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of
     these sensors;
     lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
@@ -47,6 +47,7 @@ class Scenario:
     """
 
     power_held: bool = False
+    cabinet_step_s: float = 900.0
     ambient_step_s: float = 600.0
     ambient_mean: bool = False
     cabinet_mean: bool = False
@@ -283,7 +284,8 @@ def _logged(
     if scenario.clock_s:
         struck = str(further.choice(SYSTEMS)) if scenario.clock_system is None else scenario.clock_system
         late_s[struck] = scenario.clock_s * float(further.choice([-1.0, 1.0]))
-    cabinet_clock = Clock(900.0, 60.0 * random.integers(15), late_s["cabinet"], scenario.cabinet_mean)
+    phase_s = 60.0 * random.integers(15) % scenario.cabinet_step_s
+    cabinet_clock = Clock(scenario.cabinet_step_s, phase_s, late_s["cabinet"], scenario.cabinet_mean)
     ambient_clock = Clock(scenario.ambient_step_s, 0.0, late_s["ambient"], scenario.ambient_mean)
     scada_clock = Clock(SCADA_STEP_S, 0.0, late_s["scada"], True)
     tail = {"degrees": scenario.degrees, "outliers": scenario.outliers, "missing": 0.005}
