@@ -24,6 +24,7 @@ def _run(options: argparse.Namespace) -> int:
     from hygrokf.data.timestamps import stamp_text
     from hygrokf.live.defaults import store_at
     from hygrokf.live.storage.restore import postgres_commands, restore_sqlite
+    from hygrokf.live.storage.schema import VERSION
 
     url = store_at(options.store)
     if not url.startswith("sqlite:"):
@@ -36,14 +37,14 @@ def _run(options: argparse.Namespace) -> int:
     found = restore_sqlite(options.copy, Path(url.removeprefix("sqlite:").removeprefix("//")))
     newest = "none" if found.newest_s is None else stamp_text(found.newest_s)
     lines = [
-        f"restored: {found.store} from {options.copy} (version {found.version}, {found.turbines} turbines, "
+        f"restored: {found.store} from {options.copy} ({found.turbines} turbines, "
         f"newest reading {newest})",
         *(f"kept: {path}" for path in found.kept),
         "start the tracker: its sources go on from the places that the copy holds",
     ]
     data = {
         "store": str(found.store),
-        "version": found.version,
+        "version": VERSION,
         "turbines": found.turbines,
         "newest": found.newest_s,
         "kept": [str(path) for path in found.kept],

@@ -20,7 +20,7 @@ from hygrokf.data.timestamps import whole_microseconds
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.service import Service
 from hygrokf.live.storage.retention import prune
-from hygrokf.live.storage.schema import POSTGRESQL, created_views, dropped_views
+from hygrokf.live.storage.schema import POSTGRESQL, VIEWS, created_views
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.turbines import Turbine
@@ -63,7 +63,7 @@ def partitioned(postgresql: Server) -> str:
     name = postgresql.database()
     url = postgresql.url(name)
     open_store(url).close()
-    statements = dropped_views()
+    statements = [f"DROP VIEW {name}" for name in reversed(VIEWS)]
     for table in LARGE:
         statements += [
             f"ALTER TABLE {table} RENAME TO {table}_before",

@@ -28,7 +28,6 @@ from hygrokf.live.service import Service
 from hygrokf.live.storage import restore as module
 from hygrokf.live.storage.database import StoreFault
 from hygrokf.live.storage.restore import restore_sqlite
-from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
@@ -98,7 +97,7 @@ def test_a_killed_tracker_goes_on_from_a_copy(
         store.close()
     before = observations(path)
     found = restore_sqlite(tmp_path / "copy.db", path)
-    assert found.version == VERSION and found.turbines == 1
+    assert found.turbines == 1
     assert observations(path) < before == observations(found.kept[0])
     Service({"T1": turbine}, [Acknowledging(record)], url).run(until_ended=True)
     expect_offline(url, record, turbine)
@@ -115,7 +114,7 @@ def test_a_store_that_is_tracked_is_left_alone(folder: Path) -> None:
     assert run("restore copy.db --store sqlite:live.db --json").status == 0
 
 
-@pytest.mark.parametrize("what", ["missing", "itself", "damaged", "foreign", "text", "empty", "newer"])
+@pytest.mark.parametrize("what", ["missing", "itself", "damaged", "foreign", "text", "empty", "other schema"])
 def test_a_copy_that_is_none_changes_nothing(folder: Path, what: str) -> None:
     copy, words = folder / "copy.db", ""
     if what == "missing":
@@ -137,7 +136,7 @@ def test_a_copy_that_is_none_changes_nothing(folder: Path, what: str) -> None:
     else:
         with closing(sqlite3.connect(copy)) as connection, connection:
             connection.execute("INSERT INTO schema_version VALUES (99, 0.0)")
-        words = "newer hygrokf"
+        words = "found schema 99"
     before = contents(folder)
     said = run(f"restore {copy.name} --store sqlite:live.db")
     assert said.status == 2 and words in said.err and "Traceback" not in said.err, said

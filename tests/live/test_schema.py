@@ -16,7 +16,7 @@ from builders.documents import document
 from builders.store_case import T0, a_condition, everything, observed
 
 from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
-from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, created_views, migration
+from hygrokf.live.storage.schema import SQLITE, TABLES, TIMESTAMPS, VIEWS, creation
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import NEITHER, Reading
 
@@ -142,10 +142,7 @@ def test_hours_begin_at_the_hour_and_leave_contradictions_out(store: Store) -> N
 def plain() -> Iterator[sqlite3.Connection]:
     """The tables and views in memory."""
     with closing(sqlite3.connect(":memory:")) as connection:
-        for version in range(VERSION):
-            for statement in migration(version + 1, SQLITE):
-                connection.execute(statement)
-        for statement in created_views(SQLITE):
+        for statement in creation(SQLITE):
             connection.execute(statement)
         yield connection
 
@@ -160,6 +157,17 @@ def test_both_databases_have_the_same_columns(postgresql: Server, plain: sqlite3
                 columns.append([column[0].lower() for column in cursor.description])
         assert columns[0] == columns[1]
     there.close()
+
+
+def test_the_large_tables_have_timestamps(postgresql: Server) -> None:
+    name = postgresql.database()
+    open_store(postgresql.url(name)).close()
+    found = postgresql.execute(
+        name,
+        "SELECT table_name, column_name FROM information_schema.columns c JOIN pg_tables t "
+        "ON t.tablename = c.table_name WHERE t.schemaname = 'public' AND data_type LIKE 'timestamp with%'",
+    )
+    assert set(found) == {(table, column) for table, columns in TIMESTAMPS.items() for column in columns}
 
 
 # -- the page ------------------------------------------------------------------------------------------------

@@ -149,7 +149,7 @@ def test_several_processes_may_make_a_store_at_once(tmp_path: Path) -> None:
             one.communicate()
     for n in range(30):
         store = open_store(f"sqlite:{tmp_path / f'{n}.db'}")
-        assert store.rows("SELECT COUNT(*) FROM schema_version") == [(VERSION,)]
+        assert store.rows("SELECT version FROM schema_version") == [(VERSION,)]
         assert store.rows("PRAGMA journal_mode") == [("wal",)]
         assert store.rows("PRAGMA integrity_check") == [("ok",)]
         store.close()

@@ -41,8 +41,8 @@ def store_checks(
     judged."""
     try:
         store = open_store(url, read_only=True)
-    except StoreUnready as found:
-        yield from _before_the_start(url, found.version)
+    except StoreUnready:
+        yield _before_the_start(url)
         return
     except StoreFault as error:
         yield fault("store", *_finding_and_remedy(str(error)))
@@ -68,17 +68,10 @@ def _finding_and_remedy(words: str) -> tuple[str, str]:
     return found, remedy or REACH
 
 
-def _before_the_start(url: str, version: int) -> Iterator[Check]:
-    if version:
-        yield doubt(
-            "store",
-            f"{url} has version {version} of the tables, this is version {VERSION}",
-            "make a copy; the tracker migrates it at its next start",
-        )
-    elif url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
-        yield fault("store", f"{path_of(url).parent} is not writable", "check the folder's permissions")
-    else:
-        yield ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
+def _before_the_start(url: str) -> Check:
+    if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
+        return fault("store", f"{path_of(url).parent} is not writable", "check the folder's permissions")
+    return ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
 
 
 def path_of(url: str) -> Path:

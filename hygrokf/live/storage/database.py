@@ -1,4 +1,4 @@
-"""The database behind the store: statements, transactions, migrations, and which process tracks what.
+"""The database behind the store: statements, transactions, its tables, and which process tracks what.
 
 The modules `sqlite` and `postgres` implement the differences.  An external error (network, disk, permissions)
 becomes a `StoreFault` and may be retried; an invalid statement keeps the driver's own exception and must not
@@ -17,7 +17,7 @@ from functools import cache
 from typing import Any, Protocol, TypeAlias
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, created_views, dropped_views, migration
+from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, creation
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
@@ -68,15 +68,7 @@ class StoreFault(HygrokfError):
 
 
 class StoreUnready(StoreFault):
-    """The store does not exist yet or has an older schema; the next start of its tracker creates or migrates
-    it.
-
-    `version`: version of its schema, 0 where there are no tables.
-    """
-
-    def __init__(self, words: str, version: int = 0) -> None:
-        super().__init__(words)
-        self.version = version
+    """The store does not exist yet; the first start of its tracker creates it."""
 
 
 class StoreReplaced(StoreFault):
@@ -195,57 +187,37 @@ class Database:
                 raise StoreFault(f"{self.url}: {one_line(error)}") from error
             raise
 
-    def version(self) -> int:
-        """Version of the schema; 0 without tables."""
-        if not self.has_tables():
-            return 0
-        return int(self.rows("SELECT MAX(version) FROM schema_version")[0][0] or 0)
+    def prepare(self, read_only: bool = False) -> None:
+        """Create the tables where there are none, all or nothing, even if several processes start at once.
 
-    def migrate(self, read_only: bool = False) -> None:
-        """Migrate the tables to this version, all or nothing, even if several processes start at once.
-
-        With `read_only` the tables must already have this version.  Raises StoreFault if they are newer or
+        Raises StoreUnready if there are none with `read_only`, StoreFault if they have another schema or
         belong to something else.
         """
         try:
-            found = self.version()
-            if found < VERSION and not read_only:
-                with self.transaction() as cursor:
-                    self.take_turn(cursor)
-                    found = self.version()
-                    if found < VERSION:
-                        self._migrate(cursor, found)
-                found = max(found, VERSION)
+            if not self.has_tables():
+                if read_only:
+                    raise StoreUnready(f"{self.url}: expected a store, found none; check the name")
+                self._create()
+            found = int(self.rows("SELECT MAX(version) FROM schema_version")[0][0])
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
                 f"{self.url}: the store's tables cannot be read or made ({one_line(error)}); "
                 "nothing was changed. Name a separate database"
             ) from error
-        if found > VERSION:
-            raise StoreFault(
-                f"{self.url}: expected a schema of version {VERSION} or older, found {found}: "
-                "it was written by a newer hygrokf; update this one"
-            )
-        if found < VERSION:
-            raise StoreUnready(
-                f"{self.url}: expected a store of version {VERSION}, found "
-                f"{f'version {found}; start its tracker once' if found else 'none; check the name'}",
-                found,
-            )
+        refuse_other_schema(self.url, found)
 
-    def _migrate(self, cursor: Cursor, found: int) -> None:
-        """Migrate the tables from the version found."""
-        for statement in dropped_views():
-            cursor.execute(statement)
-        for version in range(found + 1, VERSION + 1):
-            for statement in migration(version, self.dialect):
+    def _create(self) -> None:
+        """Create the tables and views, unless another process was first."""
+        with self.transaction() as cursor:
+            self.take_turn(cursor)
+            if self.has_tables():
+                return
+            for statement in creation(self.dialect):
                 cursor.execute(statement)
             cursor.execute(
                 self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
-                (version, time.time()),
+                (VERSION, time.time()),
             )
-        for statement in created_views(self.dialect):
-            cursor.execute(statement)
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
         """Claim turbines, sources or channels for this process alone, until the connection is closed or the
@@ -277,6 +249,15 @@ class Database:
 def _in_sql(statement: str, mark: str, time: str) -> str:
     statement = _COMPARED.sub(r"\1TIME(?)", statement).replace("TIME(?)", time)
     return statement if mark == "?" else statement.replace("%", "%%").replace("?", mark)
+
+
+def refuse_other_schema(place: object, found: int | None) -> None:
+    """Raise StoreFault if the schema's number that a store at `place` states is not this version's."""
+    if found != VERSION:
+        raise StoreFault(
+            f"{place}: expected a store with schema {VERSION}, found schema {found}, which another version "
+            "of hygrokf wrote; nothing was changed. Use that version, or name a new store"
+        )
 
 
 def one_line(error: BaseException) -> str:

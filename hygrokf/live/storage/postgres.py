@@ -214,7 +214,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
                 f"{url}: expected a database in UTF8, found {encoding}: make one by "
                 "CREATE DATABASE … ENCODING 'UTF8' TEMPLATE template0"
             )
-        database.migrate(read_only)
+        database.prepare(read_only)
     except psycopg.Error as error:
         database.close()
         raise StoreFault(f"{url}: {one_line(error)}") from error

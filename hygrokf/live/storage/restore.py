@@ -18,13 +18,12 @@ from pathlib import Path
 
 from hygrokf.live.storage.database import StoreFault, one_line
 from hygrokf.live.storage.postgres import import_psycopg, url_fault
-from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.sqlite import (
     connect,
     is_locked,
     lock_file,
     lock_path,
-    refuse_damaged,
+    refuse_unfit,
     unfinished,
 )
 
@@ -34,11 +33,10 @@ LOGS = ("", "-wal", "-shm", "-journal")
 
 @dataclass(frozen=True)
 class Restored:
-    """A restored store: its path, the schema's `version` of the copy, its number of turbines, the time of its
-    newest reading [s] (None without any), and the replaced files that were `kept`."""
+    """A restored store: its path, its number of turbines, the time of its newest reading [s] (None without
+    any), and the replaced files that were `kept`."""
 
     store: Path
-    version: int
     turbines: int
     newest_s: float | None
     kept: tuple[Path, ...]
@@ -77,11 +75,10 @@ def restore_sqlite(copy: Path, store: Path) -> Restored:
     return Restored(path, *found, kept)
 
 
-def _checked_copy(copy: Path, part: Path) -> tuple[int, int, float | None]:
-    """Copy a store, with what its log holds, to the file `part`; returns version, turbines and newest reading
-    [s]."""
+def _checked_copy(copy: Path, part: Path) -> tuple[int, float | None]:
+    """Copy a store, with what its log holds, to the file `part`; returns turbines and newest reading [s]."""
     try:
-        refuse_damaged(copy, thoroughly=True)
+        refuse_unfit(copy, thoroughly=True)
         part.unlink(missing_ok=True)
         with closing(connect(copy, "ro")) as source, closing(connect(part, "rwc")) as target:
             source.backup(target)
@@ -89,12 +86,6 @@ def _checked_copy(copy: Path, part: Path) -> tuple[int, int, float | None]:
             (said,) = target.execute("PRAGMA integrity_check(1)").fetchone()
             if said != "ok":
                 raise StoreFault(f"{copy}: the copy is damaged ({said}); name another one")
-            (version,) = target.execute("SELECT MAX(version) FROM schema_version").fetchone()
-            if version > VERSION:
-                raise StoreFault(
-                    f"{copy}: expected a copy of version {VERSION} or older, found {version}: it was written "
-                    "by a newer hygrokf; update this one"
-                )
             (turbines,) = target.execute("SELECT COUNT(*) FROM turbine").fetchone()
             (newest,) = target.execute("SELECT MAX(time) FROM observation").fetchone()
         with part.open("rb") as file:
@@ -105,7 +96,7 @@ def _checked_copy(copy: Path, part: Path) -> tuple[int, int, float | None]:
     except StoreFault:
         part.unlink(missing_ok=True)
         raise
-    return version, turbines, newest
+    return turbines, newest
 
 
 def _put_aside(path: Path) -> tuple[Path, ...]:

@@ -1,4 +1,4 @@
-"""The store's tables and views, as numbered migrations.
+"""The store's tables and views.
 
 Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of the large tables (`TIMESTAMPS`)
 are `timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
@@ -9,30 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from hygrokf.live.condition import QUANTITIES, Z95
-
-TIMESTAMPS: Mapping[str, tuple[str, ...]] = {
-    "observation": ("time", "received"),
-    "revision": ("time", "received"),
-    "held": ("time", "received"),
-    "weather": ("time", "received"),
-    "estimate": ("time",),
-    "forecast": ("time", "made"),
-    "property": ("time",),
-    "event": ("time",),
-}
-"""Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
-_KEYS = {
-    "observation": ("turbine", "signal"),
-    "held": ("turbine", "signal"),
-    "weather": ("turbine", "signal"),
-    "estimate": ("turbine",),
-    "forecast": ("turbine",),
-    "property": ("turbine", "name"),
-}
-"""Table -> the columns of its key beside `time`."""
 
 
 @dataclass(frozen=True)
@@ -41,33 +20,13 @@ class Dialect:
 
     `words`: templates that the views use as WORD(column).  UTC: a time [s] as the database's own timestamp,
     or ISO 8601 text where it has no such type; STAMP: the same of a column of `TIMESTAMPS`; HOUR: the
-    beginning of the hour of such a column.  `time`: the template of a parameter [s] that stands for such a
-    column.  `migrations`: version -> statements that only this database needs.
+    beginning of the hour of such a column.  `instant`: the type of such a column; `time`: the template of a
+    parameter [s] that stands for one.
     """
 
     words: Mapping[str, str]
-    time: str = "?"
-    migrations: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
-
-
-def _as_timestamps() -> tuple[str, ...]:
-    """Statements that make timestamps, with microseconds, of seconds as double precision.
-
-    Of rows whose times are the same to the microsecond, the first is kept: the filter merges readings within
-    a millisecond.
-    """
-    merged = (
-        f"DELETE FROM {table} a USING {table} b WHERE {' AND '.join(f'a.{name} = b.{name}' for name in key)} "
-        "AND to_timestamp(a.time) = to_timestamp(b.time) AND a.time > b.time"
-        for table, key in _KEYS.items()
-    )
-    changed = (
-        f"ALTER TABLE {table} "
-        + ", ".join(f"ALTER {name} TYPE TIMESTAMPTZ USING to_timestamp({name})" for name in columns)
-        for table, columns in TIMESTAMPS.items()
-        if table != "revision"  # made later, with the types of then
-    )
-    return *merged, *changed
+    instant: str
+    time: str
 
 
 SQLITE = Dialect(
@@ -76,17 +35,13 @@ SQLITE = Dialect(
         "STAMP": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
         "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
     },
-    migrations={
-        4: (
-            "UPDATE OR REPLACE observation SET time = round(time * 1e6) / 1e6 "
-            "WHERE time <> round(time * 1e6) / 1e6",
-        )
-    },
+    "DOUBLE PRECISION",
+    "?",
 )
 POSTGRESQL = Dialect(
     {"UTC": "to_timestamp({})", "STAMP": "{}", "HOUR": "date_trunc('hour', {}, 'UTC')"},
+    "TIMESTAMPTZ",
     "to_timestamp(?)",
-    {4: _as_timestamps()},
 )
 
 
@@ -105,169 +60,158 @@ READABLE_COLUMNS = tuple(_readable())
 """Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
-MIGRATIONS: tuple[tuple[str, ...], ...] = (
-    (
-        """CREATE TABLE turbine (
-            name TEXT PRIMARY KEY,
-            model TEXT NOT NULL,
-            added DOUBLE PRECISION NOT NULL)""",
-        """CREATE TABLE observation (
-            turbine TEXT NOT NULL,
-            signal TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            value DOUBLE PRECISION NOT NULL,
-            received DOUBLE PRECISION NOT NULL,
-            late INTEGER NOT NULL,
-            contradicted INTEGER NOT NULL,
-            PRIMARY KEY (turbine, signal, time))""",
-        "CREATE INDEX observation_by_time ON observation (turbine, time)",
-        """CREATE TABLE point (
-            turbine TEXT PRIMARY KEY,
-            time DOUBLE PRECISION NOT NULL,
-            state TEXT NOT NULL)""",
-        """CREATE TABLE estimate (
-            turbine TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            final INTEGER NOT NULL,
-            temperature_K DOUBLE PRECISION, temperature_sd DOUBLE PRECISION,
-            relative_humidity DOUBLE PRECISION, relative_humidity_sd DOUBLE PRECISION,
-            absolute_humidity_g_m3 DOUBLE PRECISION, absolute_humidity_sd DOUBLE PRECISION,
-            dew_point_K DOUBLE PRECISION, dew_point_sd DOUBLE PRECISION,
-            frost_point_K DOUBLE PRECISION, frost_point_sd DOUBLE PRECISION,
-            margin_K DOUBLE PRECISION, margin_sd DOUBLE PRECISION,
-            condensation DOUBLE PRECISION,
-            PRIMARY KEY (turbine, time))""",
-        """CREATE TABLE property (
-            turbine TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            name TEXT NOT NULL,
-            unit TEXT NOT NULL,
-            value DOUBLE PRECISION, lower_bound DOUBLE PRECISION, upper_bound DOUBLE PRECISION,
-            reference DOUBLE PRECISION NOT NULL,
-            observable INTEGER NOT NULL,
-            PRIMARY KEY (turbine, name, time))""",
-        "CREATE INDEX property_by_time ON property (turbine, time)",
-        """CREATE TABLE forecast (
-            turbine TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            made DOUBLE PRECISION NOT NULL,
-            temperature_K DOUBLE PRECISION, temperature_sd DOUBLE PRECISION,
-            relative_humidity DOUBLE PRECISION, relative_humidity_sd DOUBLE PRECISION,
-            absolute_humidity_g_m3 DOUBLE PRECISION, absolute_humidity_sd DOUBLE PRECISION,
-            dew_point_K DOUBLE PRECISION, dew_point_sd DOUBLE PRECISION,
-            frost_point_K DOUBLE PRECISION, frost_point_sd DOUBLE PRECISION,
-            margin_K DOUBLE PRECISION, margin_sd DOUBLE PRECISION,
-            condensation DOUBLE PRECISION,
-            above_limit DOUBLE PRECISION,
-            PRIMARY KEY (turbine, time))""",
-        """CREATE TABLE weather (
-            turbine TEXT NOT NULL,
-            signal TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            value DOUBLE PRECISION NOT NULL,
-            received DOUBLE PRECISION NOT NULL,
-            PRIMARY KEY (turbine, signal, time))""",
-        """CREATE TABLE alarm (
-            id TEXT PRIMARY KEY,
-            turbine TEXT NOT NULL,
-            kind TEXT NOT NULL,
-            severity TEXT NOT NULL,
-            began DOUBLE PRECISION NOT NULL,
-            ended DOUBLE PRECISION,
-            acknowledged DOUBLE PRECISION,
-            acknowledged_by TEXT,
-            statement TEXT NOT NULL,
-            remedy TEXT NOT NULL)""",
-        "CREATE INDEX alarm_by_turbine ON alarm (turbine, began)",
-        """CREATE TABLE memory (
-            turbine TEXT NOT NULL,
-            name TEXT NOT NULL,
-            content TEXT NOT NULL,
-            PRIMARY KEY (turbine, name))""",
-        """CREATE TABLE counter (
-            turbine TEXT NOT NULL,
-            name TEXT NOT NULL,
-            count BIGINT NOT NULL,
-            PRIMARY KEY (turbine, name))""",
-        """CREATE TABLE source (
-            url TEXT PRIMARY KEY,
-            place TEXT NOT NULL)""",
-        """CREATE TABLE claim (
-            kind TEXT NOT NULL,
-            name TEXT NOT NULL,
-            holder BIGINT NOT NULL,
-            who TEXT NOT NULL,
-            since DOUBLE PRECISION NOT NULL,
-            PRIMARY KEY (kind, name))""",
-    ),
-    (),
-    (
-        "ALTER TABLE alarm ADD COLUMN cause TEXT",
-        "ALTER TABLE alarm ADD COLUMN note TEXT",
-        "ALTER TABLE alarm ADD COLUMN look_again DOUBLE PRECISION",
-        """CREATE TABLE held (
-            turbine TEXT NOT NULL,
-            signal TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            value DOUBLE PRECISION NOT NULL,
-            received DOUBLE PRECISION NOT NULL,
-            PRIMARY KEY (turbine, signal, time))""",
-        """CREATE TABLE assessment (
-            turbine TEXT PRIMARY KEY,
-            state TEXT NOT NULL,
-            reason TEXT NOT NULL,
-            since DOUBLE PRECISION NOT NULL)""",
-        """CREATE TABLE shelf (
-            turbine TEXT NOT NULL,
-            kind TEXT NOT NULL,
-            until DOUBLE PRECISION NOT NULL,
-            made DOUBLE PRECISION NOT NULL,
-            made_by TEXT NOT NULL,
-            note TEXT NOT NULL,
-            PRIMARY KEY (turbine, kind))""",
-        """CREATE TABLE event (
-            id TEXT PRIMARY KEY,
-            turbine TEXT NOT NULL,
-            time DOUBLE PRECISION NOT NULL,
-            kind TEXT NOT NULL,
-            note TEXT NOT NULL,
-            made DOUBLE PRECISION NOT NULL,
-            made_by TEXT NOT NULL)""",
-        "CREATE INDEX event_by_turbine ON event (turbine, time)",
-        """CREATE TABLE outbox (
-            id TEXT PRIMARY KEY,
-            channel TEXT NOT NULL,
-            content TEXT NOT NULL,
-            made DOUBLE PRECISION NOT NULL,
-            due DOUBLE PRECISION NOT NULL,
-            attempts INTEGER NOT NULL,
-            failure TEXT NOT NULL,
-            sent DOUBLE PRECISION)""",
-        "CREATE INDEX outbox_by_due ON outbox (sent, due)",
-    ),
-    (),
-    (
-        "ALTER TABLE observation ADD COLUMN mark DOUBLE PRECISION",
-        "ALTER TABLE held ADD COLUMN mark DOUBLE PRECISION",
-        "ALTER TABLE held RENAME TO held_once",
-        "CREATE TABLE held AS SELECT * FROM held_once",
-        "DROP TABLE held_once",
-        "CREATE UNIQUE INDEX held_by_value ON held (turbine, signal, time, value)",
-        """CREATE TABLE revision AS
-            SELECT turbine, signal, time, value, received, mark, late, 0 AS number
-            FROM observation WHERE 1 = 0""",
-        "CREATE UNIQUE INDEX revision_by_value ON revision (turbine, signal, time, value)",
-        "CREATE INDEX revision_by_time ON revision (turbine, time)",
-    ),
+_AIR = ", ".join(f"{q.column} DOUBLE PRECISION, {q.sd_column} DOUBLE PRECISION" for q in QUANTITIES)
+VERSION = 5
+"""Number of the schema: one higher with each change of it.  A store with another number is refused."""
+STATEMENTS = (
+    """CREATE TABLE turbine (
+        name TEXT PRIMARY KEY,
+        model TEXT NOT NULL,
+        added DOUBLE PRECISION NOT NULL)""",
+    """CREATE TABLE observation (
+        turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        value DOUBLE PRECISION NOT NULL,
+        received INSTANT NOT NULL,
+        late INTEGER NOT NULL,
+        contradicted INTEGER NOT NULL,
+        mark DOUBLE PRECISION,
+        PRIMARY KEY (turbine, signal, time))""",
+    "CREATE INDEX observation_by_time ON observation (turbine, time)",
+    """CREATE TABLE held (
+        turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        value DOUBLE PRECISION NOT NULL,
+        received INSTANT NOT NULL,
+        mark DOUBLE PRECISION,
+        PRIMARY KEY (turbine, signal, time, value))""",
+    """CREATE TABLE revision (
+        turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        value DOUBLE PRECISION NOT NULL,
+        received INSTANT NOT NULL,
+        mark DOUBLE PRECISION,
+        late INTEGER NOT NULL,
+        number INTEGER NOT NULL,
+        PRIMARY KEY (turbine, signal, time, value))""",
+    "CREATE INDEX revision_by_time ON revision (turbine, time)",
+    """CREATE TABLE point (
+        turbine TEXT PRIMARY KEY,
+        time DOUBLE PRECISION NOT NULL,
+        state TEXT NOT NULL)""",
+    f"""CREATE TABLE estimate (
+        turbine TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        final INTEGER NOT NULL,
+        {_AIR},
+        condensation DOUBLE PRECISION,
+        PRIMARY KEY (turbine, time))""",
+    f"""CREATE TABLE forecast (
+        turbine TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        made INSTANT NOT NULL,
+        {_AIR},
+        condensation DOUBLE PRECISION,
+        above_limit DOUBLE PRECISION,
+        PRIMARY KEY (turbine, time))""",
+    """CREATE TABLE property (
+        turbine TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        name TEXT NOT NULL,
+        unit TEXT NOT NULL,
+        value DOUBLE PRECISION, lower_bound DOUBLE PRECISION, upper_bound DOUBLE PRECISION,
+        reference DOUBLE PRECISION NOT NULL,
+        observable INTEGER NOT NULL,
+        PRIMARY KEY (turbine, name, time))""",
+    "CREATE INDEX property_by_time ON property (turbine, time)",
+    """CREATE TABLE weather (
+        turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        value DOUBLE PRECISION NOT NULL,
+        received INSTANT NOT NULL,
+        PRIMARY KEY (turbine, signal, time))""",
+    """CREATE TABLE alarm (
+        id TEXT PRIMARY KEY,
+        turbine TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        severity TEXT NOT NULL,
+        began DOUBLE PRECISION NOT NULL,
+        ended DOUBLE PRECISION,
+        acknowledged DOUBLE PRECISION,
+        acknowledged_by TEXT,
+        statement TEXT NOT NULL,
+        remedy TEXT NOT NULL,
+        cause TEXT,
+        note TEXT,
+        look_again DOUBLE PRECISION)""",
+    "CREATE INDEX alarm_by_turbine ON alarm (turbine, began)",
+    """CREATE TABLE memory (
+        turbine TEXT NOT NULL,
+        name TEXT NOT NULL,
+        content TEXT NOT NULL,
+        PRIMARY KEY (turbine, name))""",
+    """CREATE TABLE counter (
+        turbine TEXT NOT NULL,
+        name TEXT NOT NULL,
+        count BIGINT NOT NULL,
+        PRIMARY KEY (turbine, name))""",
+    """CREATE TABLE source (
+        url TEXT PRIMARY KEY,
+        place TEXT NOT NULL)""",
+    """CREATE TABLE claim (
+        kind TEXT NOT NULL,
+        name TEXT NOT NULL,
+        holder BIGINT NOT NULL,
+        who TEXT NOT NULL,
+        since DOUBLE PRECISION NOT NULL,
+        PRIMARY KEY (kind, name))""",
+    """CREATE TABLE assessment (
+        turbine TEXT PRIMARY KEY,
+        state TEXT NOT NULL,
+        reason TEXT NOT NULL,
+        since DOUBLE PRECISION NOT NULL)""",
+    """CREATE TABLE shelf (
+        turbine TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        until DOUBLE PRECISION NOT NULL,
+        made DOUBLE PRECISION NOT NULL,
+        made_by TEXT NOT NULL,
+        note TEXT NOT NULL,
+        PRIMARY KEY (turbine, kind))""",
+    """CREATE TABLE event (
+        id TEXT PRIMARY KEY,
+        turbine TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        kind TEXT NOT NULL,
+        note TEXT NOT NULL,
+        made DOUBLE PRECISION NOT NULL,
+        made_by TEXT NOT NULL)""",
+    "CREATE INDEX event_by_turbine ON event (turbine, time)",
+    """CREATE TABLE outbox (
+        id TEXT PRIMARY KEY,
+        channel TEXT NOT NULL,
+        content TEXT NOT NULL,
+        made DOUBLE PRECISION NOT NULL,
+        due DOUBLE PRECISION NOT NULL,
+        attempts INTEGER NOT NULL,
+        failure TEXT NOT NULL,
+        sent DOUBLE PRECISION)""",
+    "CREATE INDEX outbox_by_due ON outbox (sent, due)",
 )
-"""One tuple of statements per version that create and change tables, from 1 on; a released version is never
-changed, only followed by another.  Version 2 added the views; version 3 states, held readings, shelves,
-events and notices; version 4 rounds times to microseconds, and makes timestamps of them where the database
-has them (`Dialect.migrations`); version 5 keeps every version of a value.
+"""Statements that create the tables; INSTANT is the type of the columns in `TIMESTAMPS`.
 
-A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and an ALTER TABLE here.
+A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and stands here.
 """
-VERSION = len(MIGRATIONS)
+TABLES = tuple(one.split()[2] for one in STATEMENTS if one.startswith("CREATE TABLE"))
+"""All tables except the one that records the schema's number."""
+TIMESTAMPS = {
+    one.split()[2]: tuple(re.findall(r"(\w+) INSTANT", one)) for one in STATEMENTS if "INSTANT" in one
+}
+"""Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
 VIEWS = {
     "estimate_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, final, {_CONDITION}
         FROM estimate""",
@@ -304,24 +248,13 @@ VIEWS = {
         WHERE contradicted = 0) o
         GROUP BY turbine, signal, hour""",
 }
-"""View -> its query; a view stands after those that it uses.  A migration drops and creates all views."""
-TABLES = (
-    "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory",
-    "counter", "source", "claim", "held", "assessment", "shelf", "event", "outbox", "revision",
-)  # fmt: skip
-"""All tables except the one that records the schema's version."""
+"""View -> its query; a view stands after those that it uses."""
 
-
-def migration(version: int, dialect: Dialect) -> list[str]:
-    """Statements of a version in one database's SQL dialect; the first migration also creates
-    `schema_version`."""
-    own = ["CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"]
-    return [*(own if version == 1 else []), *MIGRATIONS[version - 1], *dialect.migrations.get(version, ())]
-
-
-def dropped_views() -> list[str]:
-    """Statements that drop all views, which would stand in the way of a changed column."""
-    return [f"DROP VIEW IF EXISTS {name}" for name in reversed(VIEWS)]
+def creation(dialect: Dialect) -> list[str]:
+    """Statements that create all tables and views in one database's SQL dialect."""
+    tables = [one.replace("INSTANT", dialect.instant) for one in STATEMENTS]
+    number = "CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"
+    return [number, *tables, *created_views(dialect)]
 
 
 def created_views(dialect: Dialect) -> list[str]:

@@ -11,7 +11,15 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO
 
-from hygrokf.live.storage.database import AGAIN_S, Cursor, Database, StoreFault, StoreUnready, this_process
+from hygrokf.live.storage.database import (
+    AGAIN_S,
+    Cursor,
+    Database,
+    StoreFault,
+    StoreUnready,
+    refuse_other_schema,
+    this_process,
+)
 from hygrokf.live.storage.schema import SQLITE
 
 APPLICATION_ID = 0x68796B66
@@ -164,10 +172,10 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
     database = None
     try:
         if path.exists():
-            refuse_damaged(path, thoroughly=not read_only)
+            refuse_unfit(path, thoroughly=not read_only)
         database = SqliteDatabase(connect(path, "ro" if read_only else "rwc"), path)
         database.connection.execute("PRAGMA synchronous=FULL")
-        database.migrate(read_only)
+        database.prepare(read_only)
         if not read_only:
             _write_ahead(database.connection)
         database.identity = identity_of(path)
@@ -201,8 +209,8 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     )  # fmt: skip
 
 
-def refuse_damaged(path: Path, thoroughly: bool) -> None:
-    """Refuse a damaged file or a foreign database; an empty file may become a store.
+def refuse_unfit(path: Path, thoroughly: bool) -> None:
+    """Refuse a damaged file, a foreign database or another schema; an empty file may become a store.
 
     The connection is read-only because closing a writable one would move pages of the log into the file.
     """
@@ -227,6 +235,8 @@ def refuse_damaged(path: Path, thoroughly: bool) -> None:
                 f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
                 "Move it away and restore a copy, or name a new file"
             )
+        ((found,),) = connection.execute("SELECT MAX(version) FROM schema_version").fetchall()
+        refuse_other_schema(path, found)
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:

@@ -564,10 +564,10 @@ def _plain(values: np.ndarray) -> list[float | None]:
 
 # -- opening -------------------------------------------------------------------------------------------------
 def open_store(url: str, read_only: bool = False) -> Store:
-    """Open the store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, creating or migrating it as needed.
+    """Open the store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, creating it if it is missing.
 
-    With `read_only` the store must exist with this version's schema, and nothing can be written.  Raises
-    StoreFault if the target is no store, is damaged or cannot be reached.  Nothing is overwritten.
+    With `read_only` the store must exist, and nothing can be written.  Raises StoreFault if the target is no
+    store, has another schema, is damaged or cannot be reached.  Nothing is overwritten.
     """
     if url.startswith(SCHEMES):
         return Store(open_postgres(url, read_only))
