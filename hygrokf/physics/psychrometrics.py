@@ -242,35 +242,6 @@ def relative_humidity(absolute_humidity: Number, temperature: Number) -> Number:
     return vapour_pressure_from_absolute_humidity(absolute_humidity, temperature) / saturated
 
 
-def relative_humidity_from_dew_point(dew_point: Number, temperature: Number) -> Number:
-    """Relative humidity over water from dew point, h = e_w(T_dew) / e_w(T) [-].
-
-    dew_point: [K] over water, any shape. temperature: [K] of the air itself, any shape.
-    Range of both: that of `saturation_pressure_water`, NaN outside.
-    """
-    return saturation_pressure_water(dew_point) / saturation_pressure_water(temperature)
-
-
-def relative_humidity_slope_absolute_humidity(temperature: Number) -> Number:
-    """Slope of relative humidity in absolute humidity, (dh/dc)_T = R_v T / e_w(T) [m3/kg].
-
-    temperature: [K], any shape. Range: that of `saturation_pressure_water`, NaN outside.
-    """
-    return GAS_CONSTANT_VAPOUR * _as_number(temperature) / saturation_pressure_water(temperature)
-
-
-def relative_humidity_slope_temperature(absolute_humidity: Number, temperature: Number) -> Number:
-    """Slope of relative humidity in temperature, (dh/dT)_c = h (1/T - e_w'/e_w) [1/K].
-
-    absolute_humidity: [kg/m3], any shape, held constant.
-    temperature: [K], any shape. Range: that of `saturation_pressure_water`, NaN outside.
-    """
-    kelvin = _as_number(temperature)
-    with np.errstate(all="ignore"):
-        relative = 1.0 / kelvin - _log_saturation_slope(kelvin, SATURATION_WATER)
-    return relative_humidity(absolute_humidity, temperature) * relative
-
-
 def absolute_humidity_slope_temperature(relative_humidity: Number, temperature: Number) -> Number:
     """Slope of absolute humidity in temperature, (dc/dT)_h = c (e_w'/e_w - 1/T) [kg/(m3 K)].
 

@@ -19,7 +19,6 @@ from hygrokf.weather.joining import joined
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
 
 
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
@@ -58,17 +57,6 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     if len(found) > 1 and "ambient_dew_point_temperature" not in signals:
         record = dataclasses.replace(record, warnings=(*record.warnings, NO_HUMIDITY))
     return record
-
-
-def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str = "data set") -> Record:
-    """Record of ambient signals from an open xarray data set, such as one of a cloud store.
-
-    dataset: decoded; names short (t2m) or long (2m_temperature); see `hygrokf.weather.gridded.point_fields`.
-    site: the nearest cell of a grid is used. name: for messages and sources.
-
-    Raises TableFault with every fault.
-    """
-    return point_record(point_fields(dataset, name, site))
 
 
 def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:

@@ -3,7 +3,6 @@ repeated."""
 
 from __future__ import annotations
 
-import calendar
 import dataclasses
 import gzip
 import os
@@ -281,16 +280,3 @@ def _without_repeats(warnings: Sequence[str]) -> list[str]:
         named = ", ".join(said.split()[0] for said in leap)
         kept.append(f"leap years {named}: 28 February is repeated as 29 February")
     return kept
-
-
-def whole_years(record: Record, signal: str = "ambient_temperature") -> tuple[int, ...]:
-    """Calendar years (UTC) in which a signal has readings in at least 95 % of the hours."""
-    time, _ = record[signal].known
-    hours = np.unique(np.floor((time - 1.0) / 3600.0))
-    of_year = (hours * 3600.0).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
-    found = []
-    for year in np.unique(of_year):
-        length = 8784 if calendar.isleap(int(year)) else 8760
-        if np.count_nonzero(of_year == year) >= 0.95 * length:
-            found.append(int(year))
-    return tuple(found)

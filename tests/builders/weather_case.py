@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.record import Series
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 START = np.datetime64("2021-03-01T00:00:00", "s")
 HOURS = 96
@@ -19,6 +20,11 @@ UNITS = {
     "v100": "m s**-1",
     "ssrd": "J m**-2", "fdir": "J m**-2", "tp": "m", "tcc": "(0 - 1)", "z": "m**2 s**-2",
 }  # fmt: skip
+
+
+def relative_humidity(dew_point: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Relative humidity over water [-] from dew point [K] and temperature [K]."""
+    return saturation_pressure_water(dew_point) / saturation_pressure_water(temperature)
 
 
 def stamps(hours: int = HOURS, start: np.datetime64 = START) -> np.ndarray:

@@ -35,7 +35,7 @@ from hygrokf.report.summary.fit import summary_of_fit
 from hygrokf.report.summary.page import summary_html
 from hygrokf.report.summary.remedies import LONGER, ORDER, REMEDIES
 from hygrokf.report.summary.sheet import HEIGHT, LEFT, WIDTH, lines_of, summary_bytes, summary_sheet
-from hygrokf.report.summary.writing import SummaryFault, planned, write_summary
+from hygrokf.report.summary.writing import SummaryFault, planned, written
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (
@@ -280,7 +280,8 @@ def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_pa
 
 def test_a_summary_stands_beside_its_result(tmp_path) -> None:
     folder = write_case(tmp_path / "made", *report_case())
-    files = write_summary(folder)
+    ((make, place, stem),) = planned([folder], None)
+    files = written(make(), place, stem)
     assert [file.name for file in files] == ["summary.html", "summary.pdf", "summary.png"]
     assert {file.parent for file in files} == {folder}
 
@@ -314,8 +315,9 @@ def test_nothing_is_written_where_a_drawing_fails(tmp_path, monkeypatch) -> None
         raise MemoryError
 
     monkeypatch.setattr("hygrokf.report.summary.writing.summary_html", failing)
+    ((make, place, stem),) = planned([folder], None)
     with pytest.raises(MemoryError):
-        write_summary(folder)
+        written(make(), place, stem)
     assert sorted(folder.iterdir()) == before
 
 

@@ -13,7 +13,6 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
-from hygrokf.physics.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.reading import form_of, read_weather
 
@@ -71,7 +70,7 @@ def test_codes_for_missing_are_no_readings(tmp_path: Path) -> None:
 def test_a_missing_dew_point_comes_from_relative_humidity(tmp_path: Path) -> None:
     record = read_epw(written(tmp_path, made.epw_text()))
     dew, warm = record["ambient_dew_point_temperature"].value, record["ambient_temperature"].value
-    assert relative_humidity_from_dew_point(dew[200], warm[200]) == pytest.approx(0.6, abs=1e-9)
+    assert made.relative_humidity(dew[200], warm[200]) == pytest.approx(0.6, abs=1e-9)
     assert np.isnan(dew[201]) and np.isnan(dew).sum() == 1
     assert any("1 dew points are missing; they were computed from" in said for said in record.warnings)
 
@@ -173,7 +172,7 @@ def test_the_published_file_against_its_plain_columns() -> None:
         np.testing.assert_allclose(record[signal].value, table[column] + offset, atol=1e-9)
     assert record.site == Site(45.0, 8.0, 250.0) and "rain" not in record and "cloud_cover" not in record
     # dew point and relative humidity of the file agree over water, which is how the dew point is read
-    made_of = 100.0 * relative_humidity_from_dew_point(
+    made_of = 100.0 * made.relative_humidity(
         table[7].to_numpy() + 273.15, table[6].to_numpy() + 273.15
     )
     cold = (table[6] < 0.0).to_numpy()

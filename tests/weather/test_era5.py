@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import builders.weather_case as made
 import numpy as np
@@ -13,15 +14,24 @@ import pytest
 from builders.faults import faults_of
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Site
+from hygrokf.data.record import Record, Site
 from hygrokf.weather import archive
-from hygrokf.weather.era5 import era5_record, read_era5
+from hygrokf.weather.era5 import read_era5
+from hygrokf.weather.fields import point_record
+from hygrokf.weather.gridded import point_fields
+
+if TYPE_CHECKING:
+    import xarray
 
 SITE = Site(48.48, 5.57, 400.0)  # nearest to the middle cell, 48.5 N 5.5 E
 
 
 def faults(path: Path, site: Site | None = SITE) -> str:
     return "\n".join(faults_of(read_era5, path, site))
+
+
+def era5_record(dataset: xarray.Dataset, site: Site = SITE) -> Record:
+    return point_record(point_fields(dataset, "data set", site))
 
 
 def assert_middle_cell(record, hours: int = made.HOURS, tolerance: float = 1e-4) -> None:

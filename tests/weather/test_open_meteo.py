@@ -10,9 +10,9 @@ import builders.weather_services as made
 import numpy as np
 import pytest
 from builders.faults import faults_of
+from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
-from hygrokf.physics.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reading import form_of, read_weather, read_weather_file
 
@@ -102,7 +102,7 @@ def test_humidity_without_a_dew_point_and_former_names(tmp_path: Path) -> None:
         answer["hourly"][former] = answer["hourly"].pop(now)
         answer["hourly_units"][former] = answer["hourly_units"].pop(now)
     record = read_open_meteo(made.open_meteo_json(tmp_path / "a.json", answer))
-    found = relative_humidity_from_dew_point(
+    found = relative_humidity(
         record["ambient_dew_point_temperature"].value, record["ambient_temperature"].value
     )
     np.testing.assert_allclose(found, 0.01 * truth("relative_humidity_2m"), rtol=1e-6)

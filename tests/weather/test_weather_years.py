@@ -12,7 +12,7 @@ import pytest
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.weather.joining import joined
-from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file, whole_years
+from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file
 
 SITE = Site(48.48, 5.57, 311.0)
 
@@ -65,7 +65,6 @@ def test_a_typical_year_repeated(tmp_path: Path) -> None:
     assert warm.value[:8000:9] == pytest.approx(warm.value[8760 + 8784 :][:8000:9], nan_ok=True)
     said = " ".join(record.warnings)
     assert "2006 … 2011 are repeated in every year 2019 … 2021" in said and "leap years 2020" in said
-    assert whole_years(record) == (2019, 2020, 2021)
 
 
 def test_faults_of_every_file_at_once(tmp_path: Path) -> None:

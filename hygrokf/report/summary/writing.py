@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -30,23 +29,6 @@ from hygrokf.report.summary.sheet import summary_bytes
 
 class SummaryFault(HygrokfError):
     """Results of which no summary can be made; one message lists everything wrong with them."""
-
-
-def write_summary(
-    result: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None
-) -> tuple[Path, ...]:
-    """Write `summary.html`, `summary.pdf` and `summary.png` of a result.
-
-    result: fit.json, discovery.json or climate.json, or the directory that holds one; of a discovery's
-        directory the discovery.
-    directory: made if absent; None: beside the result, where the fit of a discovery's directory has
-        `fit_summary` in place of `summary`.
-
-    Returns the three paths.  Nothing is written before all three are drawn.  Raises SummaryFault for files of
-    other kinds, what the readers of the results raise, and OSError from the system.
-    """
-    ((made, folder, stem),) = planned([Path(result)], None if directory is None else Path(directory))
-    return written(made(), folder, stem)
 
 
 Planned = tuple[Callable[[], Summary], Path, str]
