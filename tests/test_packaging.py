@@ -51,6 +51,8 @@ LATE = {
     "h5netcdf",
     "h5py",
     "openpyxl",
+    "google",
+    "shtab",
 }
 """Packages that cost too much to be loaded before a command needs them."""
 IMPORT_NAMES = {

@@ -197,7 +197,7 @@ def test_a_source_of_these_schemes(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "paho.mqtt.enums", None)
     stream, faults = made(SHORT)
     assert stream is None and faults == [
-        "[[source]] 1: MQTT needs paho-mqtt 2.1 or newer: pip install 'hygrokf[mqtt]'"
+        "[[source]] 1: MQTT needs paho-mqtt 2.1 or newer, and protobuf: pip install 'hygrokf[mqtt]'"
     ]
 
 

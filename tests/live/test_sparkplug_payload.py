@@ -1,4 +1,4 @@
-"""The decoder of Sparkplug payloads against google.protobuf, and against bytes that are none."""
+"""The decoder of Sparkplug payloads against another schema of protobuf, and against bytes that are none."""
 
 from __future__ import annotations
 

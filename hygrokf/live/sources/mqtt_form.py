@@ -9,7 +9,7 @@ from pathlib import Path
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.sources.broker import BrokerForm
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.mqtt_link import paho_fault
+from hygrokf.live.sources.mqtt_link import libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.sparkplug_metrics import NAMESPACE
@@ -51,7 +51,7 @@ class MqttForm(BrokerForm):
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Mqtt | None:
         """The stream, or None with faults."""
-        missing = paho_fault()
+        missing = libraries_fault()
         if missing is not None:
             place.fault(missing)
         broker = self.broker(folder, place)

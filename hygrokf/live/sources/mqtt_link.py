@@ -355,12 +355,13 @@ def is_confirmed(info: MQTTMessageInfo | None) -> bool:
         return False  # the message was not sent at all
 
 
-def paho_fault() -> str | None:
-    """An error message if paho-mqtt is missing or too old, else None."""
+def libraries_fault() -> str | None:
+    """An error message if paho-mqtt or protobuf is missing or too old, else None."""
     try:
         importlib.import_module("paho.mqtt.enums")  # version 2 has it
+        importlib.import_module("google.protobuf")
     except ImportError:
-        return "MQTT needs paho-mqtt 2.1 or newer: pip install 'hygrokf[mqtt]'"
+        return "MQTT needs paho-mqtt 2.1 or newer, and protobuf: pip install 'hygrokf[mqtt]'"
     return None
 
 

@@ -1,15 +1,15 @@
-"""Decodes Sparkplug B payloads: protobuf messages with metrics, read with bounds and without a library.
+"""Decodes Sparkplug B payloads, which are messages of protobuf with metrics, within bounds.
 
-The numbers of fields and data types are those of the public schema of Sparkplug B (Eclipse Tahu).  Unknown
-fields are skipped, as protobuf demands; a message that does not follow the wire format is refused.
+The numbers of the fields are those of the Sparkplug specification 3.0, chapter 6.4; of the fields only those
+that are used here have a type.  Protobuf skips the others.
 """
 
 from __future__ import annotations
 
-import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 from hygrokf.live.sources.payload_formats import Refused
 
@@ -30,14 +30,46 @@ QUALITY = "Quality"
 """Name of the property with a metric's quality."""
 REBIRTH = "Node Control/Rebirth"
 """The metric that asks an edge node for its birth certificates."""
-_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
-"""Wire types."""
-_MOST_VARINT = 10
-"""Longest varint [bytes]."""
+_FIELDS = {
+    "PropertyValue": ((3, "int_value", "uint32"), (4, "long_value", "uint64")),
+    "PropertySet": ((1, "keys", "bytes"), (2, "values", "PropertyValue")),
+    "Metric": (
+        (1, "name", "bytes"),
+        (2, "alias", "uint64"),
+        (3, "timestamp", "uint64"),
+        (4, "datatype", "uint32"),
+        (5, "is_historical", "bool"),
+        (6, "is_transient", "bool"),
+        (7, "is_null", "bool"),
+        (9, "properties", "PropertySet"),
+        (10, "int_value", "uint32"),
+        (11, "long_value", "uint64"),
+        (12, "float_value", "float"),
+        (13, "double_value", "double"),
+        (14, "boolean_value", "bool"),
+        (15, "string_value", "bytes"),
+        # these are no single values and are not looked into
+        (16, "bytes_value", "bytes"),
+        (17, "dataset_value", "bytes"),
+        (18, "template_value", "bytes"),
+        (19, "extension_value", "bytes"),
+    ),
+    "Payload": (
+        (1, "timestamp", "uint64"),
+        (2, "metrics", "Metric"),
+        (3, "seq", "uint64"),
+        (4, "uuid", "bytes"),
+        (5, "body", "bytes"),
+    ),
+}
+"""Message -> numbers, names and types of its fields.
 
-
-WireField = tuple[int, int, int | memoryview]
-"""A field of a message: its number, its wire type, and its value (an integer, or its bytes)."""
+Texts are bytes, because the runtimes of protobuf differ in what they make of other bytes than UTF-8.
+"""
+_NO_SCALAR_FIELDS = ("bytes_value", "dataset_value", "template_value", "extension_value")
+_REPEATED = ("keys", "values", "metrics")
+_VALUE = "value"
+"""Of the fields whose names end so, a message holds the last that was sent."""
 
 
 @dataclass(frozen=True)
@@ -98,107 +130,91 @@ def decode(payload: bytes) -> Message:
 
 def rebirth_request(now: float) -> bytes:
     """The payload of a command that asks an edge node for its birth certificates, sent at a time [s]."""
-    stamp = _varint(int(1000.0 * now))
-    name = REBIRTH.encode()
-    metric = (
-        b"\x0a" + _varint(len(name)) + name  # 1: name
-        + b"\x18" + stamp  # 3: timestamp
-        + b"\x20" + _varint(BOOLEAN)  # 4: data type
-        + b"\x70\x01"  # 14: the value, true
-    )  # fmt: skip
-    return b"\x08" + stamp + b"\x12" + _varint(len(metric)) + metric
+    made = _payload_class()(timestamp=int(1000.0 * now))
+    made.metrics.add(name=REBIRTH.encode(), timestamp=made.timestamp, datatype=BOOLEAN, boolean_value=True)
+    return bytes(made.SerializeToString())
 
 
 # -- messages ------------------------------------------------------------------------------------------------
+@cache
+def _payload_class() -> Any:
+    """The class of payloads, which protobuf makes from `_FIELDS`."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    kinds = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="hygrokf_sparkplug", package="hygrokf", syntax="proto2")
+    for message, fields in _FIELDS.items():
+        made = file.message_type.add(name=message)
+        for number, name, kind in fields:
+            many = name in _REPEATED
+            label = kinds.LABEL_REPEATED if many else kinds.LABEL_OPTIONAL
+            field = made.field.add(name=name, number=number, label=label)
+            if kind in _FIELDS:
+                field.type, field.type_name = kinds.TYPE_MESSAGE, f".hygrokf.{kind}"
+            else:
+                field.type = getattr(kinds, f"TYPE_{kind.upper()}")
+            if name.endswith(f"_{_VALUE}"):
+                if not made.oneof_decl:
+                    made.oneof_decl.add(name=_VALUE)
+                field.oneof_index = 0
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("hygrokf.Payload"))
+
+
 def _decode(payload: bytes) -> tuple[Message, str, bytes]:
     """A message with its uuid and body."""
+    from google.protobuf.message import DecodeError
+
     if len(payload) > LARGEST_MESSAGE:
         raise Refused("too large", f"a message of {len(payload)} bytes; at most {LARGEST_MESSAGE} are read")
-    time = sequence = None
-    uuid, body = "", b""
-    metrics: list[Metric] = []
-    for number, wire, value in _fields(memoryview(payload)):
-        match number, wire, value:
-            case 1, 0, int():
-                time = value / 1e3
-            case 2, 2, memoryview():
-                metrics.append(_metric(value))
-                if len(metrics) > MOST_METRICS:
-                    raise Refused("too large", f"a message with more than {MOST_METRICS} metrics")
-            case 3, 0, int():
-                sequence = value % 256
-            case 4, 2, memoryview():
-                uuid = _text(value)
-            case 5, 2, memoryview():
-                body = bytes(value)
-    return Message(time, sequence, tuple(metrics)), uuid, body
-
-
-def _metric(content: memoryview) -> Metric:
-    found: dict[str, int | float | str | bool | None] = {}
-    for number, wire, value in _fields(content):
-        match number, wire, value:
-            case 1, 2, memoryview():
-                found["name"] = _text(value)
-            case 2, 0, int():
-                found["alias"] = value
-            case 3, 0, int():
-                found["time"] = value / 1e3
-            case 4, 0, int():
-                found["datatype"] = value % 2**32
-            case ((5 | 6 | 7), 0, int()):
-                found[("is_historical", "is_transient", "is_null")[number - 5]] = value != 0
-            case 9, 2, memoryview():
-                found["quality"] = _quality(value)
-            case ((10 | 11 | 12 | 13 | 14 | 15), _, _):
-                if (scalar := _scalar(number - 10, wire, value)) is not None:
-                    found |= {"value": scalar, "is_scalar": True}
-            case ((16 | 17 | 18 | 19), 2, _):
-                found |= {"value": None, "is_scalar": False}
-    if found.get("datatype") in NO_SCALAR:
-        found |= {"value": None, "is_scalar": False}
-    return Metric(**found)  # type: ignore[arg-type]
-
-
-def _quality(content: memoryview) -> int | None:
-    """The quality in a set of properties, which is a list of names and a list of values."""
-    names: list[str] = []
-    values: list[int | None] = []
-    for number, wire, value in _fields(content):
-        match number, wire, value:
-            case 1, 2, memoryview():
-                names.append(_text(value))
-            case 2, 2, memoryview():
-                # fields of a property's value that are an integer: 3 with 32 bits, 4 with 64
-                found = [v for n, w, v in _fields(value) if n in (3, 4) and w == _VARINT]
-                values.append(found[-1] if found and isinstance(found[-1], int) else None)
-    return next((v for name, v in zip(names, values, strict=False) if name == QUALITY), None)
-
-
-def _scalar(kind: int, wire: int, value: int | memoryview) -> int | float | str | None:
-    """The value of a field of 32 bits, 64 bits, float, double, boolean, text (kinds 0 … 5); None if the wire
-    type is another."""
-    match kind, wire, value:
-        case 0, 0, int():
-            return value % 2**32
-        case 1, 0, int():
-            return value
-        case 2, 5, memoryview():
-            return float(struct.unpack("<f", value)[0])
-        case 3, 1, memoryview():
-            return float(struct.unpack("<d", value)[0])
-        case 4, 0, int():
-            return int(value != 0)
-        case 5, 2, memoryview():
-            return _text(value)
-    return None
-
-
-def _text(content: memoryview) -> str:
     try:
-        return str(content, "utf-8")
+        found = _payload_class().FromString(payload)
+        if len(found.metrics) > MOST_METRICS:
+            raise Refused("too large", f"a message with more than {MOST_METRICS} metrics")
+        metrics = tuple(_metric(one) for one in found.metrics)
+        message = Message(
+            found.timestamp / 1e3 if found.HasField("timestamp") else None,
+            found.seq % 256 if found.HasField("seq") else None,
+            metrics,
+        )
+        return message, found.uuid.decode(), found.body
+    except DecodeError:
+        raise Refused("malformed", "no protobuf, or cut short") from None
     except UnicodeDecodeError:
         raise Refused("malformed", "a text that is not in UTF-8") from None
+
+
+def _metric(found: Any) -> Metric:
+    kind = found.WhichOneof(_VALUE)
+    is_scalar = kind not in _NO_SCALAR_FIELDS and found.datatype not in NO_SCALAR
+    return Metric(
+        name=found.name.decode() if found.HasField("name") else None,
+        alias=found.alias if found.HasField("alias") else None,
+        time=found.timestamp / 1e3 if found.HasField("timestamp") else None,
+        datatype=found.datatype,
+        value=_scalar(getattr(found, kind)) if is_scalar and kind is not None else None,
+        quality=_quality(found.properties) if found.HasField("properties") else None,
+        is_historical=found.is_historical,
+        is_transient=found.is_transient,
+        is_null=found.is_null,
+        is_scalar=is_scalar,
+    )
+
+
+def _scalar(value: bool | float | bytes) -> int | float | str:
+    if isinstance(value, bytes):
+        return value.decode()
+    return int(value) if isinstance(value, bool) else value
+
+
+def _quality(properties: Any) -> int | None:
+    """The quality in a set of properties, which is a list of names and a list of values."""
+    names = [one.decode() for one in properties.keys]
+    for name, one in zip(names, properties.values, strict=False):
+        if name == QUALITY and (kind := one.WhichOneof(_VALUE)) is not None:
+            return int(getattr(one, str(kind)))
+    return None
 
 
 def _decompressed(body: bytes) -> bytes:
@@ -208,50 +224,3 @@ def _decompressed(body: bytes) -> bytes:
     except zlib.error:
         raise Refused("malformed", "a compressed payload that cannot be decompressed") from None
     return found
-
-
-# -- the wire format -----------------------------------------------------------------------------------------
-def _fields(content: memoryview) -> Iterator[WireField]:
-    """The fields of a message, in their order.  Raises Refused."""
-    place, end = 0, len(content)
-    while place < end:
-        key, place = _read_varint(content, place)
-        number, wire = key >> 3, key & 7
-        if not 0 < number < 2**29:
-            raise Refused("malformed", f"no protobuf: a field with the number {number}")
-        if wire == _VARINT:
-            value, place = _read_varint(content, place)
-            yield number, wire, value
-            continue
-        if wire == _BYTES:
-            size, place = _read_varint(content, place)
-        elif wire in (_EIGHT, _FOUR):
-            size = 8 if wire == _EIGHT else 4
-        else:
-            raise Refused("malformed", f"no protobuf: a field of the wire type {wire}")
-        if size > end - place:
-            raise Refused("malformed", "no protobuf: a field is longer than its message")
-        yield number, wire, content[place : place + size]
-        place += size
-
-
-def _read_varint(content: memoryview, place: int) -> tuple[int, int]:
-    """The integer of up to 64 bits at a place, and the place after it."""
-    if place < len(content) and (value := content[place]) < 0x80:
-        return value, place + 1
-    value = 0
-    for count, byte in enumerate(content[place : place + _MOST_VARINT]):
-        value |= (byte & 0x7F) << 7 * count
-        if byte < 0x80:
-            return value % 2**64, place + count + 1
-    raise Refused("malformed", "no protobuf: an integer without an end")
-
-
-def _varint(value: int) -> bytes:
-    """An integer that is not negative, as a varint."""
-    found = bytearray()
-    while value > 0x7F:
-        found.append(value & 0x7F | 0x80)
-        value >>= 7
-    found.append(value)
-    return bytes(found)
