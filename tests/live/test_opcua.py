@@ -30,6 +30,7 @@ from hygrokf.data.toml_form import Place, keys_of, read_form
 from hygrokf.live.service import Service
 from hygrokf.live.sources import opcua as module
 from hygrokf.live.sources import opcua_client
+from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.opcua import OpcUa
@@ -38,7 +39,7 @@ from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_o
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_fields import Field
-from hygrokf.live.sources.stream import SourceKeys
+from hygrokf.live.sources.stream import BackOff, SourceKeys
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
@@ -61,7 +62,7 @@ MAPPING = PayloadMapping(
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "RETRY_S", (0.2,))
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.2, 0.4))
 
 
 @pytest.fixture(scope="module")
@@ -530,22 +531,22 @@ def test_a_server_that_says_nothing_any_more_is_left(
 def test_a_server_that_is_not_there_yet_is_waited_for_with_bounded_pauses(
     started, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "RETRY_S", (0.1, 0.3))
-    seen, pause = [], OpcUa._pause
+    monkeypatch.setattr(streams, "BACK_OFF_S", (0.1, 0.3))
+    seen, wait = [], BackOff.wait
 
-    async def noted(stream: OpcUa, seconds: float) -> None:
-        seen.append((seconds, *stream.state))
-        await pause(stream, seconds)
+    def noted(back_off: BackOff, ended: threading.Event) -> None:
+        seen.append(back_off.next_s)
+        wait(back_off, ended)
 
-    monkeypatch.setattr(OpcUa, "_pause", noted)
+    monkeypatch.setattr(BackOff, "wait", noted)
     run = started(f"opc.tcp://127.0.0.1:{free_port()}", {"i=1": "Tcab"})
-    run.wait(lambda: len(seen) >= 3)
+    run.wait(lambda: len(seen) >= 4)
+    assert seen[:4] == [0.1, 0.2, 0.3, 0.3]
+    word, said = run.stream.state
+    assert word == "waiting" and "nothing listens there; next attempt within 0.3 s" in said
     run.stream.stop()
-    assert [seconds for seconds, _, _ in seen[:3]] == [0.1, 0.3, 0.3]
-    for seconds, word, said in seen:
-        assert word == "waiting" and f"nothing listens there; next attempt within {seconds} s" in said
     # one attempt: where names are resolved slowly, a second one would not end with the test
-    monkeypatch.setattr(module, "RETRY_S", (30.0,))
+    monkeypatch.setattr(streams, "BACK_OFF_S", (30.0, 30.0))
     away = started("opc.tcp://no-such-host.invalid:4840", {"i=1": "Tcab"})
     away.wait(lambda: "the host is not known" in away.stream.state[1])
 

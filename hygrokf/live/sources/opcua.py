@@ -21,14 +21,17 @@ from hygrokf.live.sources.opcua_client import Connection, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
 from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Threaded, several
+from hygrokf.live.sources.stream import (
+    PAUSE_S,
+    BackOff,
+    Delivery,
+    SourceFault,
+    SourceState,
+    Threaded,
+    several,
+)
 
 LOG = logging.getLogger("hygrokf.track")
-RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
-"""[s] between attempts to connect; the last value repeats."""
-LASTING_S = 60.0
-"""[s] after which a connection counts as stable, so that the next attempts start with the shortest pause
-again."""
 FIRST_S = 2.0
 """[s] to wait for the first samples of a subscription, in addition to its publishing interval."""
 AGAIN_S = 60.0
@@ -123,33 +126,25 @@ class OpcUa(Threaded):
 
     async def _follow(self) -> None:
         """Connect and reconnect until told to stop."""
-        attempt, told = 0, ""
+        back_off, told = BackOff(), ""
         while not self._ended.is_set():
             connection = self.connection()
-            began = time.monotonic()
             try:
                 await connection.open()
                 told = ""
                 LOG.info("connected", extra={"source": self.url})
                 await self._serve(connection)
             except Exception as fault:  # whatever a server sends, keep trying
-                attempt = 0 if time.monotonic() - began > LASTING_S else attempt
-                pause_s = RETRY_S[min(attempt, len(RETRY_S) - 1)]
-                words = f"{self.url}: {fault}; next attempt within {pause_s:g} s"
+                words = f"{self.url}: {fault}; next attempt within {back_off.next_s:g} s"
                 self._state = SourceState("waiting", words)
                 if str(fault) != told:
                     unforeseen = None if isinstance(fault, ConnectionFault) else fault
                     said = {"source": self.url, "fault": str(fault)}
                     LOG.warning("not connected", extra=said, exc_info=unforeseen)
-                told, attempt = str(fault), attempt + 1
-                await self._pause(pause_s)
+                told = str(fault)
+                await asyncio.to_thread(back_off.wait, self._ended)
             finally:
                 await connection.close()
-
-    async def _pause(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while not self._ended.is_set() and time.monotonic() < end:
-            await asyncio.sleep(PAUSE_S)
 
     async def _serve(self, connection: Connection) -> None:
         """Deliver the samples of one connection until it is lost or the stream is stopped."""

@@ -77,6 +77,11 @@ class BackOff:
         """Whether the present attempt has held for longer than the longest pause."""
         return time.monotonic() - self._began > BACK_OFF_S[1]
 
+    @property
+    def next_s(self) -> float:
+        """Longest time [s] until the next attempt."""
+        return BACK_OFF_S[0] if self.has_held else self._pause_s
+
     def reset(self) -> None:
         """Begin again with the shortest pause."""
         self._pause_s = BACK_OFF_S[0]
