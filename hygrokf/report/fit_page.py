@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -11,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_text_whole
-from hygrokf.data.result_file import ResultFault
-from hygrokf.data.structured import StructureFault, structured
+from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
@@ -57,9 +55,6 @@ from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
-NEEDED = ("name", "version", "parameters", "time_constants")
-"""What every fit.json holds."""
-
 
 class ReportFault(HygrokfError):
     """Results from which no report can be made; one message lists everything wrong with them."""
@@ -90,25 +85,12 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
     faults: list[str] = []
     fit = FitResults()
     series: dict[str, np.ndarray] = {}
-    again = "run `hygrokf fit` with --out on this directory first"
     try:
-        data = json.loads((folder / FIT).read_text(encoding="utf-8"))
-        if not isinstance(data, dict):
-            faults.append(
-                f"{folder / FIT}: expected an object with the results of a fit, found {type(data).__name__}"
-            )
-        elif missing := [name for name in NEEDED if name not in data]:
-            faults.append(
-                f"{folder / FIT}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; {again}"
-            )
-        else:
-            fit = with_verdicts(structured(FitResults, data))
-    except FileNotFoundError:
-        faults.append(f"{folder / FIT}: no such file; {again}")
-    except StructureFault as fault:
-        faults += [f"{folder / FIT}: {one}; {again}" for one in fault.faults]
-    except (OSError, ValueError, RecursionError) as fault:
-        faults.append(f"{folder / FIT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
+        fit = with_verdicts(read_result(FitResults, folder / FIT, "hygrokf fit"))
+        if not (fit.version or fit.parameters or fit.time_constants):
+            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`; name the directory of one")
+    except ResultFault as fault:
+        faults.append(str(fault))
     try:
         series = read_series(folder)
     except ResultFault as fault:
