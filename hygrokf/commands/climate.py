@@ -93,7 +93,8 @@ def _surface(text: str) -> Surface:
 def _run(options: argparse.Namespace) -> int:
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.data.structured import plain
-    from hygrokf.report.climate_page import climate_text, write_climate_report
+    from hygrokf.report.climate_page import climate_blocks, write_climate_report
+    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, CLIMATE)
     read = _inputs(options)
@@ -108,7 +109,7 @@ def _run(options: argparse.Namespace) -> int:
             )  # fmt: skip
         progress("draw the report")
         page = write_climate_report(study, options.out)
-    return show_reported(page, plain(study), climate_text(study), options.json)
+    return show_reported(page, plain(study), page_text(climate_blocks(study)), options.json)
 
 
 @dataclass(frozen=True)

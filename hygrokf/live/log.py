@@ -18,7 +18,6 @@ from types import TracebackType
 
 LOG = logging.getLogger("hygrokf.track")
 _OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
-FORMS = ("text", "json")
 
 
 class LogLines(logging.Formatter):
@@ -69,7 +68,7 @@ def _flat(value: object) -> str:
 @contextmanager
 def log_to_stderr(form: str = "text", level: int = logging.INFO) -> Iterator[None]:
     """Within this context send the package's logs, other packages' warnings, and exceptions that end a thread
-    to standard error in one of the `FORMS`."""
+    to standard error in a form, "text" or "json"."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LogLines(form))
     own, root = logging.getLogger("hygrokf"), logging.getLogger()

@@ -57,7 +57,6 @@ from hygrokf.report.figures.climate import (
 from hygrokf.report.figures.drawing import png
 from hygrokf.report.figures.lead import DURATION_HEADING, REGIONS_HEADING, YEAR_HEADING
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
 
 PICTURE = "test_profile.png"
 TONES: dict[str, Literal["open", "plain", "reject"]] = {
@@ -85,22 +84,12 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
         study = read_climate(folder)
     else:
         write_climate(study, folder)
-    page = climate_page(study)
+    page = page_html(climate_blocks(study))
     if len(study.regions) == 1 and study.regions[0].test_profile is not None:
         write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0])))
     else:
         (folder / PICTURE).unlink(missing_ok=True)
     return write_text_whole(folder / REPORT, page)
-
-
-def climate_page(study: Study) -> str:
-    """The whole page as HTML text."""
-    return page_html(climate_blocks(study))
-
-
-def climate_text(study: Study) -> str:
-    """The answer and the tables as text of at most 100 columns, for the command line."""
-    return page_text(climate_blocks(study))
 
 
 def climate_blocks(study: Study) -> Page:

@@ -40,7 +40,6 @@ from hygrokf.report.figures.comparison import (
 )
 from hygrokf.report.fit_text import share_text
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
 from hygrokf.transfer.comparison import (
     TABLE_HEAD,
     Comparison,
@@ -76,10 +75,10 @@ def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]
     """
     folder = Path(directory)
     if found is None:
-        return write_text_whole(folder / REPORT, comparison_page(*read_comparison(folder)))
+        return write_text_whole(folder / REPORT, page_html(comparison_blocks(*read_comparison(folder))))
     courses = [one.course for one in found.columns]
     text, table = result_text(found.results), comparison_csv(found.results)
-    page = comparison_page(found.results, courses)
+    page = page_html(comparison_blocks(found.results, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
     write_text_whole(folder / COMPARISON, text)
@@ -112,16 +111,6 @@ def comparison_csv(found: ComparisonResults) -> str:
 
 
 # --- the page --------------------------------------------------------------------------------
-
-
-def comparison_page(found: ComparisonResults, courses: Sequence[Course] = ()) -> str:
-    """The whole page as HTML text."""
-    return page_html(comparison_blocks(found, courses))
-
-
-def comparison_text(found: ComparisonResults) -> str:
-    """The answer and the tables as text, for the command line."""
-    return page_text(comparison_blocks(found))
 
 
 def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) -> Page:

@@ -75,7 +75,6 @@ from hygrokf.report.figures.residual_structure import (
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
 EPISODE_FIGURES = 3
@@ -97,34 +96,16 @@ def write_discovery_report(found: Discovery | None, directory: str | os.PathLike
         write_discovery(found, folder)
     read = read_discovery(folder)
     write_report(folder)
-    return write_text_whole(folder / REPORT, discovery_page(read.results, read.before, read.after))
-
-
-def discovery_page(
-    found: DiscoveryResults,
-    before: Residuals | None = None,
-    after: Residuals | None = None,
-    fit_page: str = BESIDE_DISCOVERY,
-) -> str:
-    """The whole page as HTML text."""
-    return page_html(discovery_blocks(found, before, after, fit_page))
-
-
-def discovery_text(found: DiscoveryResults) -> str:
-    """Verdict, findings, causes with their gain, and what was tried in vain, for the command line."""
-    return page_text(discovery_blocks(found))
+    page = discovery_blocks(read.results, read.before, read.after)
+    return write_text_whole(folder / REPORT, page_html(page))
 
 
 def discovery_blocks(
-    found: DiscoveryResults,
-    before: Residuals | None = None,
-    after: Residuals | None = None,
-    fit_page: str = BESIDE_DISCOVERY,
+    found: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
 ) -> Page:
     """What a discovery says: the verdict, and the readings beside base and extended model, first.
 
-    before, after: residuals of both models, for the pictures.  fit_page: the file beside the page that shows
-    the model with all its parameters ("" = none).
+    before, after: residuals of both models, for the pictures.
     """
     verdict = _verdict_card(found)
     episodes = [] if before is None else _episodes(found, before, after)
@@ -156,7 +137,7 @@ def discovery_blocks(
         spans_text(before),
         (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
         body,
-        _method(found, fit_page),
+        _method(found),
         _brief(found, verdict),
     )
 
@@ -325,7 +306,7 @@ def _rejected(found: DiscoveryResults) -> tuple[Block, ...]:
     )
 
 
-def _method(found: DiscoveryResults, fit_page: str) -> tuple[Block, ...]:
+def _method(found: DiscoveryResults) -> tuple[Block, ...]:
     count = tried(found)
     which = "base" if found.extended is None else "extended"
     lines = (
@@ -349,7 +330,7 @@ def _method(found: DiscoveryResults, fit_page: str) -> tuple[Block, ...]:
     version = found.version or "(version not stated)"
     return (
         *method("Data and method", *lines),
-        *([Link(f"The {which} model with all its parameters:", fit_page)] if fit_page else []),
+        Link(f"The {which} model with all its parameters:", BESIDE_DISCOVERY),
         Prose(f"Found by hygrokf {version}; page by hygrokf {__version__}."),
     )
 

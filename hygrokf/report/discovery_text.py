@@ -16,10 +16,9 @@ from hygrokf.discovery.discovery_results import (
 )
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
-    BASELINES,
     QUANTITIES,
     decimals_for,
     fixed,
@@ -400,15 +399,10 @@ def error_sentences(found: DiscoveryResults) -> list[str]:
             )
         else:
             text = f"The {name} error {where}: {fixed(before)} {symbol}"
-        rules = {
-            words: value
-            for key, words in BASELINES[quantity].items()
-            if math.isfinite(value := found.baseline.fit.rule_errors(period, key, quantity).total)
-        }
-        if rules:
-            best = min(rules, key=lambda words: rules[words])
-            against = last / rules[best] - 1.0 if rules[best] > 0 else 0.0
+        rule = best_rule(found.baseline.fit, quantity, period)
+        if rule is not None:
+            against = last / rule.rule - 1.0
             side = "below" if against <= 0 else "above"
-            text += f", {percent(abs(against))} {side} the rule “{best}” ({fixed(rules[best])} {symbol})"
+            text += f", {percent(abs(against))} {side} the rule “{rule.words}” ({fixed(rule.rule)} {symbol})"
         said.append(f"{text}.")
     return said

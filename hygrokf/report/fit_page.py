@@ -52,7 +52,6 @@ from hygrokf.report.fit_tables import (
 )
 from hygrokf.report.fit_text import Judgement, doubted, free_run_text, judgements, range_of, time_constant
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
 
@@ -75,7 +74,7 @@ def write_report(directory: str | os.PathLike[str]) -> Path:
     fit, series = read_results(folder)
     path = folder / (BESIDE_DISCOVERY if (folder / DISCOVERY).exists() else REPORT)
     try:
-        return write_text_whole(path, report_page(fit, series))
+        return write_text_whole(path, page_html(fit_blocks(fit, series)))
     except OSError as fault:
         raise ReportFault(f"{path}: expected a file that can be written, found: {fault.strerror}") from None
 
@@ -101,16 +100,6 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
 
 
 # --- the page --------------------------------------------------------------------------------
-
-
-def report_page(fit: FitResults, series: Mapping[str, np.ndarray]) -> str:
-    """The whole page as HTML text."""
-    return page_html(fit_blocks(fit, series))
-
-
-def report_text(fit: FitResults) -> str:
-    """The answer and the tables of a fit as text of at most 100 columns, for the command line."""
-    return page_text(fit_blocks(fit, {}))
 
 
 def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:

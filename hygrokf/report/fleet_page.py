@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result
-from hygrokf.fleet.job import DONE, FleetFault, Outcome, Row, number, text_of
+from hygrokf.fleet.job import DONE, Outcome, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
 from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
@@ -44,8 +44,7 @@ from hygrokf.report.blocks import (
 from hygrokf.report.figures.fleet import figure_spreads
 from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
-from hygrokf.report.transfer_page import type_table, type_without
+from hygrokf.report.transfer_page import type_table
 from hygrokf.version import __version__
 
 RANKED = 50
@@ -61,27 +60,14 @@ FAILURE = ("turbine", "status", "reason")
 def write_fleet_report(out: Path) -> Path:
     """Write `report.html` of a directory with `fleet.json`; returns its path.
 
-    Raises FleetFault where fleet.json is missing or damaged.
+    Raises ResultFault where fleet.json is missing or damaged.
     """
     file = out / FLEET
-    try:
-        fleet = read_result(FleetResults, file, "hygrokf fleet")
-    except ResultFault as fault:
-        raise FleetFault(str(file), [str(fault)]) from None
+    fleet = read_result(FleetResults, file, "hygrokf fleet")
     named = [row.get("turbine") for row in fleet.rows]
     if fleet.task not in TASKS or None in named or len(named) != len(set(named)):
-        raise FleetFault(str(file), ["expected rows of a task of this version; run `hygrokf fleet` again"])
-    return write_text_whole(out / REPORT, fleet_page(fleet))
-
-
-def fleet_page(fleet: FleetResults) -> str:
-    """The whole page as HTML text, a pure function of `fleet.json`."""
-    return page_html(fleet_blocks(fleet))
-
-
-def fleet_text(fleet: FleetResults) -> str:
-    """The turbines with the compared quantities, and the outliers, for the command line."""
-    return page_text(fleet_blocks(fleet))
+        raise ResultFault(f"{file}: expected rows of a task of this version; run `hygrokf fleet` again")
+    return write_text_whole(out / REPORT, page_html(fleet_blocks(fleet)))
 
 
 def outcome_text(found: Outcome, known: bool) -> str:
@@ -397,7 +383,9 @@ def _type(fleet: FleetResults) -> tuple[Block, ...]:
     """The type of turbine, where the fits make one."""
     if fleet.type is None:
         return ()
-    without = Prose(type_without(list(fleet.type_without)), "note") if fleet.type_without else None
+    left_out = ", ".join(fleet.type_without)
+    why = f"Left out, because they differ from the others by more than chance: {left_out}."
+    without = Prose(why, "note") if left_out else None
     picture = Figure("type", "Type and next turbine", "", partial(figure_type, fleet.type))
     return section("The type of turbine", type_table(fleet.type), without, picture)
 

@@ -40,7 +40,6 @@ from hygrokf.report.blocks import (
 from hygrokf.report.figures.transfer import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
-from hygrokf.report.terminal import page_text
 from hygrokf.transfer.course import Course, read_courses, write_courses
 from hygrokf.transfer.results import (
     NOT,
@@ -95,7 +94,7 @@ def write_transfer(
     """
     folder = Path(directory)
     found, courses = transfer_results(transfers, pooled), [one.course for one in transfers]
-    text, page = result_text(found), transfer_page(found, courses)
+    text, page = result_text(found), page_html(transfer_blocks(found, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
     for one, name in zip(transfers, folders([one.name for one in found.records]), strict=True):
@@ -112,7 +111,7 @@ def write_transfer(
 def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
     """Write report.html again from transfer.json and transfer.npz.  Raises ResultFault where these cannot be
     read."""
-    return write_text_whole(Path(directory) / REPORT, transfer_page(*read_transfer(directory)))
+    return write_text_whole(Path(directory) / REPORT, page_html(transfer_blocks(*read_transfer(directory))))
 
 
 def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[Course, ...]]:
@@ -137,17 +136,7 @@ def folders(names: Sequence[str]) -> list[str]:
 # --- the page --------------------------------------------------------------------------------
 
 
-def transfer_page(found: TransferResults, courses: Sequence[Course]) -> str:
-    """The whole page as HTML text."""
-    return page_html(transfer_blocks(found, courses))
-
-
-def transfer_text(found: TransferResults) -> str:
-    """The verdicts and the tables as text, for the command line."""
-    return page_text(transfer_blocks(found, ()))
-
-
-def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
+def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> Page:
     """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
     source, names = found.source.name, [one.name for one in found.records]
     cards = Cards(tuple(_card(found, one) for one in found.records))
@@ -169,7 +158,9 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("Models used", handed)
-    body += type_section(found.type)
+    if found.type is not None:
+        picture = Figure("type", "Type and next turbine", "", partial(figure_type, found.type))
+        body += section("The type of turbine", type_table(found.type), picture)
     made_up = any(one.synthetic for one in found.records)
     return Page(
         "Transfer",
@@ -339,24 +330,6 @@ def ratios_table(one: TransferResult) -> Table:
 
 
 # --- the type of turbine ---------------------------------------------------------------------
-
-
-def type_section(found: TurbineType | None, left_out: Sequence[str] = ()) -> tuple[Block, ...]:
-    """A type of turbine as a section; nothing where there is none.  `left_out`: turbines that it is
-    without."""
-    if found is None:
-        return ()
-    return section(
-        "The type of turbine",
-        type_table(found),
-        Prose(type_without(left_out), "note") if left_out else None,
-        Figure("type", "Type and next turbine", "", partial(figure_type, found)),
-    )
-
-
-def type_without(left_out: Sequence[str]) -> str:
-    """The turbines that a type is without."""
-    return f"Left out, because they differ from the others by more than chance: {', '.join(left_out)}."
 
 
 def type_table(found: TurbineType) -> Table:

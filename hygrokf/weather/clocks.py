@@ -28,7 +28,7 @@ class ClockError:
     one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": the lag is unknown, or
         weather and mean day disagree, as between distant places.
     winter, summer: [s] how much later readings of `one` are stamped; equal unless seasonal.
-    mean_day_winter, mean_day_summer: [s] the same from the mean day. alignments: the comparisons behind it.
+    alignments: the comparisons behind it, which have the lags from the mean day too.
     """
 
     one: str
@@ -36,8 +36,6 @@ class ClockError:
     kind: str
     winter: Bounded
     summer: Bounded
-    mean_day_winter: Bounded
-    mean_day_summer: Bounded
     alignments: tuple[Alignment, ...]
 
     @property
@@ -106,20 +104,16 @@ def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockErr
         UNKNOWN,
     )
     if not weather["whole"].known and not (weather["winter"].known and weather["summer"].known):
-        return ClockError(one, other, "unclear", *(UNKNOWN,) * 4, found)
+        return ClockError(one, other, "unclear", UNKNOWN, UNKNOWN, found)
     seasonal = _beyond(change) and (
         not day_change.known
         or (day_change.value * change.value > 0 and abs(day_change.value) > 0.75 * TOLERANCE_S)
     )
     if seasonal and any(_off(weather[name], day[name]) for name in ("winter", "summer")):
-        return ClockError(
-            one, other, "seasonal", weather["winter"], weather["summer"], day["winter"], day["summer"], found
-        )
+        return ClockError(one, other, "seasonal", weather["winter"], weather["summer"], found)
     constant = not seasonal and _off(weather["whole"], day["whole"])
     kind = "constant" if constant else "unclear" if _beyond(weather["whole"]) or seasonal else "right"
-    return ClockError(
-        one, other, kind, weather["whole"], weather["whole"], day["whole"], day["whole"], found
-    )  # fmt: skip
+    return ClockError(one, other, kind, weather["whole"], weather["whole"], found)
 
 
 def _weather(found: Sequence[Alignment], name: str) -> Bounded:

@@ -33,8 +33,10 @@ from hygrokf.modelling.design import CASCADE, design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.thermal_system import thermal_system
 from hygrokf.physics.mechanisms import LIBRARY
-from hygrokf.report.fit_page import report_page, report_text
+from hygrokf.report.fit_page import fit_blocks
+from hygrokf.report.page import page_html
 from hygrokf.report.record_text import describe_text
+from hygrokf.report.terminal import page_text
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def test_effects_are_told_in_kelvin_and_percent(all_logged) -> None:
     assert found["heater_duty"]["changes"]["relative_humidity"]["upper"] < 0.0
     assert found["fan_duty"]["changes"]["temperature_K"]["upper"] < 0.0
     assert found["dehumidifier_duty"]["changes"]["absolute_humidity_g_m3"]["upper"] < 0.0
-    for text in (report_text(fit.results), report_page(fit.results, fit.series)):
+    for text in (page_text(fit_blocks(fit.results, {})), page_html(fit_blocks(fit.results, fit.series))):
         assert "What the logged actuators change" in text and "heater_duty" in text
 
 
@@ -97,7 +99,7 @@ def test_an_actuator_that_is_not_used_has_its_row_and_its_reason() -> None:
     record, _, _ = actuated(41002, "heater_duty", days=30.0)
     fan = replace(record["heater_duty"], signal="fan_duty", value=np.ones(len(record["heater_duty"])))
     fit = identify(replace(record, series=(*record.series, fan)), starts=1, profiles=False)
-    said = " ".join(report_text(fit.results).split())
+    said = " ".join(page_text(fit_blocks(fit.results, {})).split())
     assert "fan_duty – – – –" in said and "fan_duty is not used: it never changes" in said
 
 

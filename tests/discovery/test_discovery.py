@@ -35,7 +35,8 @@ from hygrokf.discovery.plugin_validation import IDENTIFIER
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Probe, Scanned, scan, slow_scan
 from hygrokf.discovery.submodel import HYGRIC, THERMAL, free_run_error, rmse, search_likelihood
-from hygrokf.report.discovery_page import discovery_text
+from hygrokf.report.discovery_page import discovery_blocks
+from hygrokf.report.terminal import page_text
 
 DAY_S = 86400.0
 DRIFT = Probe(THERMAL, ("release_drift", {"flag": "since"}), "heat_drift")
@@ -300,7 +301,7 @@ def test_a_discovery_is_complete_json_and_plain_text() -> None:
         assert set(data[side]) >= {"rmse", "baselines", "time_constants"}
     (rejected,) = data["rejected"]
     assert rejected["cause"] == "solar_gain" and rejected["reason"]
-    text = discovery_text(found.results)
+    text = page_text(discovery_blocks(found.results))
     assert "Moisture sorption (" in text and "To check: Look for polymers" in text
     assert max(len(line) for line in text.splitlines()) <= 100
     # the extended model drives the validation period and beyond: it is a fit like any other

@@ -20,8 +20,9 @@ from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain
 from hygrokf.discovery.library import named
 from hygrokf.discovery.model_selection import select
 from hygrokf.discovery.procedure import discover
-from hygrokf.report.discovery_page import discovery_text
+from hygrokf.report.discovery_page import discovery_blocks
 from hygrokf.report.discovery_text import gain_sentence
+from hygrokf.report.terminal import page_text
 
 DAY_S = 86400.0
 RIVALS = (named("exchange_step"), named("moisture_sorption"))
@@ -78,7 +79,7 @@ def test_a_change_that_the_held_out_period_does_not_show_is_refuted(taken_back: 
     if not results.causes:
         assert found.extended is None and results.extended is None
         assert results.verdict == "unexplained"
-    assert "Refuted by the held-out period: exchange step" in discovery_text(results)
+    assert "Refuted by the held-out period: exchange step" in page_text(discovery_blocks(results))
 
 
 def test_the_same_change_that_lasts_is_named(taken_back: Record) -> None:
@@ -159,7 +160,7 @@ def test_what_the_time_does_not_last_for_is_said(taken_back: Record) -> None:
     tried = {row.cause for row in (*results.causes, *results.rejected)}
     assert len(untried) > 10 and not tried & set(untried)
     assert results.not_tried.budget_s == 0.5
-    said = " ".join(discovery_text(results).split())
+    said = " ".join(page_text(discovery_blocks(results)).split())
     assert "were not tried: allow more time with --budget" in said and untried[0].replace("_", " ") in said
 
 

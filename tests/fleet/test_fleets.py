@@ -21,7 +21,7 @@ from builders.documents import document
 from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.climate.classes import ClassFault
 from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
-from hygrokf.data.result_file import result_text
+from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet.cluster import batches, on_cluster
@@ -597,7 +597,7 @@ def test_the_command_tells_writes_and_reports_again(park: Path, serial: tuple[Pa
     kept = (out / "fleet.json").read_text(encoding="utf-8")
     for damaged in ("{", '{"task": "none", "rows": []}', "[]"):
         (out / "fleet.json").write_text(damaged)
-        with pytest.raises(FleetFault, match=r"fleet\.json"):
+        with pytest.raises(ResultFault, match=r"fleet\.json"):
             write_fleet_report(out)
     (out / "fleet.json").write_text(kept, encoding="utf-8")
 

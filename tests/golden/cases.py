@@ -30,7 +30,8 @@ from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.discovery.procedure import discover
 from hygrokf.engine import jit
-from hygrokf.report.discovery_page import discovery_text, write_discovery_report
+from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
+from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
 HERE = Path(__file__).resolve().parent
@@ -291,7 +292,7 @@ def attic(folder: Path) -> str:
 def discovered(record: Record, folder: Path) -> str:
     one = discover(record, starts=1, budget_s=math.inf)
     write_discovery_report(one, folder / "out")
-    return discovery_text(one.results)
+    return page_text(discovery_blocks(one.results))
 
 
 UK_WEATHER = """\

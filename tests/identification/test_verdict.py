@@ -36,8 +36,9 @@ from hygrokf.identification.verdict_terms import (
     verdict_lines,
 )
 from hygrokf.report.blocks import Cards
-from hygrokf.report.fit_page import fit_blocks, report_text
+from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.fit_text import judgements
+from hygrokf.report.terminal import page_text
 
 PAGE = document("verdict.md")
 
@@ -451,6 +452,6 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
     assert (thermal.kind, thermal.verdict) == (REJECT, WORDS[REJECT])
     assert (thermal.value, thermal.bounds) == ("1.45 h", "1.40 … 1.50, 95 %, all sources")
     assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
-    text = report_text(typed(_rejected()))
+    text = page_text(fit_blocks(typed(_rejected()), {}))
     first = text.split("\n\n")[1].splitlines()[0]
     assert first.startswith("thermal not reliable, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

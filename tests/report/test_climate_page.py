@@ -15,8 +15,10 @@ from hygrokf.climate.procedure import climate_profile
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.report.blocks import Banner, Card, Cards, Details, Figure, Prose, Table
-from hygrokf.report.climate_page import climate_blocks, climate_page, climate_text
+from hygrokf.report.climate_page import climate_blocks
 from hygrokf.report.climate_tables import class_text, hours_text, limits_table, regions_table, span_text
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
 
 LIMITS = (
     Limit("never", "temperature_degC", "above", 90.0),
@@ -62,7 +64,7 @@ def test_a_climate_without_humidity_shows_its_temperature() -> None:
     dry = with_region(joint=None, test_profile=None, limits=(), scopes={"all": year})
     lead = climate_blocks(dry).lead
     assert [card.label for card in cards_of(dry)] == ["Mean temperature"] and lead[-1].name == "r1-duration"
-    assert "There is no test profile" in Parsed(climate_page(dry)).text
+    assert "There is no test profile" in Parsed(page_html(climate_blocks(dry))).text
 
 
 def test_long_tables_are_folded() -> None:
@@ -86,15 +88,15 @@ def test_regions_stand_side_by_side() -> None:
 
 
 def test_names_are_escaped_on_the_page() -> None:
-    page = climate_page(with_region(name="<b>&", files=("<i>.csv",)))
+    page = page_html(climate_blocks(with_region(name="<b>&", files=("<i>.csv",))))
     Parsed(page)
     assert "<b>&" not in page and "<i>.csv" not in page
 
 
 def test_a_part_of_a_year_is_told() -> None:
-    page = Parsed(climate_page(small())).text
+    page = Parsed(page_html(climate_blocks(small()))).text
     assert "UTC (40 days), from" in page and "1 year" not in page
-    assert "undecided (of 40 days, not a year)" in climate_text(small())
+    assert "undecided (of 40 days, not a year)" in page_text(climate_blocks(small()))
     assert limits_table(small().regions[0]).marked == (1,)
 
 
@@ -129,6 +131,6 @@ def test_years_out_of_reach_are_told_with_a_remedy(share: float, advice: str) ->
 def test_a_climate_states_one_share_for_its_bounds() -> None:
     study = study_of(members=10)
     assert study.regions[0].bounds_hold == pytest.approx(9 / 11)
-    for words in (Parsed(climate_page(study)).text, climate_text(study)):
+    for words in (Parsed(page_html(climate_blocks(study))).text, page_text(climate_blocks(study))):
         assert "82 % of single years" in words and "95 % of single years" not in words
         assert "95 % bounds" not in words and "in 82 % of cases" in " ".join(words.split())

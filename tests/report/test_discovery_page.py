@@ -36,8 +36,6 @@ from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
     discovery_blocks,
-    discovery_page,
-    discovery_text,
     write_discovery_report,
 )
 from hygrokf.report.discovery_tables import (
@@ -57,17 +55,19 @@ from hygrokf.report.discovery_text import (
     verdict_sentences,
 )
 from hygrokf.report.figures.residual_structure import telling_drivers
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
 
 
 @pytest.fixture(scope="module")
 def whole() -> str:
     """The page with all its drawings."""
-    return discovery_page(typed(discovery_case()), residuals_case(), residuals_case(0.2))
+    return page_html(discovery_blocks(typed(discovery_case()), residuals_case(), residuals_case(0.2)))
 
 
 def words(found: dict) -> str:
     """The text of a page without drawings."""
-    return Page(discovery_page(typed(found))).text
+    return Page(page_html(discovery_blocks(typed(found)))).text
 
 
 def verdict(found: dict) -> Card:
@@ -154,7 +154,8 @@ def test_the_time_span_and_the_mean_error_are_stated(whole: str) -> None:
 
 
 def test_the_page_is_a_pure_function_of_its_data(whole: str) -> None:
-    assert discovery_page(typed(discovery_case()), residuals_case(), residuals_case(0.2)) == whole
+    blocks = discovery_blocks(typed(discovery_case()), residuals_case(), residuals_case(0.2))
+    assert page_html(blocks) == whole
 
 
 def test_the_drivers_of_the_findings_are_drawn_first() -> None:
@@ -175,7 +176,7 @@ def test_an_event_is_shown_where_it_was_found() -> None:
     found["causes"][0] |= {"cause": "door_opening", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
     assert page.lead[-1].name == "event-1" and page.lead[-1].heading == "Door opening: when"
-    text = discovery_page(typed(found), residuals_case(), residuals_case(0.2))
+    text = page_html(discovery_blocks(typed(found), residuals_case(), residuals_case(0.2)))
     assert 'id="event-1-' in text and ">20 Jul<" in text
 
 
@@ -186,7 +187,7 @@ def test_nothing_found_names_no_cause_and_no_check() -> None:
     card = verdict(empty_case())
     assert card.value == "This record shows no missing cause" and card.tone == "plain"
     assert "none of 2 causes" in card.lines[0].lower()
-    text = Page(discovery_page(typed(empty_case()), residuals_case())).text
+    text = Page(page_html(discovery_blocks(typed(empty_case()), residuals_case()))).text
     assert "→" not in text and "Check in the turbine" not in text and "The cause" not in text
     assert "without and with the cause" in text  # the verdicts of the base model stand there
 
@@ -195,7 +196,8 @@ def test_what_cannot_be_explained_is_a_warning_with_its_driver() -> None:
     card = verdict(unexplained_case())
     assert card.value == "Something is missing; the cause is unknown" and card.tone == "open"
     assert "4.1 K too low" in card.lines[0] and "2 causes" in card.lines[1]
-    for text in (words(unexplained_case()), " ".join(discovery_text(typed(unexplained_case())).split())):
+    printed = page_text(discovery_blocks(typed(unexplained_case())))
+    for text in (words(unexplained_case()), " ".join(printed.split())):
         assert "the wind speed (correlation −0.31, 3.0 h later)" in text
 
 
@@ -325,13 +327,13 @@ def test_a_doubt_about_the_record_comes_before_any_cause() -> None:
     doubt = "the clock of a.csv seems 2 h fast: if so, state it"
     found = typed(discovery_case() | {"doubts": [doubt]})
     assert doubt in verdict_sentences(found)[0] and len(verdict_sentences(found)) > 1
-    assert doubt in " ".join(discovery_text(found).split())
-    assert doubt in Page(discovery_page(found)).text
+    assert doubt in " ".join(page_text(discovery_blocks(found)).split())
+    assert doubt in Page(page_html(discovery_blocks(found))).text
 
 
 def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
     found = typed(discovery_case() | {"name": "東京のタービン " * 20})
-    text = discovery_text(found)
+    text = page_text(discovery_blocks(found))
     expect_narrow(text)
     joined = " ".join(text.split())
     for part in (
@@ -358,7 +360,8 @@ def test_every_text_is_escaped() -> None:
     cause["parameters"] = {f"{EVIL}{i}": row for i, row in enumerate(cause["parameters"].values())}
     cause["settings"] = {EVIL: EVIL, f"{EVIL}_K": 3.0}
     cause["evidence"]["free_run_gain"] = {EVIL: 0.2}
-    expect_escaped(discovery_page(typed(found), residuals_case()), discovery_text(typed(found)))
+    page = discovery_blocks(typed(found), residuals_case())
+    expect_escaped(page_html(page), page_text(page))
 
 
 @pytest.mark.parametrize("value", [None, {}, [], -1, "x", True, math.nan])
@@ -375,8 +378,8 @@ def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
             assert fault.faults
             continue
         try:
-            Page(discovery_page(found))
-            expect_narrow(discovery_text(found))
+            Page(page_html(discovery_blocks(found)))
+            expect_narrow(page_text(discovery_blocks(found)))
         except Exception as fault:
             raise AssertionError(f"{path}: {fault!r}") from fault
     assert refused > 10
@@ -384,8 +387,8 @@ def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
 
 def test_a_discovery_of_nothing_gives_a_page_that_says_so() -> None:
     found = DiscoveryResults("", "", "none", typed(discovery_case() | {"baseline": {}}).baseline)
-    assert "unnamed record" in Page(discovery_page(found)).text
-    assert discovery_text(found).startswith("unnamed record")
+    assert "unnamed record" in Page(page_html(discovery_blocks(found))).text
+    assert page_text(discovery_blocks(found)).startswith("unnamed record")
 
 
 def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
@@ -397,7 +400,7 @@ def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
         for period in ("identification", "validation"):
             del found[which]["rmse"][period]["absolute_humidity_g_m3"]
     after = replace(before, time_h=before.time_h + 0.5)
-    text = Page(discovery_page(typed(found), before, after)).text
+    text = Page(page_html(discovery_blocks(typed(found), before, after))).text
     assert "There are no errors of the absolute humidity to show" in text
     assert len(error_sentences(typed(found))) == 1 and "misses the temperature" in text
 

@@ -6,7 +6,9 @@ import numpy as np
 from builders.fleet_case import departing_rows
 
 from hygrokf.fleet.results import FleetResults
-from hygrokf.report.fleet_page import fleet_page, fleet_text
+from hygrokf.report.fleet_page import fleet_blocks
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
 
 
 def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:
@@ -22,7 +24,7 @@ def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
         row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
         rows.append(row)
     rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
-    text = fleet_page(table("climate", rows))
+    text = page_html(fleet_blocks(table("climate", rows)))
     assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
@@ -43,19 +45,19 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
         rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
     rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
     rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
-    text = fleet_page(table("fit", rows, "P & Q"))
+    text = page_html(fleet_blocks(table("fit", rows, "P & Q")))
     assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
     outliers = text.split("<h2>Outliers</h2>")[1].split("<h2>")[0]
     assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
     assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
-    assert "<h2>Outliers<" not in fleet_page(table("fit", rows[-1:]))
+    assert "<h2>Outliers<" not in page_html(fleet_blocks(table("fit", rows[-1:])))
 
 
 def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
-    text = fleet_text(table("fit", rows))
+    text = page_text(fleet_blocks(table("fit", rows)))
     assert "W4 is an outlier: thermal time constant 4.3" in text and text.count("is an outlier:") == 1
-    assert "No turbine differs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
-    assert "outlier:" not in fleet_text(table("fit", rows[:3]))
+    assert "No turbine differs from the others" in page_text(fleet_blocks(table("fit", rows[:4] + rows[5:])))
+    assert "outlier:" not in page_text(fleet_blocks(table("fit", rows[:3])))

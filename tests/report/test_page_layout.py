@@ -20,12 +20,13 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from hygrokf.climate.limits import Limit
 from hygrokf.data.structured import structured
 from hygrokf.fleet.results import FleetResults
-from hygrokf.report.climate_page import climate_page
-from hygrokf.report.comparison_page import comparison_page
-from hygrokf.report.discovery_page import discovery_page
-from hygrokf.report.fit_page import report_page
-from hygrokf.report.fleet_page import fleet_page
-from hygrokf.report.transfer_page import transfer_page
+from hygrokf.report.climate_page import climate_blocks
+from hygrokf.report.comparison_page import comparison_blocks
+from hygrokf.report.discovery_page import discovery_blocks
+from hygrokf.report.fit_page import fit_blocks
+from hygrokf.report.fleet_page import fleet_blocks
+from hygrokf.report.page import page_html
+from hygrokf.report.transfer_page import transfer_blocks
 from hygrokf.transfer.comparison import compare
 from hygrokf.transfer.results import TransferResults
 
@@ -37,28 +38,28 @@ WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 
 def fit() -> str:
     results, series = report_case()
-    return report_page(typed(results), series)
+    return page_html(fit_blocks(typed(results), series))
 
 
 def comparison() -> str:
     columns = [made_column("first", 1), made_column("second", 2, scale=1.4)]
-    return comparison_page(compare(columns).results, [one.course for one in columns])
+    return page_html(comparison_blocks(compare(columns).results, [one.course for one in columns]))
 
 
 def transfer() -> str:
     found = structured(TransferResults, read("demo")["json"]["transferred/transfer.json"])
     course = made_column("any", 1).course
     simulated = dict.fromkeys(("as_is", "own_loggers"), course.simulated["simulated"])
-    return transfer_page(found, [replace(course, simulated=simulated)])
+    return page_html(transfer_blocks(found, [replace(course, simulated=simulated)]))
 
 
 def climate() -> str:
     study = study_of(made_up_weather(), limits=[Limit("hot", "temperature_degC", "above", 10.0)])
-    return climate_page(replace(study, synthetic=True))
+    return page_html(climate_blocks(replace(study, synthetic=True)))
 
 
 def discovery() -> str:
-    return discovery_page(discovered(discovery_case()), residuals_case(), residuals_case(0.2))
+    return page_html(discovery_blocks(discovered(discovery_case()), residuals_case(), residuals_case(0.2)))
 
 
 def fleet() -> str:
@@ -71,7 +72,7 @@ def fleet() -> str:
         for place in range(8)
     )  # fmt: skip
     failed = {"turbine": "W9", "status": "failed", "reason": "cabinet.csv: no such file " * 5}
-    return fleet_page(FleetResults("fit", (*rows, failed), "Park"))
+    return page_html(fleet_blocks(FleetResults("fit", (*rows, failed), "Park")))
 
 
 MADE: dict[Callable[[], str], int] = {

@@ -18,10 +18,11 @@ from hygrokf.identification.wording import decimals_for, percent, plain_number
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.fit import Picture
-from hygrokf.report.fit_page import ReportFault, read_results, report_page, report_text, write_report
+from hygrokf.report.fit_page import ReportFault, fit_blocks, read_results, write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import Judgement, judgements, time_constant
-from hygrokf.report.terminal import KEY, cells, shortened
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import KEY, cells, page_text, shortened
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _page(fit: dict, series: dict | None = None) -> _Page:
-    return _Page(report_page(results(fit), series or {}))
+    return _Page(page_html(fit_blocks(results(fit), series or {})))
 
 
 # --- the whole ---------------------------------------------------------------------------------
@@ -55,8 +56,8 @@ def test_the_report_is_one_file_of_a_page_that_needs_nothing_else(tmp_path) -> N
 def test_the_report_is_a_pure_function_of_the_two_files(tmp_path) -> None:
     fit, series = report_case()
     kept = copy.deepcopy(fit)
-    first = report_page(results(fit), series)
-    assert report_page(results(fit), series) == first and fit == kept
+    first = page_html(fit_blocks(results(fit), series))
+    assert page_html(fit_blocks(results(fit), series)) == first and fit == kept
 
 
 def test_headline_tables_and_footer_carry_the_numbers(quick) -> None:
@@ -91,9 +92,9 @@ def test_headline_tables_and_footer_carry_the_numbers(quick) -> None:
 def test_a_fit_that_did_not_converge_is_red_on_top(quick) -> None:
     fit, series = report_case()
     fit |= {"converged": False, "message": "no further progress after 60 passes: start elsewhere"}
-    text = report_page(results(fit), series)
+    text = page_html(fit_blocks(results(fit), series))
     assert '<p class="banner severe"><b>NOT CONVERGED</b> no further progress' in text
-    assert "NOT CONVERGED: no further progress" in report_text(results(fit))
+    assert "NOT CONVERGED: no further progress" in page_text(fit_blocks(results(fit), {}))
     first, why = judgements(results(fit))[:2]
     assert (first.kind, why.kind) == ("reject", "reject") and "did not converge" in why.sentence
 
@@ -103,7 +104,7 @@ def test_a_disagreement_of_the_criteria_stands_under_its_number(quick) -> None:
     said = "innovations say 0.3 h, the free run says 0.9 h (0.8 … 1.0)"
     fit["time_constants"]["hygric"]["disagreement"] = said
     fit["statements"].append(said)
-    text = report_page(results(fit), series)
+    text = page_html(fit_blocks(results(fit), series))
     text = text.replace("\xa0", " ")
     assert said in text.partition("<h2>")[0]  # under its number
     assert text.count(said[1:]) == 2  # and once more as a reason, not as a further remark
@@ -125,7 +126,7 @@ def test_every_text_of_the_files_is_escaped() -> None:
     for one in outputs.values():
         one["cross_correlation"] = {f"{EVIL}{i}": v for i, v in enumerate(one["cross_correlation"].values())}
     fit["innovations"]["outputs"] = {**outputs, EVIL: {"n": 3, "statements": [EVIL]}}
-    expect_escaped(report_page(results(fit), series), report_text(results(fit)))
+    expect_escaped(page_html(fit_blocks(results(fit), series)), page_text(fit_blocks(results(fit), {})))
 
 
 # --- missing pieces ----------------------------------------------------------------------------
@@ -155,8 +156,8 @@ def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick,
         changed = copy.deepcopy(fit)
         put(changed, path, value)
         try:
-            _Page(report_page(results(changed), {}))
-            expect_narrow(report_text(results(changed)))
+            _Page(page_html(fit_blocks(results(changed), {})))
+            expect_narrow(page_text(fit_blocks(results(changed), {})))
         except StructureFault as fault:
             assert all(one.startswith(str(path[0])) for one in fault.faults), path
         except Exception as fault:
@@ -205,7 +206,7 @@ def test_an_empty_fit_gives_a_page_that_says_so() -> None:
         and "CONVERGENCE UNKNOWN" in page.text
     )
     assert "not identified" in page.text
-    assert report_text(results({})).startswith("unnamed record")
+    assert page_text(fit_blocks(results({}), {})).startswith("unnamed record")
 
 
 def test_without_humidity_the_reason_is_given(quick) -> None:
@@ -218,7 +219,7 @@ def test_without_humidity_the_reason_is_given(quick) -> None:
     text = _page(fit, series).text
     assert "not identified no humidity inside and outside" in text
     assert "c = c_amb " not in text.split("How this was computed")[0]
-    assert "hygric not identified" in report_text(results(fit))
+    assert "hygric not identified" in page_text(fit_blocks(results(fit), {}))
 
 
 def test_without_validation_that_is_said(quick) -> None:
@@ -330,7 +331,7 @@ def test_objects_in_the_series_are_refused(tmp_path) -> None:
 def test_time_constants_in_words(found: dict, sentence: str) -> None:
     fit = {"time_constants": {"thermal": {"level": 0.95, "method": "profile", **found}}, "converged": True}
     assert f"thermal {time_constant(results(fit), 'thermal').span}" == sentence
-    assert sentence in report_text(results(fit))
+    assert sentence in page_text(fit_blocks(results(fit), {}))
 
 
 def judged(fit: dict, about: str) -> Judgement:
@@ -366,9 +367,10 @@ def test_judgements_follow_the_numbers() -> None:
 
 def test_doubts_come_first_and_old_results_have_none(quick) -> None:
     fit, _ = report_case()
-    assert "Doubt about the record" not in report_text(results(fit)) + report_page(results(fit), {})
+    old = fit_blocks(results(fit), {})
+    assert "Doubt about the record" not in page_text(old) + page_html(old)
     fit["doubts"] = ["absolute humidity is 5.15 times that outside: or the wrong <column>", "right unit?"]
-    text, page = report_text(results(fit)), report_page(results(fit), {})
+    text, page = page_text(fit_blocks(results(fit), {})), page_html(fit_blocks(results(fit), {}))
     first = text.partition(f"{KEY}\n")[2].splitlines()[0]
     assert first.startswith("! Doubt about the record: absolute humidity is 5.15 times")
     assert "! Doubt about the record: right unit?\n" in text
@@ -444,7 +446,7 @@ def test_the_text_is_at_most_a_hundred_columns_wide_and_lines_up() -> None:
     fit["parameters"]["a_parameter_with_quite_a_long_name_that_nobody_would_choose_" * 3] = fit["parameters"][
         "hygric_k"
     ]
-    text = report_text(results(fit))
+    text = page_text(fit_blocks(results(fit), {}))
     assert max(cells(line) for line in text.splitlines()) <= 100
     assert "SYNTHETIC" in text and "Root mean squared error, validation" in text
     rows = [

@@ -27,12 +27,13 @@ from playwright.sync_api import Browser, sync_playwright
 from hygrokf.climate.limits import Exceedance, Limit
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
+from hygrokf.report.page import page_html
 from hygrokf.report.summary import sheet
 from hygrokf.report.summary.climate import summary_of_climate
 from hygrokf.report.summary.content import MOST_ACTIONS, MOST_ROWS, Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
-from hygrokf.report.summary.page import summary_html
+from hygrokf.report.summary.page import summary_blocks
 from hygrokf.report.summary.remedies import LONGER, ORDER, REMEDIES
 from hygrokf.report.summary.sheet import HEIGHT, LEFT, WIDTH, lines_of, summary_bytes, summary_sheet
 from hygrokf.report.summary.writing import SummaryFault, planned, written
@@ -267,7 +268,7 @@ def browser() -> Iterator[Browser]:
 @every
 def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_path) -> None:
     file = tmp_path / "summary.html"
-    file.write_text(summary_html(make()), encoding="utf-8")
+    file.write_text(page_html(summary_blocks(make())), encoding="utf-8")
     page = browser.new_page(viewport={"width": 390, "height": 844})
     page.goto(file.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -314,7 +315,7 @@ def test_nothing_is_written_where_a_drawing_fails(tmp_path, monkeypatch) -> None
     def failing(_: Summary) -> str:
         raise MemoryError
 
-    monkeypatch.setattr("hygrokf.report.summary.writing.summary_html", failing)
+    monkeypatch.setattr("hygrokf.report.summary.writing.summary_blocks", failing)
     ((make, place, stem),) = planned([folder], None)
     with pytest.raises(MemoryError):
         written(make(), place, stem)

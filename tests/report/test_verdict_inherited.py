@@ -37,13 +37,15 @@ from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.views import fleet_view, turbine_view
 from hygrokf.report.blocks import Cards, Verdicts
-from hygrokf.report.climate_page import climate_blocks, climate_page
-from hygrokf.report.comparison_page import comparison_page, comparison_text
-from hygrokf.report.discovery_page import discovery_page, discovery_text
+from hygrokf.report.climate_page import climate_blocks
+from hygrokf.report.comparison_page import comparison_blocks
+from hygrokf.report.discovery_page import discovery_blocks
 from hygrokf.report.discovery_text import error_sentences, gain_sentence
 from hygrokf.report.fit_tables import evaluation_text
-from hygrokf.report.fleet_page import fleet_page, fleet_text
-from hygrokf.report.transfer_page import transfer_page, transfer_text
+from hygrokf.report.fleet_page import fleet_blocks
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
+from hygrokf.report.transfer_page import transfer_blocks
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import transfer_results
@@ -113,8 +115,8 @@ def test_compare(record: Record, fit: Fit) -> None:
         plain(inherited(fit.results)),
         plain(inherited(rejected(fit).results)),
     ]
-    assert SAID_IN_BLOCKS in " ".join(comparison_text(found).split())
-    page = comparison_page(found)
+    assert SAID_IN_BLOCKS in " ".join(page_text(comparison_blocks(found)).split())
+    page = page_html(comparison_blocks(found))
     assert struck(page) == ["1.50 h (1.40 … 1.60)"] and WHY in page
 
 
@@ -126,7 +128,7 @@ def test_transfer(record: Record, fit: Fit) -> None:
     assert {part: one.verdict for part, one in made.results.verdicts.items()} == {
         part: verdict.verdict for part, verdict in own.items()
     }
-    text, page = transfer_text(found), transfer_page(found, [made.course])
+    text, page = page_text(transfer_blocks(found)), page_html(transfer_blocks(found, [made.course]))
     assert SAID_IN_BLOCKS in " ".join(text.split()) and "1.50 h (1.40 … 1.60)" in struck(page)
     # on its own record nothing is re-estimated: a number that was taken over keeps what speaks against it
     assert made.adapted.to_json()["parameters"]["thermal_time_constant"]["fixed"]
@@ -169,22 +171,22 @@ def test_climate() -> None:
     assert numbers.lines[0].struck == "1.50 h (1.40 … 1.60)" and WHY in numbers.lines[0].text
     assert numbers in page.brief
     believed = replace(study, verdicts={**study.verdicts, "thermal": study.verdicts["hygric"]})
-    assert "card reject" not in climate_page(believed)
+    assert "card reject" not in page_html(climate_blocks(believed))
 
 
 def test_discovery() -> None:
     found = discovery_case()
     reasons = [Reason("worse_than_rule", REJECT, WHY)]
     found["baseline"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
-    assert struck(discovery_page(typed(found))) == ["1.36 h (1.31 … 1.41)"]
-    text = " ".join(discovery_text(typed(found)).split())
+    assert struck(page_html(discovery_blocks(typed(found)))) == ["1.36 h (1.31 … 1.41)"]
+    text = " ".join(page_text(discovery_blocks(typed(found))).split())
     assert f"x thermal time constant, not reliable: {WHY} – 1.36 h (1.31 … 1.41)" in text
     nothing = found | {"verdict": "none", "causes": [], "extended": None}
-    words = Page(discovery_page(typed(nothing))).text
+    words = Page(page_html(discovery_blocks(typed(nothing)))).text
     assert "no missing cause" not in words and "the model is not right" in words
     # an extended model that is not reliable does not tell how wrong the base was
     found["extended"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
-    words = Page(discovery_page(typed(found))).text
+    words = Page(page_html(discovery_blocks(typed(found)))).text
     assert "the thermal time constant was" not in words and f"base model's is: {WHY}." in words
 
 
@@ -205,14 +207,14 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
         one for one in spreads(rows, TASKS["fit"].compared) if one.compared.column == "thermal_value_h"
     )
     assert constant.rejected == ("T6",) and "T6" not in constant.turbines and "T7" in constant.turbines
-    words = Page(fleet_page(FleetResults("fit", tuple(rows), "park"))).text
+    words = Page(page_html(fleet_blocks(FleetResults("fit", tuple(rows), "park")))).text
     assert "Thermal time constant: 6 reliable, 1 with caution, 1 not reliable" in words
     assert "T6 not reliable reliable T7 with caution reliable" in words
     assert "Not reliable, so not compared: thermal time constant of T6" in words
     assert "9.00" not in words
     line = next(
         one
-        for one in fleet_text(FleetResults("fit", tuple(rows), "park")).splitlines()
+        for one in page_text(fleet_blocks(FleetResults("fit", tuple(rows), "park"))).splitlines()
         if one.startswith("T6")
     )
     assert "not reliable" in line and "9.00" not in line

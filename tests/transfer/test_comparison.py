@@ -26,14 +26,14 @@ from hygrokf.report.blocks import Cards
 from hygrokf.report.comparison_page import (
     comparison_blocks,
     comparison_csv,
-    comparison_page,
-    comparison_text,
     read_comparison,
     scores_table,
     summary,
     write_comparison,
 )
 from hygrokf.report.figures.comparison import short_labels
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
 from hygrokf.transfer.comparison import (
     ComparisonResults,
     ErrorDifference,
@@ -104,7 +104,7 @@ def test_the_table_holds_every_number_of_the_json() -> None:
     assert found.to_frame().value.tolist() == pytest.approx([float(row["value"]) for row in rows], rel=1e-5)
     table = scores_table(found, "temperature_K")
     assert table.rows[0][:2] == ("a", "whole") and table.rows[0][4] == f"{total.rmse:.2f}"
-    assert table.heading in comparison_text(found)
+    assert table.heading in page_text(comparison_blocks(found))
 
 
 def test_page_is_written_again_from_the_files(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_page_is_written_again_from_the_files(tmp_path: Path) -> None:
     page = write_comparison(found, tmp_path).read_text(encoding="utf-8")
     assert "&lt;a&gt; errs by" in page and page.count("<svg") == 4
     assert write_comparison(None, tmp_path).read_text(encoding="utf-8") == page
-    assert comparison_page(*read_comparison(tmp_path)) == page
+    assert page_html(comparison_blocks(*read_comparison(tmp_path))) == page
     (tmp_path / "compare.npz").unlink()  # as in results of earlier versions
     assert write_comparison(None, tmp_path).read_text(encoding="utf-8").count("<svg") == 3
     (tmp_path / "compare.json").write_text("{}")
@@ -195,7 +195,7 @@ def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> 
     found = compare(columns).results
     assert any("nothing to score" in said for said in found.columns[1].statements)
     assert found.columns[1].total("whole", "temperature_K") is None
-    assert "b: Nothing to score" in comparison_text(found)
+    assert "b: Nothing to score" in page_text(comparison_blocks(found))
 
 
 def test_compare_and_transfer_from_the_command_line(

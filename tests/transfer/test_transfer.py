@@ -28,11 +28,11 @@ from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.procedure import identify
 from hygrokf.identification.turbine_type import pool_types
 from hygrokf.report.blocks import Cards
+from hygrokf.report.terminal import page_text
 from hygrokf.report.transfer_page import (
     folders,
     rewrite_transfer,
     transfer_blocks,
-    transfer_text,
     write_transfer,
 )
 from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
@@ -239,7 +239,7 @@ def test_results_page_and_text(other: Transfer, origin: Fit, tmp_path: Path) -> 
     assert folders(["a b", "a b", "ä"]) == ["a-b", "a-b-2", "record"]
     assert all((tmp_path / one / "fit.json").is_file() for one in name) and (tmp_path / "type.json").is_file()
     assert rewrite_transfer(tmp_path).read_text(encoding="utf-8") == text
-    said = transfer_text(transfer_results([other], kind))
+    said = page_text(transfer_blocks(transfer_results([other], kind)))
     assert "transfers after re-estimating heat release" in said and "2 turbines" in said
     assert plain(pickle.loads(pickle.dumps(replace(other, adapted=None, own=None))).results) == plain(
         other.results

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
+import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
+
+if TYPE_CHECKING:
+    import http.client
+    import smtplib
 
 URGENT = "alarm"
 """Severity of alarms that are not collected into a digest."""
@@ -127,10 +132,16 @@ class Channel:
 
 
 @contextmanager
-def ended_after(seconds: float, end: Callable[[], None]) -> Iterator[None]:
-    """Within this context `end` is called after a time [s], which limits exchanges whose single steps never
-    time out."""
-    timer = threading.Timer(seconds, end)
+def ended_after(seconds: float, connection: smtplib.SMTP | http.client.HTTPConnection) -> Iterator[None]:
+    """Within this context a connection is broken after a time [s], which limits exchanges whose single steps
+    never time out."""
+
+    def cut() -> None:
+        with suppress(OSError, AttributeError):
+            if connection.sock is not None:
+                connection.sock.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(seconds, cut)
     timer.daemon = True
     timer.start()
     try:

@@ -12,7 +12,7 @@ import smtplib
 import socket
 import ssl
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from email.message import EmailMessage
 from email.policy import SMTP
@@ -59,28 +59,43 @@ class Mail:
 
     def probe(self) -> str:
         """Connect, encrypt and log in."""
-        with self._faults():
-            smtp = self._open()
-            with ended_after(self.timeout_s, lambda: _cut(smtp)):
-                try:
-                    self._log_in(smtp)
-                    smtp.noop()
-                    secured = f"TLS ({smtp.sock.version()})" if isinstance(smtp.sock, ssl.SSLSocket) else ""
-                finally:
-                    _leave(smtp)
+        with self._session() as smtp:
+            smtp.noop()
+            secured = f"TLS ({smtp.sock.version()})" if isinstance(smtp.sock, ssl.SSLSocket) else ""
         user = f", accepts the user {self.user}" if self.user else ""
         return f"it answers{f' over {secured}' if secured else ', unencrypted'}{user}"
 
     def send(self, message: Message) -> None:
         """Send a message to all receivers."""
-        with self._faults():
+        with self._session() as smtp:
+            self._deliver(smtp, message)
+
+    @contextmanager
+    def _session(self) -> Iterator[smtplib.SMTP]:
+        """A session of at most `timeout_s`, logged in; all that may go wrong in it becomes a ChannelFault."""
+        try:
             smtp = self._open()
-            with ended_after(self.timeout_s, lambda: _cut(smtp)):
+            with ended_after(self.timeout_s, smtp):
                 try:
                     self._log_in(smtp)
-                    self._deliver(smtp, message)
+                    yield smtp
                 finally:
                     _leave(smtp)
+        except ChannelFault:
+            raise
+        except SourceFault as fault:
+            raise ChannelFault(str(fault)) from None
+        except smtplib.SMTPAuthenticationError as fault:
+            raise ChannelFault(f"{self.where}: user or password is wrong ({fault.smtp_code})") from None
+        except smtplib.SMTPResponseException as fault:
+            said = _answer(fault.smtp_code, fault.smtp_error)
+            raise ChannelFault(f"{self.where}: it refuses: {said}", reached=True) from None
+        except smtplib.SMTPServerDisconnected:
+            raise ChannelFault(f"{self.where}: it closed the connection, or did not answer in time") from None
+        except smtplib.SMTPException as fault:
+            raise ChannelFault(f"{self.where}: {fault}") from None
+        except (OSError, ValueError) as fault:
+            raise ChannelFault(unreachable(fault, self.where)) from None
 
     def _open(self) -> smtplib.SMTP:
         name = re.sub(r"[^A-Za-z0-9.-]", "", socket.gethostname()) or "hygrokf"
@@ -121,34 +136,6 @@ class Mail:
         if code != 250:
             raise ChannelFault(f"{self.where}: it refuses the message: {_answer(code, said)}", reached=True)
 
-    def _faults(self) -> _Faults:
-        return _Faults(self.where)
-
-
-class _Faults:
-    """Within this context everything that may go wrong becomes a ChannelFault."""
-
-    def __init__(self, where: str) -> None:
-        self.where = where
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, fault: BaseException | None, trace: object) -> None:
-        if isinstance(fault, SourceFault):
-            raise ChannelFault(str(fault)) from None
-        if isinstance(fault, smtplib.SMTPAuthenticationError):
-            raise ChannelFault(f"{self.where}: user or password is wrong ({fault.smtp_code})") from None
-        if isinstance(fault, smtplib.SMTPResponseException):
-            said = _answer(fault.smtp_code, fault.smtp_error)
-            raise ChannelFault(f"{self.where}: it refuses: {said}", reached=True) from None
-        if isinstance(fault, smtplib.SMTPServerDisconnected):
-            raise ChannelFault(f"{self.where}: it closed the connection, or did not answer in time") from None
-        if isinstance(fault, smtplib.SMTPException):
-            raise ChannelFault(f"{self.where}: {fault}") from None
-        if isinstance(fault, OSError | ValueError) and not isinstance(fault, ChannelFault):
-            raise ChannelFault(unreachable(fault, self.where)) from None
-
 
 def as_mail(mail: Mail, message: Message) -> EmailMessage:
     """A message as a mail in plain text."""
@@ -175,10 +162,3 @@ def _leave(smtp: smtplib.SMTP) -> None:
             smtp.sock.settimeout(2.0)
             smtp.quit()
     smtp.close()
-
-
-def _cut(smtp: smtplib.SMTP) -> None:
-    """Break the connection from another thread."""
-    with suppress(OSError, AttributeError):
-        if smtp.sock is not None:
-            smtp.sock.shutdown(socket.SHUT_RDWR)

@@ -12,7 +12,6 @@ import hashlib
 import hmac
 import http.client
 import json
-import socket
 import ssl
 import time
 from collections.abc import Iterator
@@ -92,7 +91,7 @@ class Webhook:
         headers |= signature(message.key, body, time.time(), self.secret())
         connection = self._connection()
         try:
-            with ended_after(self.timeout_s, lambda: _cut(connection)):
+            with ended_after(self.timeout_s, connection):
                 connection.request("POST", self.path, body, headers)
                 answer = connection.getresponse()
                 answer.read(READ)
@@ -138,10 +137,3 @@ def secret_bytes(text: str, place: str) -> bytes:
         if text.startswith(MARK) and len(found) >= LEAST_BYTES:
             return found
     raise ChannelFault(f"expected {MARK} and at least {LEAST_BYTES} bytes in base64 in {place}; {MAKE_ONE}")
-
-
-def _cut(connection: http.client.HTTPConnection) -> None:
-    """Break the connection from another thread."""
-    with suppress(OSError, AttributeError):
-        if connection.sock is not None:
-            connection.sock.shutdown(socket.SHUT_RDWR)

@@ -1,22 +1,16 @@
-"""A summary as HTML: the blocks of a page, in the order of the sheet."""
+"""A summary as a page: the blocks of a page, in the order of the sheet."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from hygrokf.report.blocks import Card, Cards, Figure, Items, Page, Prose, present, section, synthetic
-from hygrokf.report.page import page_html
 from hygrokf.report.summary.content import TODO, Summary
 from hygrokf.report.summary.sheet import fitting_scale
 
 
-def summary_html(summary: Summary) -> str:
-    """The whole page as HTML text; prints on one page of A4."""
-    return page_html(summary_blocks(summary))
-
-
 def summary_blocks(summary: Summary) -> Page:
-    """The answer to the question, its numbers and its picture, then what to do."""
+    """The answer to the question, its numbers and its picture, then what to do; prints on one page of A4."""
     card = Card(
         summary.question, summary.answer, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
         words=True, tone=summary.tone,

@@ -19,11 +19,12 @@ from hygrokf.discovery.results import read_discovery
 from hygrokf.errors import HygrokfError
 from hygrokf.report.figures.drawing import expect_matplotlib
 from hygrokf.report.fit_page import read_results
+from hygrokf.report.page import page_html
 from hygrokf.report.summary.climate import summary_of_climate
 from hygrokf.report.summary.content import Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
-from hygrokf.report.summary.page import summary_html
+from hygrokf.report.summary.page import summary_blocks
 from hygrokf.report.summary.sheet import summary_bytes
 
 
@@ -66,7 +67,7 @@ def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
 def written(summary: Summary, directory: Path, stem: str) -> tuple[Path, ...]:
     """The three files of a summary."""
     pdf, png = summary_bytes(summary)
-    files = {"html": summary_html(summary).encode(), "pdf": pdf, "png": png}
+    files = {"html": page_html(summary_blocks(summary)).encode(), "pdf": pdf, "png": png}
     directory.mkdir(parents=True, exist_ok=True)
     return tuple(write_bytes_whole(directory / f"{stem}.{end}", content) for end, content in files.items())
 
