@@ -146,8 +146,8 @@ def look(
 
 
 @contextmanager
-def publishing(node: EdgeNode, act: Callable[[int], None]) -> Iterator[None]:
-    """An edge node that acts every tenth of a second as long as the block lasts."""
+def publishing(node: EdgeNode, act: Callable[[int], None], **born: float) -> Iterator[None]:
+    """An edge node, born with some values, that acts every tenth of a second as long as the block lasts."""
     ended = threading.Event()
 
     def go_on() -> None:
@@ -157,7 +157,7 @@ def publishing(node: EdgeNode, act: Callable[[int], None]) -> Iterator[None]:
             number += 1
 
     with node.connected():
-        node.bear()
+        node.bear(None, **born)
         thread = threading.Thread(target=go_on)
         thread.start()
         try:
@@ -213,7 +213,8 @@ def test_messages_of_edge_nodes_can_be_tried(broker: Mosquitto) -> None:
     text = f'url = "{broker.url}"\nformat = "sparkplug-b"\ntopics = ["spBv1.0/Farm/#"]'
     stream, _ = read(text)
     node = EdgeNode(broker, devices={"W01": {NAME: FLOAT}})
-    with publishing(node, lambda number: node.bear(None, Cabinet_Temperature=21.5)):
+    values = {"Cabinet_Temperature": 21.5}
+    with publishing(node, lambda number: node.bear(None, **values), **values):
         (found,) = try_payloads([stream], "spBv1.0/Farm/+/N1/W01", 2.0)
     assert found.used == found.count > 0
     assert {(one.turbine, one.value, one.unit) for p in found.payloads for one in p.readings} == {

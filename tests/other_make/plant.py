@@ -32,9 +32,9 @@ class Scenario:
 
     power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell
     all; else it also moves within them, and starts and stops fall anywhere.
-    cabinet_step_s, ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean:
-    the same for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of
-    these sensors;
+    cabinet_step_s, ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step;
+    cabinet_mean: the same for the cabinet's.
+    humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of these sensors;
     lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
     clock_system: which, None: any. exponent: [-] n of natural convection; convective: see `Cabinet`.
     second_mass: share of C; second_h: [h] its resistance times its capacity, not used for a wall;
