@@ -104,10 +104,10 @@ def _fit(record: Record) -> Fit:
 
 
 def shifts(fitted: Fit, right: Fit) -> dict[str, float]:
-    """|Δ ln τ| in half widths of the bounds on ln τ, by time constant."""
+    """|Δ ln τ| in half widths of the bounds on ln τ, by time constant; 0 where a bound is open."""
     found = {}
     for name, tau in right.results.time_constants.items():
-        half = 0.5 * math.log(tau.upper_h / tau.lower_h)
+        half = 0.5 * math.log(tau.upper_h / tau.lower_h) if tau.lower_h > 0.0 else math.inf
         found[name] = abs(math.log(fitted.results.time_constants[name].value_h / tau.value_h)) / half
     return found
 
