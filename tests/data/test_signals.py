@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from builders.documents import document
+from handbook.signal_table import signal_table_markdown
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +20,6 @@ from hygrokf.data.signals import (
     from_si,
     in_words,
     signal_named,
-    signal_table_markdown,
     to_si,
     unit_fault,
 )
