@@ -61,6 +61,8 @@ FAULTS = {
     "temperature drift": Fault(drift=(("temperature", 0.15),)),
     "humidity drift down": Fault(drift=(("humidity", -0.005),)),
     "humidity drift up": Fault(drift=(("humidity", 0.005),)),
+    "ambient temperature drift": Fault(drift=(("ambient temperature", 0.15),)),
+    "ambient humidity drift": Fault(drift=(("ambient humidity", -0.005),)),
     "silent 12 h": Fault(0.5, silent=("temperature", "humidity")),
     "silent 5 d": Fault(5.0, silent=("temperature", "humidity")),
 }
