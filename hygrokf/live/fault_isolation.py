@@ -197,11 +197,11 @@ def finding_from(
     left = dict(gains)
     for ambient, sensor in PAIRS.items():
         support, pair = (evidence or {}).get(ambient, 0.0), [one for one in (sensor, ambient) if one in left]
-        best = max((left[one].gain for one in pair), default=0.0) + max(support, 0.0)
+        likelier = max((left[one].gain for one in pair), default=0.0)
         if abs(support) >= CLOSE:
             left.pop(sensor if support > 0.0 else ambient, None)
         else:
-            left.update({one: replace(left[one], gain=best) for one in pair})
+            left.update({one: replace(left[one], gain=likelier) for one in pair})
     ordered = sorted(left, key=lambda cause: -left[cause].gain)
     if not ordered or left[ordered[0]].gain < LEAST:
         return Finding(time_s, "")

@@ -144,6 +144,22 @@ def make_faulty(seed: int, fault: str = "healthy", damp: bool = False, days: flo
     return FaultyPlant(f"faulty-{seed}", what, *kept, written, rated_W)
 
 
+def make_sisters(seed: int, count: int = 4) -> tuple[tuple[Channel, ...], ...]:
+    """What `count` healthy turbines beside the plant of a seed read of the ambient: each has offsets of its
+    own (0.2 K, 1.5 %), and differs by 0.4 K and 2 % for hours."""
+    random = np.random.default_rng([seed, 0x5157])
+    around = [one for one in make_faulty(seed).channels if one.signal.startswith("ambient")]
+    sizes = {"ambient_temperature": (0.2, 0.4), "ambient_relative_humidity": (0.015, 0.02)}
+
+    def beside(one: Channel) -> Channel:
+        offset, sd = sizes[one.signal]
+        apart = sd * ornstein_uhlenbeck(random, len(one.time), WRITTEN * STEP_S / 3600.0, 8.0)
+        course = one.value + apart
+        return replace(one, value=_read(random, course, random.normal(0.0, offset), 0.0, one.resolution))
+
+    return tuple(tuple(beside(one) for one in around) for _ in range(count))
+
+
 def dew_point(pressure_Pa: np.ndarray) -> np.ndarray:
     """[K] over water, of a vapour pressure [Pa], from a table of the saturation pressure."""
     kelvin = np.linspace(FREEZING_K - 45.0, FREEZING_K + 60.0, 10_501)
