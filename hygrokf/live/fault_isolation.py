@@ -24,7 +24,7 @@ from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
-from hygrokf.live.sisters import AMBIENT, sisters_change
+from hygrokf.live.sisters import AMBIENT, departures
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import prepare_run
@@ -137,8 +137,7 @@ def isolate(
     gains: dict[str, Explanation] = {}
     evidence: dict[str, float] = {}
     for cause, options in STATES.items():
-        signal = AMBIENT.get(cause, "")
-        change = sisters_change(record, sisters, signal) if signal else None
+        departed = departures(record, sisters, AMBIENT.get(cause, ""))
         for state, rates in options:
             if state not in wide.model.states:
                 continue
@@ -151,8 +150,8 @@ def isolate(
                     x = found.mean[:, place]
                     sd = float(np.sqrt(max(found.covariance[-1, place, place], 0.0)))
                     gains[cause] = Explanation(gain, state, float(x[-1]), sd)
-                    if change is not None:
-                        evidence[cause] = change.support(t.seconds, x, sd)
+                    if departed is not None:
+                        evidence[cause] = departed.support(t.seconds, x, sd)
                 yield None
     yield finding_from(gains, float(t.seconds[-1]), evidence)
 
@@ -192,16 +191,17 @@ def finding_from(
     """The finding from the best explanation by each cause.
 
     `evidence`: by how much in ln L the sister turbines support each error of an ambient sensor.  If they
-    decide, one of the `PAIRS` is left, else both are as likely as the likelier one.
+    decide, one of the `PAIRS` is left.  Else both count alike: as the likelier one where it may be water, as
+    the less likely one where that would rule water out.
     """
     left = dict(gains)
     for ambient, sensor in PAIRS.items():
         support, pair = (evidence or {}).get(ambient, 0.0), [one for one in (sensor, ambient) if one in left]
-        likelier = max((left[one].gain for one in pair), default=0.0)
         if abs(support) >= CLOSE:
             left.pop(sensor if support > 0.0 else ambient, None)
-        else:
-            left.update({one: replace(left[one], gain=likelier) for one in pair})
+        elif len(pair) > 1:
+            gain = (max if sensor == "humidity_sensor" else min)(left[one].gain for one in pair)
+            left.update({one: replace(left[one], gain=gain) for one in pair})
     ordered = sorted(left, key=lambda cause: -left[cause].gain)
     if not ordered or left[ordered[0]].gain < LEAST:
         return Finding(time_s, "")

@@ -24,30 +24,30 @@ FEWEST = 5
 
 
 @dataclass(frozen=True)
-class SistersChange:
-    """By how much a turbine's reading departs from its sisters' on the last day [SI unit], from what was
-    `usual` for it on `days` days, with the standard deviation `sd` of a day's."""
+class Departures:
+    """By how much a turbine's reading departed from its sisters' on each day before `end_s` [s], the newest
+    first: `size` (D,) [SI unit] beyond the mean of the last `USUAL` of them, NaN for a day that is not known;
+    `sd` of such a departure, from `count` days."""
 
-    change: float
+    size: np.ndarray
     sd: float
-    days: int
+    count: int
     end_s: float
 
     def support(self, seconds: np.ndarray, error: np.ndarray, sd: float) -> float:
         """Gain in ln L by an error (T,) [SI unit] of the turbine's own reading at times (T,) [s], known to
         `sd`, over none: Student's t, because few days tell the standard deviation."""
-        day = _day(seconds, self.end_s)
-        first = day > day.max() - USUAL
-        expected = float(error[day == day.min()].mean() - error[first].mean())
-        return self._log_density(expected, sd) - self._log_density(0.0, 0.0)
+        expected = _daily(seconds, error, self.end_s, len(self.size))
+        expected = expected - np.nanmean(expected[-USUAL:])
+        gain = self._log_density(self.size - expected, sd) - self._log_density(self.size, 0.0)
+        return float(np.nansum(gain[:-USUAL]))
 
-    def _log_density(self, expected: float, sd: float) -> float:
-        variance, freedom = self.sd**2 + sd**2, self.days - 1
-        z2 = (self.change - expected) ** 2 / variance
-        return float(-0.5 * np.log(variance) - 0.5 * (freedom + 1) * np.log1p(z2 / freedom))
+    def _log_density(self, apart: np.ndarray, sd: float) -> np.ndarray:
+        variance, freedom = self.sd**2 + sd**2, self.count - 1
+        return -0.5 * np.log(variance) - 0.5 * self.count * np.log1p(apart**2 / (freedom * variance))
 
 
-def sisters_change(record: Record, sisters: Sequence[Record], signal: str) -> SistersChange | None:
+def departures(record: Record, sisters: Sequence[Record], signal: str) -> Departures | None:
     """How a turbine's reading of a signal departs from its sisters'; None where too little is known.
 
     Each sister counts by its own usual difference, so that it may come and go.  One whose readings are the
@@ -56,38 +56,30 @@ def sisters_change(record: Record, sisters: Sequence[Record], signal: str) -> Si
     if signal not in record:
         return None
     own, end_s = record[signal], record.end_s
-    others = [one[signal] for one in sisters if signal in one and not _same(own, one[signal])]
     days = int((end_s - record.start_s) // DAY_S) + 1
-    mean = _daily(own, end_s, days)
-    departures = []
-    for one in others:
-        difference = mean - _daily(one, end_s, days)
-        known = difference[-USUAL:][np.isfinite(difference[-USUAL:])]
-        if len(known) >= FEWEST:
-            departures.append(difference - np.median(known))
-    if not departures or days < 2 * USUAL:
+    mean = _daily(*own.known, end_s, days)
+    found = []
+    for other in (one[signal] for one in sisters if signal in one and not _same(own, one[signal])):
+        difference = mean - _daily(*other.known, end_s, days)
+        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST:
+            found.append(difference - np.nanmedian(difference[-USUAL:]))
+    if not found or days < 2 * USUAL:
         return None
-    told = np.ma.median(np.ma.masked_invalid(departures), axis=0).filled(np.nan)
-    usual = told[-USUAL:][np.isfinite(told[-USUAL:])]
-    if not np.isfinite(told[0]) or len(usual) < FEWEST or not usual.std() > 0.0:
+    size = np.ma.median(np.ma.masked_invalid(found), axis=0).filled(np.nan)
+    usual = size[-USUAL:][np.isfinite(size[-USUAL:])]
+    if not usual.std() > 0.0:
         return None
     sd = float(usual.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(usual)))
-    return SistersChange(float(told[0] - usual.mean()), sd, len(usual), end_s)
+    return Departures(size - usual.mean(), sd, len(usual), end_s)
 
 
-def _day(seconds: np.ndarray, end_s: float) -> np.ndarray:
-    """Number (T,) of whole days before the end."""
-    return ((end_s - seconds) // DAY_S).astype(int)
-
-
-def _daily(series: Series, end_s: float, days: int) -> np.ndarray:
-    """Means (days,) of the readings of each day, counted back from the end; NaN without any."""
-    time, value = series.known
-    within = (time <= end_s) & (time > end_s - days * DAY_S)
-    day = _day(time[within], end_s)
-    count = np.bincount(day, minlength=days)
-    with np.errstate(invalid="ignore"):
-        return np.bincount(day, value[within], minlength=days) / count
+def _daily(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.ndarray:
+    """Means (days,) of the values of each day, counted back from the end; NaN without any."""
+    day = ((end_s - time) // DAY_S).astype(int)
+    within = (day >= 0) & (day < days)
+    count = np.bincount(day[within], minlength=days)
+    total = np.bincount(day[within], value[within], minlength=days)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _same(one: Series, other: Series) -> bool:

@@ -219,8 +219,8 @@ def table(lines: Sequence[Mapping]) -> str:
             joined = sum(any("or the ambient's" in a["statement"] for a in told) for told in early)
             blamed = sum(any(a["kind"] == "cabinet changed" for a in line["alarms"]) for line in some)
             held.append(
-                f"{name}: right name within {within:g} days in {named} of {len(some)}; the cabinet's sensor or "
-                f"the ambient's in {joined}; the cabinet named in {blamed}"
+                f"{name}: right name within {within:g} days in {named} of {len(some)}; the cabinet's sensor "
+                f"or the ambient's in {joined}; the cabinet named in {blamed}"
             )
         if any("silent" in line for line in some):
             count, there = (sum(line[key] for line in some) for key in ("silent", "estimates"))
