@@ -123,7 +123,7 @@ def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
     )  # fmt: skip
 
 
-def wandering_ambient_temperature(rate: float = 1e-4, relative: bool = True) -> Mechanism:
+def wandering_ambient_temperature(rate: float = 0.1, relative: bool = True) -> Mechanism:
     """An offset of the ambient's temperature reading as a state: T_amb = reading − x [K], x a random walk of
     `rate` [K/√d].
 
@@ -147,7 +147,7 @@ def wandering_ambient_temperature(rate: float = 1e-4, relative: bool = True) -> 
     )  # fmt: skip
 
 
-def wandering_ambient_humidity(rate: float = 1e-6) -> Mechanism:
+def wandering_ambient_humidity(rate: float = 0.005) -> Mechanism:
     """An offset of the ambient's humidity reading as a state: relative humidity = reading − x [1], x a random
     walk of `rate` [1/√d]."""
     return _random_walk(
