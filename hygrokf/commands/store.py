@@ -37,7 +37,7 @@ def _run(options: argparse.Namespace) -> int:
     open_store(config.store, read_only=True).close()  # it must be there
     store = open_store(config.store)
     try:
-        found = refilter(store, turbines)
+        found = refilter(store, config.turbines, turbines)
     finally:
         store.close()
     lines = []

@@ -20,10 +20,10 @@ from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Z95, Condition
-from hygrokf.live.fault_isolation import SENSORS, Finding, ShiftStep
+from hygrokf.live.fault_isolation import PAIRS, SENSORS, Finding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
-from hygrokf.live.properties import TrackedState, relative_shift
+from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
 from hygrokf.modelling.design import PARTS
 
@@ -60,7 +60,7 @@ LOST = Rule(
 )  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
 SENSOR_OR_WATER = Rule(
-    "sensor or water", 1.0, 0.5, 6 * HOUR_S, "warning", np.inf,
+    "sensor or water", 1.0, 0.5, 0.0, "warning", np.inf,
     "look for water in the cabinet, and compare the humidity sensor with another one; if it is the sensor, "
     "state it on the turbine's page with the date",
 )  # fmt: skip
@@ -127,22 +127,29 @@ CABINET_CHANGES = {
     ),
 }
 """(property, whether it increased) -> (statement, what to check); for moister air see `SENSOR_OR_WATER`."""
-MOIST = "humidity_offset"
 HUMIDITY_SENSOR = "humidity_sensor"
 UNSURE = 0.75
 """Level of a change whose bounds contain zero: no alarm begins, and none ends."""
 SENSOR_ERRORS = {
     "temperature_reading_change": (
-        "the temperature sensor reads {0} K too {1}: the humidity readings do not follow it",
+        "the temperature sensor reads {0} K too {1}{2}: the humidity readings do not follow it",
         "compare the temperature sensor with another one, and check where it is mounted",
     ),
     "humidity_reading_change": (
-        "the humidity sensor reads {0} % too {1}: air exchange and heat release do not explain its level",
+        "the humidity sensor reads {0} % too {1}{2}: air exchange and heat release do not explain its level",
         "compare the humidity sensor with another one; clean or renew it",
     ),
     "humidity_scale_change": (
-        "the humidity sensor reads {0} % of its value too {1}",
+        "the humidity sensor reads {0} % of its value too {1}{2}",
         "compare the humidity sensor with another one at low and at high humidity; clean or renew it",
+    ),
+    "ambient_temperature_change": (
+        "the ambient's temperature sensor reads {0} K too {1}: neither its sisters nor the cabinet follow it",
+        "compare the ambient's temperature sensor with another one, and check where it is mounted",
+    ),
+    "ambient_humidity_change": (
+        "the ambient's humidity sensor reads {0} % too {1}: neither its sisters nor the cabinet follow it",
+        "compare the ambient's humidity sensor with another one; clean or renew it",
     ),
 }
 """State of a sensor's error -> (statement, what to check)."""
@@ -150,6 +157,8 @@ CAUSES = {
     "thermal_time_constant": "a changed heat loss", "hygric_k": "a changed exchange of air",
     "heat_release_change": "a changed heat release", "temperature_sensor": "the temperature sensor",
     "humidity_sensor": "the humidity sensor or a source of moisture",
+    "ambient_temperature": "the ambient's temperature sensor",
+    "ambient_humidity": "the ambient's humidity sensor",
 }  # fmt: skip
 """Cause in `fault_isolation.STATES` -> words."""
 
@@ -273,23 +282,27 @@ def frozen_levels(now: Estimated) -> list[Level]:
 
 
 def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
-    """Levels that follow from the tracked properties: for moister air at once, for other lasting shifts by
-    fault isolation.
+    """Levels that follow from the tracked properties and, for those of lasting shifts, from fault isolation.
 
     There is no level of a shift before fault isolation has a finding; a finding without a cause gives one
-    level for each property.  No alarm begins while the bounds of its size contain zero.
+    level for each property.  No alarm begins while the bounds of its size contain zero.  Moister air is told
+    unless another sensor explains the readings better; before that is known, no alarm of it begins or ends.
     """
     lasting = {shift.name: shift for shift in step.lasting}
     known = finding if lasting else None
     deviations = {name: TrackedState(*one) for name, one in step.deviations.items()}
     moist = deviations.get(MOIST)
+    alike = () if known is None else (known.cause, *known.alike)
     levels = []
-    if moist is not None and (known is None or known.cause not in SENSORS or known.cause == HUMIDITY_SENSOR):
+    if moist is not None and (HUMIDITY_SENSOR in alike or not alike or alike[0] not in SENSORS):
+        which = "it or the ambient's" if set(PAIRS) & set(alike) else "it"
         statement = (
             f"the humidity sensor reads {_size(MOIST, moist)[0]} more than air exchange and heat release "
-            "explain: the sensor errs, or there is water in the cabinet"
+            f"explain: {which} errs, or there is water in the cabinet"
         )
-        levels.append(Level(SENSOR_OR_WATER.kind, relative_shift(MOIST, moist), statement))
+        level = relative_shift(MOIST, moist)
+        level = level if known is not None and MOIST in lasting else min(level, UNSURE)
+        levels.append(Level(SENSOR_OR_WATER.kind, level, statement))
     if known is None:
         return levels
     if known.cause in SENSORS:
@@ -308,11 +321,14 @@ def _sensor_levels(finding: Finding) -> list[Level]:
     if finding.cause == HUMIDITY_SENSOR and finding.value > 0.0:
         return []
     words, remedy = SENSOR_ERRORS[finding.state]
-    factor = 1.0 if finding.state.startswith("temperature") else 100.0
+    factor = 1.0 if "temperature" in finding.state else 100.0
     low, size, high = (factor * (abs(finding.value) + part * Z95 * finding.sd) for part in (-1.0, 0.0, 1.0))
     digits = 1 if factor == 1.0 else 0
     bounds = f"{fixed(size, digits)} ({fixed(low, digits)} … {fixed(high, digits)})"
-    statement = words.format(bounds, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
+    sign, other = ("high", "low") if finding.value > 0.0 else ("low", "high")
+    pair = any(PAIRS.get(one) == finding.cause for one in finding.alike)
+    either = f", or the ambient's too {other}" if pair else ""
+    statement = words.format(bounds, sign, either) + _alternatives(finding)
     return [Level(SUSPECT.kind, 1.0 if low > 0.0 else UNSURE, statement, remedy, finding.cause)]
 
 
@@ -338,7 +354,8 @@ def _size(name: str, deviation: TrackedState) -> tuple[str, float]:
 
 
 def _alternatives(finding: Finding) -> str:
-    return f" (or {', '.join(CAUSES[cause] for cause in finding.alike)})" if finding.alike else ""
+    others = [CAUSES[cause] for cause in finding.alike if PAIRS.get(cause) != finding.cause]
+    return f" (or {', '.join(others)})" if others else ""
 
 
 RESTS_ON = {

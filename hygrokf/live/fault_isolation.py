@@ -5,12 +5,16 @@ Every property and every sensor error is a state of the tracked model that may d
 one of them drift at a time and holds the others constant.  This is the same filter with different rates, so
 that likelihoods are comparable.  For example, a thermometer's error shifts the humidity reading as saturation
 demands, while a heater that stays on does not.
+
+An error of an ambient sensor looks like one of the cabinet's, because both act on the difference between
+inside and outside.  What sister turbines read of the ambient tells them apart (`live.sisters`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +22,11 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
-from hygrokf.live.plan import Plan
-from hygrokf.live.properties import LASTING_S, ParameterShift, TrackedState
+from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
+from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
+from hygrokf.live.sisters import AMBIENT, departures
 from hygrokf.live.tracker import SAME_S, Point
+from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import prepare_run
 
 STATES = {
@@ -32,9 +38,14 @@ STATES = {
         ("humidity_reading_change", (0.01, 0.03, 0.1)),
         ("humidity_scale_change", (0.03, 0.1, 0.3)),
     ),
+    "ambient_temperature": (("ambient_temperature_change", (0.2, 0.6, 2.0)),),
+    "ambient_humidity": (("ambient_humidity_change", (0.01, 0.03, 0.1)),),
 }
 """Cause -> states that drift if it is the cause, each with the drift rates [per day^0.5] to try."""
-SENSORS = ("temperature_sensor", "humidity_sensor")
+PAIRS = {"ambient_temperature": "temperature_sensor", "ambient_humidity": "humidity_sensor"}
+"""Error of an ambient sensor -> that of the cabinet's sensor, from which sister turbines alone tell it: in
+the likelihood, small misfits of the model weigh more than what distinguishes them."""
+SENSORS = (*PAIRS, *PAIRS.values())
 LEAST = 8.0
 """Gain in ln L from which a cause counts as an explanation; fault isolation chooses among about twenty
 combinations."""
@@ -87,7 +98,7 @@ def shift_step(
     """The step at a time [s].  Isolation is due when a shift becomes lasting and then once per `EVERY_S`;
     last_s: when it last was [s]."""
     lasting = tuple(one for one in shifts.values() if one.lasting)
-    newest = max((one.since for one in lasting), default=-np.inf) + LASTING_S
+    newest = max((one.since + lasting_s(one) for one in lasting), default=-np.inf)
     due = bool(lasting) and (last_s < newest or last_s <= time - EVERY_S)
     return ShiftStep(time, lasting, due, dict(deviations))
 
@@ -103,45 +114,66 @@ class Explanation:
     sd: float = 0.0
 
 
-def isolate(plan: Plan, record: Record, reference: Point | None = None) -> Iterator[Finding | None]:
+def isolate(
+    plan: Plan, record: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
+) -> Iterator[Finding | None]:
     """Search for the cause in a record, step by step: yields None after each step and the finding at the end.
 
     `reference`: the state from which shifts count after a stated change, None for the fit's values; the
-    record then begins before it.  Raises ValueError if the record cannot be filtered.
+    record then begins before it.  `sisters`: the ambient's readings of other turbines over the same time.
+    Raises ValueError if the record cannot be filtered.
     """
-    t = prepare_run(plan.design, record).timeline
-    still = {**plan.values, **_lowest_rates(plan)}
+    wide = with_ambient_errors(plan, record)
+    t = prepare_run(wide.design, record).timeline
+    still = {**wide.values, **_lowest_rates(wide)}
     start = None
     if reference is not None:
         t = t.window(int(np.searchsorted(t.seconds, reference.time + SAME_S, side="right")), len(t))
         if not len(t):
             raise ValueError("no readings since the stated change")
-        start = _still_state(plan, reference.state)
-    likelihood = plan.likelihood(t)
+        start = _still_state(plan, wide, reference.state)
+    likelihood = wide.likelihood(t)
     base = censored_trace(likelihood, still, start).loglik
-    end_s = float(t.seconds[-1])
     gains: dict[str, Explanation] = {}
+    evidence: dict[str, float] = {}
     for cause, options in STATES.items():
+        departed = departures(record, sisters, AMBIENT.get(cause, ""))
         for state, rates in options:
-            if state not in plan.model.states:
+            if state not in wide.model.states:
                 continue
-            place = plan.model.states.index(state)
+            place = wide.model.states.index(state)
             for rate in rates:
                 begin = None if start is None else _with_variance(start, place, rate**2)
                 found = censored_trace(likelihood, {**still, f"{state}_rate": rate}, begin)
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
+                    x = found.mean[:, place]
                     sd = float(np.sqrt(max(found.covariance[-1, place, place], 0.0)))
-                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]), sd)
+                    gains[cause] = Explanation(gain, state, float(x[-1]), sd)
+                    if departed is not None:
+                        evidence[cause] = departed.support(t.seconds, x, sd)
                 yield None
-    yield finding_from(gains, end_s)
+    yield finding_from(gains, float(t.seconds[-1]), evidence)
 
 
-def _still_state(plan: Plan, state: Gaussian) -> Gaussian:
-    """A state whose wandering properties are known."""
+def with_ambient_errors(plan: Plan, record: Record) -> Plan:
+    """The plan with errors of the ambient's readings among the states."""
+    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
+    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
+    if "ambient_absolute_humidity" in plan.model.inputs:
+        additions.append(("wandering_ambient_humidity", {}))
+    return replace(plan, design=extended(plan.design, additions))
+
+
+def _still_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
+    """A state of the plan as one of the wider plan, whose wandering properties are known."""
+    known, size = [wide.model.states.index(name) for name in plan.model.states], len(wide.model.states)
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    mean[known], covariance[np.ix_(known, known)] = state.mean, state.covariance
+    state = replace(state, mean=mean, covariance=covariance)
     for name in (name for options in STATES.values() for name, _ in options):
-        if name in plan.model.states:
-            state = _with_variance(state, plan.model.states.index(name), 0.0)
+        if name in wide.model.states:
+            state = _with_variance(state, wide.model.states.index(name), 0.0)
     return state
 
 
@@ -153,15 +185,30 @@ def _with_variance(state: Gaussian, place: int, variance: float) -> Gaussian:
     return replace(state, covariance=covariance)
 
 
-def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:
-    """The finding from the best explanation by each cause."""
-    ordered = sorted(gains, key=lambda cause: -gains[cause].gain)
-    if not ordered or gains[ordered[0]].gain < LEAST:
+def finding_from(
+    gains: Mapping[str, Explanation], time_s: float, evidence: Mapping[str, float] | None = None
+) -> Finding:
+    """The finding from the best explanation by each cause.
+
+    `evidence`: by how much in ln L the sister turbines support each error of an ambient sensor.  If they
+    decide, one of the `PAIRS` is left.  Else both count alike: as the likelier one where it may be water, as
+    the less likely one where that would rule water out.
+    """
+    left = dict(gains)
+    for ambient, sensor in PAIRS.items():
+        support, pair = (evidence or {}).get(ambient, 0.0), [one for one in (sensor, ambient) if one in left]
+        if abs(support) >= CLOSE:
+            left.pop(sensor if support > 0.0 else ambient, None)
+        elif len(pair) > 1:
+            gain = (max if sensor == "humidity_sensor" else min)(left[one].gain for one in pair)
+            left.update({one: replace(left[one], gain=gain) for one in pair})
+    ordered = sorted(left, key=lambda cause: -left[cause].gain)
+    if not ordered or left[ordered[0]].gain < LEAST:
         return Finding(time_s, "")
     best = ordered[0]
-    gain, state, value, sd = vars(gains[best]).values()
-    lead = gain - gains[ordered[1]].gain if len(ordered) > 1 else None
-    alike = tuple(cause for cause in ordered[1:] if gain - gains[cause].gain < CLOSE)
+    gain, state, value, sd = vars(left[best]).values()
+    lead = gain - left[ordered[1]].gain if len(ordered) > 1 else None
+    alike = tuple(cause for cause in ordered[1:] if gain - left[cause].gain < CLOSE)
     return Finding(time_s, best, state, value, gain, lead, alike, sd)
 
 

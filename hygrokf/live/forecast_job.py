@@ -17,6 +17,7 @@ from hygrokf.live.forecast import Forecast, ForecastMade, NoForecast, forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.restart_advice import Advice, restart
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
+from hygrokf.live.sisters import AMBIENT
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
@@ -82,10 +83,16 @@ def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Recor
 
 
 def isolation_steps(
-    name: str, one: Turbine, step: ShiftStep, store: Store, reference: Point | None = None
+    name: str,
+    one: Turbine,
+    step: ShiftStep,
+    store: Store,
+    reference: Point | None = None,
+    sisters: Mapping[str, Plan] | None = None,
 ) -> Iterator[Finding | None]:
     """Search for the cause of a turbine's lasting shifts, on readings from some weeks before them, or since
-    the state from which shifts count after a stated change, up to the time of the step."""
+    the state from which shifts count after a stated change, up to the time of the step; `sisters`: the plans
+    of the turbines whose readings up to then are final."""
     since = min(shift.since for shift in step.lasting)
     first = max(since - BEFORE_S, step.time - LONGEST_S)
     if reference is not None:
@@ -93,7 +100,11 @@ def isolation_steps(
     signals = (*CABINET, *DRIVERS, *one.plan.further)
     try:
         history = _history(store, name, one.plan, signals, first, step.time)
-        for found in isolate(one.plan, history, reference):
+        others = [
+            _history(store, sister, plan, tuple(AMBIENT.values()), first, step.time)
+            for sister, plan in (sisters or {}).items()
+        ]
+        for found in isolate(one.plan, history, reference, others):
             yield None if found is None else replace(found, time_s=step.time)
     except ValueError:
         yield Finding(step.time, "")

@@ -1,4 +1,8 @@
-"""Signals that repeat one value for longer than they ever stay still."""
+"""Signals that repeat one value for longer than they ever stay still.
+
+A humidity that is frozen in the range of saturated air is named, and its readings are used all the same: it
+can err only towards wet, and to leave out a sensor that is rightly flat would hide water.
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Z95
 from hygrokf.physics.model import Model
@@ -51,6 +51,9 @@ SILENT_S = 3.0 * DAY_S
 """[s] without a reading in `shown_by` after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
 """[s] after which a shift counts as lasting."""
+MOIST = "humidity_offset"
+MOIST_S = 6.0 * HOUR_S
+"""[s] after which a rise of the humidity offset does: it may be water."""
 BACK = 0.5
 """Share of the largest shift below which a property counts as back."""
 
@@ -172,13 +175,18 @@ def relative_shift(name: str, deviation: TrackedState) -> float:
     return deviation.x / max(least, SURE * deviation.sd)
 
 
+def lasting_s(shift: ParameterShift) -> float:
+    """The time [s] after which a shift counts as lasting."""
+    return MOIST_S if shift.name == MOIST and shift.change > 0.0 else LASTING_S
+
+
 def parameter_shifts(
     known: Mapping[str, ParameterShift], time: float, found: Mapping[str, TrackedState]
 ) -> dict[str, ParameterShift]:
     """Parameter shifts at `time` [s], updated from the known ones by the `deviations` found now.
 
     A shift begins when a property differs from its reference by more than the smallest change that matters
-    and by `SURE` standard deviations.  It is lasting after `LASTING_S`.  It ends when less than the share
+    and by `SURE` standard deviations.  It is lasting after `lasting_s`.  It ends when less than the share
     `BACK` of it is left, or when the property cannot be observed.
     """
     shifts = {}
@@ -192,7 +200,6 @@ def parameter_shifts(
         if abs(x) < BACK * abs(before.change) or not (before.lasting or large):
             continue
         change = x if abs(x) > abs(before.change) else before.change
-        shifts[name] = replace(
-            before, lasting=before.lasting or time - before.since >= LASTING_S, change=change
-        )
+        lasting = before.lasting or time - before.since >= lasting_s(before)
+        shifts[name] = replace(before, lasting=lasting, change=change)
     return shifts

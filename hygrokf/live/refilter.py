@@ -4,7 +4,7 @@ values that count now."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -33,18 +33,21 @@ class Refiltered:
     differences: tuple[str, ...]
 
 
-def refilter(store: Store, turbines: Mapping[str, Turbine]) -> list[Refiltered]:
-    """Filter turbines anew, all in one transaction.
+def refilter(
+    store: Store, turbines: Mapping[str, Turbine], names: Collection[str] | None = None
+) -> list[Refiltered]:
+    """Filter turbines anew, all in one transaction: those of some `names`, the others being their sisters.
 
     Estimates, properties and the tracker's state are replaced; alarms stay as they were told.  Raises
     StoreFault if a tracker is running.
     """
-    store.claim("turbine", turbines)
+    chosen = turbines if names is None else names
+    store.claim("turbine", chosen)
     with store.transaction() as cursor:
-        return [_refiltered(store, cursor, name, one) for name, one in turbines.items()]
+        return [_refiltered(store, cursor, name, turbines) for name in chosen]
 
 
-def _refiltered(store: Store, cursor: Cursor, name: str, one: Turbine) -> Refiltered:
+def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
     def changed(statement: str, *values: SqlValue) -> None:
         cursor.execute(store.database.text(statement), values)
 
@@ -55,11 +58,11 @@ def _refiltered(store: Store, cursor: Cursor, name: str, one: Turbine) -> Refilt
         changed(f"UPDATE {table} SET late = 0 WHERE turbine = ? AND late = 1", name)
     for versions in store.revised(name).values():
         store.use(cursor, name, versions)
-    changed("UPDATE turbine SET model = ? WHERE name = ?", digest(one.plan), name)
+    changed("UPDATE turbine SET model = ? WHERE name = ?", digest(turbines[name].plan), name)
     marks = ", ".join("?" * len(KEPT))
     changed(f"DELETE FROM memory WHERE turbine = ? AND name NOT IN ({marks})", name, *KEPT)
     begin, after = math.inf, {}
-    for batch in _batches(store, name, one):
+    for batch in _batches(store, name, turbines):
         if name in batch.estimates and not math.isfinite(begin):
             begin = batch.estimates[name].since
             for table in ("estimate", "property"):
@@ -76,9 +79,10 @@ def _refiltered(store: Store, cursor: Cursor, name: str, one: Turbine) -> Refilt
     return Refiltered(name, late, tuple(_differences(before, after)))
 
 
-def _batches(store: Store, name: str, one: Turbine) -> Iterator[Batch]:
+def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
     """What the tracker makes of a turbine's readings, day after day."""
-    fleet = Fleet({name: one})
+    fleet, one = Fleet({name: turbines[name]}), turbines[name]
+    points = {other: store.point(other) for other in turbines if other != name}
     yield fleet.take_events(store.events(name))
     readings = sorted(store.readings(name, -math.inf), key=lambda reading: reading.time)
     for _, part in groupby(readings, key=lambda reading: reading.time // DAY_S):
@@ -86,7 +90,9 @@ def _batches(store: Store, name: str, one: Turbine) -> Iterator[Batch]:
         fleet.waiting[name] = None
         yield fleet.filter_waiting(Batch())
         while (due := fleet.isolation_due()) is not None:
-            steps = isolation_steps(name, one, due[1], store, fleet.reference_points.get(name))
+            final = [n for n, point in points.items() if point and point.time >= due[1].time]
+            sisters = {other: turbines[other].plan for other in final}
+            steps = isolation_steps(name, one, due[1], store, fleet.reference_points.get(name), sisters)
             yield fleet.keep_finding(name, next(found for found in steps if found is not None))
 
 

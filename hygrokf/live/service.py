@@ -368,7 +368,8 @@ class Service:
                 return
             name, step = due
             reference = self._open_fleet.reference_points.get(name)
-            steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference)
+            sisters = self._open_fleet.sisters(name, step.time)
+            steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference, sisters)
             self._isolation = (name, steps)
         name, steps = self._isolation
         try:

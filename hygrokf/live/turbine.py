@@ -121,7 +121,7 @@ def instants_kept(course: Course) -> np.ndarray:
     outputs = course.run.timeline.outputs
     heard = np.max([course.heard(one) for one in outputs], axis=0) if outputs else -np.inf
     slot = np.floor(np.append(course.after_s, course.seconds) / THIN_S)
-    kept = np.isfinite(course.run.timeline.y).any(axis=1)
+    kept = course.seconds - heard <= SAME_S  # used or, while an input is unknown, not
     kept |= (np.diff(slot) > 0) & (course.seconds - heard >= SILENT_S)
     kept[-1] |= course.seconds[-1] > course.final_s + SAME_S
     return np.flatnonzero(kept)

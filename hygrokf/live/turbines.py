@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from hygrokf.data.structured import structured
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.alarms import (
     CLOCK,
     CONTRADICTS,
@@ -69,6 +69,8 @@ from hygrokf.live.turbine import digest as digest
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
+SISTERS_S = DAY_S
+"""[s] for which fault isolation waits for the readings of other turbines."""
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
 
@@ -428,8 +430,25 @@ class Fleet:
 
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
         """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
-        be isolated next; None if no cause is due."""
-        return next(((name, steps[0]) for name, steps in self.steps.items() if steps), None)
+        be isolated next; None if no cause is due, and while sisters are waited for."""
+        due = ((name, steps[0]) for name, steps in self.steps.items() if steps)
+        return next(((name, step) for name, step in due if not self._awaits_sisters(name, step.time)), None)
+
+    def sisters(self, name: str, time: float) -> dict[str, Plan]:
+        """The plans of the other turbines whose readings up to a time [s] are final."""
+        return {
+            other: self.turbines[other].plan
+            for other, tracker in self.trackers.items()
+            if other != name and tracker.judged_s >= time
+        }
+
+    def _awaits_sisters(self, name: str, time: float) -> bool:
+        """Whether the readings of sisters up to a time [s] will be final: for `SISTERS_S`, by the newest
+        stamps, so that the order in which turbines are delivered does not matter."""
+        now = self.trackers[name].newest
+        behind = [one for one, tracker in self.trackers.items() if one != name and tracker.judged_s < time]
+        recent = [one for one in behind if self.trackers[one].newest > now - SISTERS_S]
+        return any(one in self.waiting for one in behind) or (now < time + SISTERS_S and bool(recent))
 
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""

@@ -69,6 +69,7 @@ class Mechanism:
     Each function is pure and reads parameters `p`, states `x`, inputs `u`, quantities `q` and sums `s` as
     attributes; units inside a model are h, K, g/m³ and 1.
 
+        corrections(x, u)              inputs as they truly are, in place of those that were read
         conductance(p, u)              air exchange in parallel to 1/R_AT, in units of it [1]
         quantities(p, x, u, g)         shared quantities, such as the temperature of the cabinet air
         contributions(p, x, u, q)      terms of named sums (`SUMS`), such as the heat release [K]
@@ -79,7 +80,8 @@ class Mechanism:
 
     name: identifier in the library.
     parameters, states, inputs: what its functions read; states and inputs by name.
-    conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions above.
+    corrections, conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions
+        above.
     amounts: states that cannot be negative; simulations enforce this, the filter does not.
     features: those inputs that no signal gives and that this mechanism brings with it, by name.
     settings: the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
@@ -92,6 +94,7 @@ class Mechanism:
     parameters: tuple[Parameter, ...] = ()
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    corrections: Callable[[Space, Space], Values] | None = None
     conductance: Callable[[Space, Space], Value] | None = None
     quantities: Callable[[Space, Space, Space, Value], Values] | None = None
     contributions: Callable[[Space, Space, Space, Space], Values] | None = None
@@ -265,8 +268,11 @@ class Model:
 
     def _spaces(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> tuple[Space, Space, Space]:
         """Parameters, states and inputs in the form that mechanisms read."""
-        state = dict(zip(self.states, x, strict=True))
-        return SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)
+        state, inputs = SimpleNamespace(**dict(zip(self.states, x, strict=True))), dict(u)
+        for m in self.mechanisms:
+            if m.corrections is not None:
+                inputs.update(m.corrections(state, SimpleNamespace(**inputs)))
+        return SimpleNamespace(**p), state, SimpleNamespace(**inputs)
 
     def _contributions(self, p: Space, x: Space, u: Space, q: Space) -> Iterator[tuple[str, str, Value]]:
         """Every term of every sum as (mechanism, sum, value)."""

@@ -23,6 +23,7 @@ from other_make.faulty import (
     FaultyPlant,
     dew_point,
     make_faulty,
+    make_sisters,
 )
 from other_make.moist_air import saturation_pressure
 
@@ -47,6 +48,8 @@ RIGHT = {
     **FROZEN,
     "temperature drift": (20.0, "sensor suspect", "temperature_sensor"),
     "humidity drift down": (20.0, "sensor suspect", "humidity_sensor"),
+    "ambient temperature drift": (20.0, "sensor suspect", "ambient_temperature"),
+    "ambient humidity drift": (20.0, "sensor suspect", "ambient_humidity"),
     "humidity drift up": (20.0, "sensor or water", ""),
     "fan": (7.0, "cabinet changed", "thermal_time_constant"),
 }
@@ -83,8 +86,10 @@ def logged(made: FaultyPlant) -> Record:
     return Record(made.name, tuple(map(to_series, made.channels)), Site(55.0, 9.0), made.rated_W)
 
 
-def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
-    """Track a plant from its record, with fault isolation when it is due."""
+def track(
+    made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY, sisters: Sequence[Record] = ()
+) -> Tracking:
+    """Track a plant from its record, with fault isolation when it is due and what its sisters read then."""
     whole = logged(made)
     record = whole.window(START_S + TRACKED_DAY * DAY_S, START_S + last_day * DAY_S)
     plan = plan_of(fit, whole)
@@ -109,7 +114,8 @@ def track(made: FaultyPlant, fit: Fit, last_day: float = LAST_DAY) -> Tracking:
             history = whole.window(max(since - BEFORE_S, step.time - LONGEST_S), step.time)
             times = {one.signal: one.time for one in history.series}
             values = {one.signal: one.value for one in history.series}
-            *_, finding = isolate(plan, record_of(plan, times, values))
+            beside = [one.window(history.start_s, step.time) for one in sisters]
+            *_, finding = isolate(plan, record_of(plan, times, values), sisters=beside)
             assert finding is not None
             found.keep(fleet.keep_finding(made.name, replace(finding, time_s=step.time)))
     return found
@@ -130,12 +136,16 @@ def _on(made: FaultyPlant, signal: str) -> np.ndarray:
     return value
 
 
-def one(seed: int, fault: str = "wet", damp: bool = False) -> dict:
+def one(seed: int, fault: str = "wet", damp: bool = False, sisters: bool = False) -> dict:
     """Counts of a plant's instants from its fault on (healthy: from five days after the tracker's start), and
-    its alarms."""
+    its alarms; `sisters`: whether other turbines read the ambient, too."""
     made = make_faulty(seed, fault, damp)
     within, *_ = RIGHT.get(fault, (LAST_DAY - FAULT_DAY, "", ""))
-    said = track(made, fitted(seed, damp), min(LAST_DAY, FAULT_DAY + within + 0.5))
+    beside = [
+        Record("sister", tuple(map(to_series, channels)))
+        for channels in (make_sisters(seed) if sisters else ())
+    ]
+    said = track(made, fitted(seed, damp), min(LAST_DAY, FAULT_DAY + within + 0.5), beside)
     begin = START_S + (TRACKED_DAY + 5.0 if fault == "healthy" else FAULT_DAY) * DAY_S
     later = (made.time >= begin) & (made.time <= START_S + LAST_DAY * DAY_S - 3600.0)
     rows = np.array([said.estimates.get(at, (np.nan,) * 5) for at in made.time.tolist()])
@@ -152,6 +162,7 @@ def one(seed: int, fault: str = "wet", damp: bool = False) -> dict:
         "seed": seed,
         "fault": fault,
         "damp": damp,
+        "sisters": sisters,
         "wet": int(wet.sum()),
         "missed": int(np.sum(~(told[wet] >= TOLD))),
         "missed_raw": int(np.sum(~(raw[wet] < 0.0))),
@@ -189,7 +200,8 @@ def table(lines: Sequence[Mapping]) -> str:
     text, held = [header, "|" + " --- |" * 8], []
     groups: dict[str, list[Mapping]] = {}
     for line in lines:
-        groups.setdefault(line["fault"] + (", damp" if line["damp"] else ""), []).append(line)
+        kind = ", damp" * line["damp"] + ", with sisters" * line.get("sisters", False)
+        groups.setdefault(line["fault"] + kind, []).append(line)
     for name, some in groups.items():
         wet, missed, raw, dry, false = (
             sum(line[key] for line in some) for key in ("wet", "missed", "missed_raw", "dry", "false")
@@ -202,15 +214,13 @@ def table(lines: Sequence[Mapping]) -> str:
         text.append(f"| {' | '.join(map(str, cells))} |")
         if some[0]["fault"] in RIGHT:
             within, kind, subject = RIGHT[some[0]["fault"]]
-            named = sum(
-                any((a["kind"], a["subject"]) == (kind, subject) and 0.0 <= a["days"][0] <= within
-                    for a in line["alarms"])
-                for line in some
-            )  # fmt: skip
+            early = [[a for a in line["alarms"] if 0.0 <= a["days"][0] <= within] for line in some]
+            named = sum(any((a["kind"], a["subject"]) == (kind, subject) for a in told) for told in early)
+            joined = sum(any("or the ambient's" in a["statement"] for a in told) for told in early)
             blamed = sum(any(a["kind"] == "cabinet changed" for a in line["alarms"]) for line in some)
             held.append(
-                f"{name}: right name within {within:g} days in {named} of {len(some)}; the cabinet named in "
-                f"{blamed}"
+                f"{name}: right name within {within:g} days in {named} of {len(some)}; the cabinet's sensor "
+                f"or the ambient's in {joined}; the cabinet named in {blamed}"
             )
         if any("silent" in line for line in some):
             count, there = (sum(line[key] for line in some) for key in ("silent", "estimates"))
@@ -224,6 +234,7 @@ def table(lines: Sequence[Mapping]) -> str:
 
 ONES: Mapping[str, Callable[[int], dict]] = {
     **{name: partial(one, fault=name) for name in FAULTS},
+    **{f"{name} with sisters": partial(one, fault=name, sisters=True) for name in (*RIGHT, "healthy", "wet")},
     DAMP: partial(one, fault="healthy", damp=True),
 }
 """Trials of a seed by name."""

@@ -150,20 +150,32 @@ def test_no_change_is_said_while_its_bounds_contain_zero() -> None:
     assert SUSPECT.off <= unsure.level < SUSPECT.on and "0.4 (−0.2 … 1.0) K too high" in unsure.statement
     (sure,) = said_of(found, replace(sensor, sd=0.1), {})
     assert sure.level == SUSPECT.on
+    pair = replace(sensor, sd=0.1, alike=("ambient_temperature", "heat_release_change"))
+    (either,) = said_of(found, pair, {})
+    assert "K too high, or the ambient's too low: " in either.statement
+    assert either.statement.endswith(" (or a changed heat release)")
 
 
 def test_air_that_is_too_moist_is_sensor_or_water_whatever_the_finding() -> None:
-    """It is said before the shift lasts; only another sensor's fault explains it."""
+    """Only another sensor's fault explains it, so that nothing begins or ends before fault isolation."""
     moist, dry = ({"humidity_offset": TrackedState(x, 0.006)} for x in (0.12, -0.12))
-    (level,) = said_of({}, None, moist)
+    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.12)}
+    for shifts in ({}, lasting):
+        (unsure,) = said_of(shifts, None, moist)
+        assert SENSOR_OR_WATER.off <= unsure.level < SENSOR_OR_WATER.on
+    (level,) = said_of(lasting, Finding(9.0, ""), moist)
     assert level.kind == SENSOR_OR_WATER.kind and level.level == pytest.approx(3.0)
     assert "+12 (+11 … +13) % relative humidity" in level.statement and "water" in level.statement
-    lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.12)}
     high = Finding(9.0, "humidity_sensor", "humidity_scale_change", 0.3, 50.0, sd=0.02)
     for finding in (None, Finding(9.0, ""), high):
         assert [one.kind for one in said_of(lasting, finding, moist)] == [SENSOR_OR_WATER.kind]
     other = Finding(9.0, "temperature_sensor", "temperature_reading_change", 3.0, 50.0, sd=0.2)
     assert [one.kind for one in said_of(lasting, other, moist)] == [SUSPECT.kind]
+    ambient = Finding(9.0, "ambient_humidity", "ambient_humidity_change", -0.1, 50.0, sd=0.02)
+    (level,) = said_of(lasting, ambient, moist)
+    assert level.subject == "ambient_humidity" and "10 (6 … 14) % too low: neither" in level.statement
+    (level,) = said_of(lasting, replace(high, alike=("ambient_humidity",)), moist)
+    assert level.level == pytest.approx(3.0) and "it or the ambient's errs" in level.statement
     lasting = {"humidity_offset": ParameterShift("humidity_offset", 0.0, True, -0.12)}
     below, low = said_of(lasting, replace(high, value=-0.3), dry)
     assert below.level < 0.0 and low.kind == SUSPECT.kind

@@ -13,6 +13,7 @@ from builders.live_case import live_record, live_turbine
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.live import sisters
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.condition import Surface
 from hygrokf.live.fault_isolation import EVERY_S
@@ -61,7 +62,8 @@ def isolated(fleet: Fleet, store: Store) -> list[float]:
     times = []
     while (due := fleet.isolation_due()) is not None:
         name, step = due
-        found = next(filter(None, isolation_steps(name, fleet.turbines[name], step, store)))
+        beside = fleet.sisters(name, step.time)
+        found = next(filter(None, isolation_steps(name, fleet.turbines[name], step, store, None, beside)))
         store.commit(fleet.keep_finding(name, found))
         times.append(step.time)
     return times
@@ -75,8 +77,8 @@ def told(store: Store) -> dict[str, object]:
         "alarms": [row for row in store.rows(alarms) if row[1] not in delivery],
         "finding": store.memory("T1", "finding"),
         "shifts": store.memory("T1", "parameter_shifts"),
-        "properties": store.rows("SELECT * FROM property ORDER BY time, name"),
-        "estimates": store.rows("SELECT * FROM estimate WHERE final = 1 ORDER BY time"),
+        "properties": store.rows("SELECT * FROM property ORDER BY turbine, time, name"),
+        "estimates": store.rows("SELECT * FROM estimate WHERE final = 1 ORDER BY turbine, time"),
     }
 
 
@@ -136,6 +138,38 @@ def test_alarms_and_causes_hang_on_event_times_alone(
     assert times == expected[1]
     for name, rows in expected[0].items():
         assert found[name] == rows, name
+
+
+def test_sisters_are_evidence_in_whatever_order_turbines_are_delivered(
+    tmp_path: Path, cold: Turbine, record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What sisters read by a cause's time is waited for, but not one that has been silent for a day."""
+    monkeypatch.setattr(sisters, "USUAL", 3)
+    monkeypatch.setattr(sisters, "FEWEST", 2)
+    noise = np.random.default_rng(2)
+    ambient = record["ambient_temperature"]
+    warm = replace(ambient, value=ambient.value + 0.2 * noise.standard_normal(len(ambient.time)))
+    beside = record.replace_series(warm)
+    ended = beside.window(beside.start_s, beside.start_s + 3.0 * DAY_S)
+    found = {}
+    for name, other, hours, order in (
+        ("alternating", beside, 6.0, 1), ("the other first", beside, 20.0, -1),
+        ("a sister that ends", ended, 20.0, 1),
+    ):  # fmt: skip
+        records = {"T1": record, "T2": other}
+        store = open_store(f"sqlite:{tmp_path / name}.db")
+        fleet = Fleet.from_store(dict.fromkeys(records, cold), store)
+        for begin in np.arange(record.start_s, record.end_s + 1.0, 3600.0 * hours):
+            for turbine, one in list(records.items())[::order]:
+                part = one.window(begin, begin + 3600.0 * hours - 1.0)
+                messages = record_messages(part, turbine) if any(len(s.time) for s in part.series) else []
+                delivered = [Delivery(content, at) for at, content in messages]
+                store.commit(fleet.round(delivered, record_mapping(one, turbine), f"replay:{turbine}"))
+                isolated(fleet, store)
+        found[name] = told(store), fleet.findings["T1"]
+        store.close()
+    assert found["the other first"] == found["alternating"]
+    assert found["a sister that ends"][1].time_s > record.start_s + 7.0 * DAY_S
 
 
 @pytest.mark.parametrize("speed", [0.0, 3e5, 1e6])

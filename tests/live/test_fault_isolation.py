@@ -4,7 +4,7 @@ change is known."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,9 +54,10 @@ def tracked(record: Record) -> Plan:
     return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
 
 
-def asked(tracked: Plan, record: Record) -> Finding:
-    begin = record.start_s + (CHANGE - 15.0) * DAY_S
-    *steps, found = isolate(tracked, record.window(begin, record.start_s + (CHANGE + 10.0) * DAY_S))
+def asked(tracked: Plan, record: Record, sisters: Sequence[Record] = ()) -> Finding:
+    begin, end = (record.start_s + day * DAY_S for day in (CHANGE - 15.0, CHANGE + 10.0))
+    beside = [one.window(begin, end) for one in sisters]
+    *steps, found = isolate(tracked, record.window(begin, end), sisters=beside)
     assert len(steps) >= 15 and all(step is None for step in steps)
     return found
 
@@ -147,6 +148,43 @@ def test_a_sensor_that_is_off(
     assert found.cause == ("temperature_sensor" if signal == "cabinet_temperature" else "humidity_sensor")
 
 
+def sisters_of(record: Record) -> list[Record]:
+    """Three turbines that read the ambient with own offsets, and differ by 0.3 K and 2 % for hours."""
+    random = np.random.default_rng(5)
+
+    def beside(series: Series) -> Series:
+        sd = 0.3 if series.signal == "ambient_temperature" else 0.02
+        hours = np.arange(series.time[0], series.time[-1] + 7200.0, 7200.0)
+        apart = np.interp(series.time, hours, sd * random.standard_normal(len(hours)))
+        return replace(series, value=series.value + random.normal(0.0, sd) + apart)
+
+    ambient = [one for one in record.series if one.signal.startswith("ambient_")]
+    return [replace(record, series=tuple(map(beside, ambient))) for _ in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("ambient", "cabinet", "error", "size", "within"),
+    [
+        ("ambient_temperature", "cabinet_temperature", lambda v: v + 2.5, 2.5, 1.0),
+        ("ambient_relative_humidity", "cabinet_relative_humidity", lambda v: v - 0.12, -0.12, 0.05),
+    ],
+)
+def test_sisters_tell_an_ambient_sensor_from_the_cabinets(
+    tracked: Plan, record: Record, ambient: str, cabinet: str, error: Callable, size: float, within: float
+) -> None:
+    """One turbine alone cannot; the cabinet's own fault is not the ambient's, either."""
+    own = ambient.replace("relative_", "")
+    pair = (f"{own.removeprefix('ambient_')}_sensor", own)
+    wrong = misread(record, ambient, error)
+    alone = asked(tracked, wrong)
+    assert alone.cause == pair[0] and pair[1] in alone.alike
+    found = asked(tracked, wrong, sisters_of(record))
+    assert found.cause == pair[1] and pair[0] not in found.alike
+    assert found.value == pytest.approx(size, abs=within)
+    found = asked(tracked, misread(record, cabinet, error), sisters_of(record))
+    assert found.cause == pair[0] and pair[1] not in found.alike
+
+
 def test_without_a_humidity_sensor_a_thermometer_that_drifts_is_like_heat(
     tracked: Plan, record: Record
 ) -> None:
@@ -157,7 +195,8 @@ def test_without_a_humidity_sensor_a_thermometer_that_drifts_is_like_heat(
     warm = replace(air, value=air.value + drift)
     kept = [s for s in record.series if s.signal not in ("cabinet_temperature", "cabinet_relative_humidity")]
     found = asked(tracked, replace(record, series=(warm, *kept)))
-    assert {found.cause, *found.alike} == {"temperature_sensor", "heat_release_change"}
+    thermal = {"temperature_sensor", "ambient_temperature", "heat_release_change"}
+    assert {found.cause, *found.alike} == thermal
 
 
 def test_a_stated_change_is_followed_at_once_and_is_the_reference(
@@ -202,6 +241,23 @@ def test_judgement_at_its_edges() -> None:
     assert (found.cause, found.alike, found.lead) == ("hygric_k", ("humidity_sensor",), 2.0)
     far = {**two, "humidity_sensor": Explanation(20.0 - CLOSE - 0.01, "humidity_scale_change", 0.1)}
     assert finding_from(far, 5.0).alike == ()
+
+
+def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() -> None:
+    gains = {
+        "temperature_sensor": Explanation(90.0, "temperature_reading_change", 2.0),
+        "humidity_sensor": Explanation(80.0, "humidity_reading_change", 0.05),
+        "ambient_temperature": Explanation(100.0, "ambient_temperature_change", -2.0),
+        "ambient_humidity": Explanation(95.0, "ambient_humidity_change", -0.1),
+    }
+    alone = finding_from(gains, 5.0)
+    assert (alone.cause, alone.state, alone.gain) == ("humidity_sensor", "humidity_reading_change", 95.0)
+    assert alone.alike == ("ambient_humidity",)
+    both = {"ambient_temperature": -CLOSE, "ambient_humidity": -CLOSE}
+    cleared = finding_from(gains, 5.0, both)
+    assert (cleared.cause, cleared.alike) == ("temperature_sensor", ())
+    one = finding_from(gains, 5.0, {"ambient_temperature": CLOSE, "ambient_humidity": -CLOSE})
+    assert (one.cause, one.alike, one.lead) == ("ambient_temperature", (), 20.0)
 
 
 def test_what_is_said_of_it() -> None:

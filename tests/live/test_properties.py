@@ -10,6 +10,7 @@ from builders.fit_case import typed
 from hygrokf.identification.fit import Fit
 from hygrokf.live.properties import (
     DAY_S,
+    MOIST,
     ParameterShift,
     TrackedState,
     deviations,
@@ -52,6 +53,9 @@ def test_a_shift_must_be_sure_matter_and_last() -> None:
     assert followed([(0.0, 0.10, 0.005), (9.0, 0.10, 0.005)]) == {}  # sure, but too small
     assert followed([(0.0, 0.20, 0.05), (9.0, 0.20, 0.05)]) == {}  # of a size that matters, but not sure
     assert not followed([(0.0, 0.4, 0.05), (1.9, 0.4, 0.05)])[TAU].lasting
+    for sign, lasts in ((1.0, [False, True]), (-1.0, [False, False])):  # moister air may be water
+        course = [(0.0, 0.1 * sign, 0.01), (0.24, 0.1 * sign, 0.01), (0.26, 0.1 * sign, 0.01)]
+        assert [followed(course[:n], MOIST)[MOIST].lasting for n in (2, 3)] == lasts
     lasting = followed([(0.0, 0.4, 0.05), (1.0, 0.5, 0.05), (2.0, 0.45, 0.05)])[TAU]
     assert lasting == ParameterShift(TAU, 0.0, True, 0.5)
 

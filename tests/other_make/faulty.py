@@ -61,6 +61,8 @@ FAULTS = {
     "temperature drift": Fault(drift=(("temperature", 0.15),)),
     "humidity drift down": Fault(drift=(("humidity", -0.005),)),
     "humidity drift up": Fault(drift=(("humidity", 0.005),)),
+    "ambient temperature drift": Fault(drift=(("ambient temperature", 0.15),)),
+    "ambient humidity drift": Fault(drift=(("ambient humidity", -0.005),)),
     "silent 12 h": Fault(0.5, silent=("temperature", "humidity")),
     "silent 5 d": Fault(5.0, silent=("temperature", "humidity")),
 }
@@ -140,6 +142,22 @@ def make_faulty(seed: int, fault: str = "healthy", damp: bool = False, days: flo
     margin = surface - dew_point(pressure)
     kept = (x[stamps] for x in (time, outside, kelvin, pressure, margin))
     return FaultyPlant(f"faulty-{seed}", what, *kept, written, rated_W)
+
+
+def make_sisters(seed: int, count: int = 4) -> tuple[tuple[Channel, ...], ...]:
+    """What `count` healthy turbines beside the plant of a seed read of the ambient: each has offsets of its
+    own (0.2 K, 1.5 %), and differs by 0.4 K and 2 % for hours."""
+    random = np.random.default_rng([seed, 0x5157])
+    around = [one for one in make_faulty(seed).channels if one.signal.startswith("ambient")]
+    sizes = {"ambient_temperature": (0.2, 0.4), "ambient_relative_humidity": (0.015, 0.02)}
+
+    def beside(one: Channel) -> Channel:
+        offset, sd = sizes[one.signal]
+        apart = sd * ornstein_uhlenbeck(random, len(one.time), WRITTEN * STEP_S / 3600.0, 8.0)
+        course = one.value + apart
+        return replace(one, value=_read(random, course, random.normal(0.0, offset), 0.0, one.resolution))
+
+    return tuple(tuple(beside(one) for one in around) for _ in range(count))
 
 
 def dew_point(pressure_Pa: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms.effects import PAPER
-from hygrokf.physics.mechanisms.hygric import cabinet_humidity
+from hygrokf.physics.mechanisms.hygric import cabinet_humidity, saturated_vapour
 from hygrokf.physics.mechanisms.sensors import HUMIDITY_READING, OWN_ERROR, TEMPERATURE_READING
 from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
@@ -22,13 +22,15 @@ def _random_walk(
     unit: str,
     rate: float,
     bounds: tuple[float, float],
-    contributions: Callable[[Space, Space, Space, Space], Values],
+    contributions: Callable[[Space, Space, Space, Space], Values] | None,
     meaning: str,
     leaves: str,
     source: str,
     inputs: tuple[str, ...] = (),
+    corrections: Callable[[Space, Space], Values] | None = None,
+    **settings: float | bool,
 ) -> Mechanism:
-    """A state without a rate, driven by white noise, and its effect on named sums."""
+    """A state without a rate, driven by white noise, and its effect on named sums or on inputs."""
     parameter = f"{state}_rate"
     return Mechanism(
         name=name,
@@ -40,12 +42,13 @@ def _random_walk(
         ),
         states=(state,),
         inputs=inputs,
+        corrections=corrections,
         contributions=contributions,
         drift=lambda p, x, u, q, s: {state: 0.0 * getattr(x, state)},
         diffusion=lambda p: {state: getattr(p, parameter) * getattr(p, parameter) / 24.0},
         # the fit's standard error is far below a day's random walk
         initial=lambda p, u: {state: (0.0, getattr(p, parameter) * getattr(p, parameter))},
-        settings={"rate": rate},
+        settings={"rate": rate, **settings},
         meaning=meaning,
         leaves=leaves,
         source=source,
@@ -120,9 +123,50 @@ def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
     )  # fmt: skip
 
 
+def wandering_ambient_temperature(rate: float = 0.1, relative: bool = True) -> Mechanism:
+    """An offset of the ambient's temperature reading as a state: T_amb = reading − x [K], x a random walk of
+    `rate` [K/√d].
+
+    `relative`: whether the ambient's humidity was read as relative humidity, so that its vapour follows from
+    the temperature.
+    """
+
+    def corrections(x: Space, u: Space) -> Values:
+        read, true = u.ambient_temperature, u.ambient_temperature - x.ambient_temperature_change
+        if not relative:
+            return {"ambient_temperature": true}
+        share = saturated_vapour(true, true) / saturated_vapour(read, read)
+        return {"ambient_temperature": true, "ambient_absolute_humidity": share * u.ambient_absolute_humidity}
+
+    return _random_walk(
+        "wandering_ambient_temperature", "ambient_temperature_change", "K", rate, (1e-6, 5.0), None,
+        "change of the offset of the ambient's temperature sensor since the fit",
+        leaves="a temperature reading that is off by the same amount for days",
+        inputs=("ambient_temperature", *(("ambient_absolute_humidity",) if relative else ())),
+        corrections=corrections, source=OWN_ERROR, relative=relative,
+    )  # fmt: skip
+
+
+def wandering_ambient_humidity(rate: float = 0.005) -> Mechanism:
+    """An offset of the ambient's humidity reading as a state: relative humidity = reading − x [1], x a random
+    walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_ambient_humidity", "ambient_humidity_change", "1", rate, (1e-7, 0.2), None,
+        "change of the offset of the ambient's humidity sensor since the fit",
+        leaves="a humidity reading that is off for days, the more the warmer the ambient is",
+        inputs=("ambient_temperature", "ambient_absolute_humidity"),
+        corrections=lambda x, u: {
+            "ambient_absolute_humidity": u.ambient_absolute_humidity
+            - x.ambient_humidity_change * saturated_vapour(u.ambient_temperature, u.ambient_temperature)
+        },
+        source=OWN_ERROR,
+    )  # fmt: skip
+
+
 # fmt: off
 WANDERING = (
     wandering_time_constant, wandering_exchange, wandering_release, wandering_temperature_reading,
-    wandering_humidity_reading, wandering_humidity_scale,
+    wandering_humidity_reading, wandering_humidity_scale, wandering_ambient_temperature,
+    wandering_ambient_humidity,
 )
 # fmt: on
