@@ -38,6 +38,8 @@ from hygrokf.live.turbines import Fleet
 from trials.cabinets import identified, plan_of
 
 FITTED_DAYS, TRACKED_DAY, LAST_DAY = 30.0, 60.0, 96.0
+LAST_DAY_HEALTHY = 150.0
+"""The last day of healthy plants, which are tracked for 90 days."""
 ROUND_S = 21600.0
 HOLDS_K = 1.0
 """[K] margin above which an instant counts as dry."""
@@ -76,9 +78,9 @@ class Tracking:
 
 
 @lru_cache(maxsize=4)
-def fitted(seed: int, damp: bool) -> Fit:
-    """The model of a seed's first days, the same for every fault."""
-    return identified(logged(make_faulty(seed, damp=damp)), START_S + FITTED_DAYS * DAY_S)
+def fitted(seed: int, damp: bool, days: float) -> Fit:
+    """The model of the first days of a seed's plant of some days, the same for every fault."""
+    return identified(logged(make_faulty(seed, damp=damp, days=days)), START_S + FITTED_DAYS * DAY_S)
 
 
 def logged(made: FaultyPlant) -> Record:
@@ -136,18 +138,21 @@ def _on(made: FaultyPlant, signal: str) -> np.ndarray:
     return value
 
 
-def one(seed: int, fault: str = "wet", damp: bool = False, sisters: bool = False) -> dict:
+def one(
+    seed: int, fault: str = "wet", damp: bool = False, sisters: bool = False, last_day: float = LAST_DAY
+) -> dict:
     """Counts of a plant's instants from its fault on (healthy: from five days after the tracker's start), and
-    its alarms; `sisters`: whether other turbines read the ambient, too."""
-    made = make_faulty(seed, fault, damp)
-    within, *_ = RIGHT.get(fault, (LAST_DAY - FAULT_DAY, "", ""))
+    its alarms, up to `last_day`; `sisters`: whether other turbines read the ambient, too."""
+    made = make_faulty(seed, fault, damp, last_day + 1.0)
+    within, *_ = RIGHT.get(fault, (last_day - FAULT_DAY, "", ""))
     beside = [
         Record("sister", tuple(map(to_series, channels)))
         for channels in (make_sisters(seed) if sisters else ())
     ]
-    said = track(made, fitted(seed, damp), min(LAST_DAY, FAULT_DAY + within + 0.5), beside)
+    fit = fitted(seed, damp, last_day + 1.0)
+    said = track(made, fit, min(last_day, FAULT_DAY + within + 0.5), beside)
     begin = START_S + (TRACKED_DAY + 5.0 if fault == "healthy" else FAULT_DAY) * DAY_S
-    later = (made.time >= begin) & (made.time <= START_S + LAST_DAY * DAY_S - 3600.0)
+    later = (made.time >= begin) & (made.time <= START_S + last_day * DAY_S - 3600.0)
     rows = np.array([said.estimates.get(at, (np.nan,) * 5) for at in made.time.tolist()])
     told, raw = rows[:, 0], raw_margin(made)
     wet, dry = later & (made.margin_K < 0.0), later & (made.margin_K > HOLDS_K)
@@ -235,6 +240,7 @@ def table(lines: Sequence[Mapping]) -> str:
 ONES: Mapping[str, Callable[[int], dict]] = {
     **{name: partial(one, fault=name) for name in FAULTS},
     **{f"{name} with sisters": partial(one, fault=name, sisters=True) for name in (*RIGHT, "healthy", "wet")},
+    "healthy": partial(one, fault="healthy", last_day=LAST_DAY_HEALTHY),
     DAMP: partial(one, fault="healthy", damp=True),
 }
 """Trials of a seed by name."""
