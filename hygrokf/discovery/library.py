@@ -6,19 +6,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hygrokf.discovery.cause import Cause
-from hygrokf.discovery.causes_heat import (
+from hygrokf.discovery.causes import (
+    breathed,
     by_the_clock,
+    clock,
+    condensation,
     cooling,
     door,
+    drier,
     exchange_step,
     heat_drift,
     heater,
+    humidity_drift,
+    rain,
+    response,
+    sorption,
+    source,
     sun,
+    temperature_offset,
     wall,
     wind,
 )
-from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorption, source
-from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
 
 ODD = 30.0
 """Evidence that is enough for causes that hardly show in the free run; on plants without such a cause it

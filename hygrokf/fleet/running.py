@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import math
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from hygrokf.data.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, result_text
-from hygrokf.fleet.cluster import on_cluster
-from hygrokf.fleet.job import DONE, LOST, Outcome, Row, Work, finished, keep
+from hygrokf.data.structured import JsonObject
+from hygrokf.engine.parallel import THREADS
+from hygrokf.fleet.job import (
+    DONE,
+    LOST,
+    FleetFault,
+    Job,
+    Outcome,
+    Row,
+    Work,
+    finished,
+    keep,
+    outcome,
+    perform,
+)
 from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.plan import Plan
-from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.results import CSV, PARQUET, FleetResults, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
@@ -141,3 +165,285 @@ def _type_of(plan: Plan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | 
         return None, []
     write_type(kind, file)
     return kind, odd
+
+
+BATCHES = 8
+"""Batches for each worker: so many that no worker waits long for the others at the end."""
+LARGEST = 25
+"""Most jobs in a batch: all of them are done again where its worker dies."""
+WAIT_S = 30.0
+"""[s] time limit for the connection to the scheduler, and for its first worker."""
+_one_at_a_time = threading.Lock()
+
+
+def perform_batch(jobs: Sequence[JsonObject], work: Work) -> list[JsonObject]:
+    """What a worker of the cluster runs: some jobs, one after the other, as plain data."""
+    with _one_at_a_time:  # a worker with several threads receives several batches
+        return [perform(Job.from_json(job), work).to_json() for job in jobs]
+
+
+def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
+    """Jobs in batches, in their order."""
+    size = max(1, min(LARGEST, math.ceil(len(jobs) / (BATCHES * max(workers, 1)))))
+    return [jobs[i : i + size] for i in range(0, len(jobs), size)]
+
+
+def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcome]:
+    """Outcomes of jobs as they come, in no order: exactly one for each.
+
+    Another worker repeats a batch whose worker has died.  Where that happens more often than the scheduler
+    allows, its jobs are sent one by one, and a job that goes on killing workers is `lost`.  Raises
+    FleetFault where there is no cluster at the address, no worker, or another version of hygrokf on it, and
+    where the scheduler ends before the work.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise FleetFault("--dask", ["needs dask.distributed: pip install 'hygrokf[cluster]'"]) from None
+    with _quiet(), _client(Client, address) as client:
+        workers = _checked(client, address)
+        sent = {}
+
+        def send(batch: Sequence[Job]) -> object:
+            future = client.submit(perform_batch, [job.to_json() for job in batch], work, pure=False)
+            sent[future.key] = batch
+            return future
+
+        coming = as_completed([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
+        for future in coming:
+            batch = sent.pop(future.key)
+            if future.status == "finished":
+                yield from map(Outcome.from_json, future.result())
+            elif future.status != "error":  # the worker's death is an error; this is the scheduler's
+                raise FleetFault(
+                    f"--dask {address}",
+                    [
+                        "the scheduler ended before the work was done, or is no longer reachable (the "
+                        "tasks are "
+                        f"{future.status}); finished turbines are kept: start a scheduler with workers, "
+                        "and run the same command again"
+                    ],
+                )
+            elif len(batch) > 1:
+                coming.update([send([job]) for job in batch])
+            else:
+                reason = " ".join(str(future.exception()).split())
+                yield outcome(batch[0], LOST, reason=f"no worker of the cluster could run it: {reason}")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Suppress the tracebacks that the client logs where a scheduler ends; `on_cluster` reports it."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def _client(kind: type, address: str) -> Any:
+    try:
+        return kind(address, timeout=WAIT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as fault:
+        said = " ".join(str(fault).split())
+        raise FleetFault(
+            f"--dask {address}",
+            [f"expected the scheduler of a Dask cluster, such as tcp://HOST:8786, found none: {said}"],
+        ) from None
+
+
+def _checked(client: Any, address: str) -> int:
+    """The number of workers; raises FleetFault where one of them cannot do the work."""
+    try:
+        client.wait_for_workers(1, timeout=WAIT_S)
+    except TimeoutError:
+        raise FleetFault(
+            f"--dask {address}",
+            [f"the scheduler has no worker after {WAIT_S:g} s: start some with `dask worker {address}`"],
+        ) from None
+    faults = []
+    for worker, found in client.run(_described, on_error="return").items():
+        if isinstance(found, BaseException):
+            faults.append(f"worker {worker}: hygrokf cannot be loaded there: {found}; install it there too")
+        elif found["version"] != __version__:
+            faults.append(
+                f"worker {worker}: expected hygrokf {__version__} as here, found {found['version']}; install "
+                "the same one"
+            )
+        elif found["threads"] != "1":
+            faults.append(
+                f"worker {worker}: expected one thread for linear algebra, found OMP_NUM_THREADS = "
+                f"{found['threads'] or 'not set'}; start it with a nanny (the default), or set "
+                "OMP_NUM_THREADS=1 there"
+            )
+    if faults:
+        raise FleetFault(f"--dask {address}", faults)
+    return len(client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _described() -> JsonObject:
+    """The version of hygrokf on a worker, and its threads for linear algebra."""
+    return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}
+
+
+ATTEMPTS = 2
+"""Attempts at a job, each in a new process, before it is lost."""
+ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)}
+"""One thread for linear algebra: the matrices are tiny, and every core has a process of its own."""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def answer_jobs(work: Work) -> int:
+    """What the process runs: do the jobs of the standard input until it ends; returns the exit status 0."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interrupted parent ends this process
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # other prints must not stand among the answers
+    for line in sys.stdin:
+        found = perform(Job.from_json(json.loads(line)), work)
+        answers.write(json.dumps(found.to_json()) + "\n")
+        answers.flush()
+    return 0
+
+
+def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Outcome]:
+    """Outcomes of jobs as they come, in no order: exactly one for each.
+
+    A process that dies (killed by the system for its memory, a crash of compiled code) takes its one job with
+    it; the job is tried once more, and is `lost` if that process dies too.  When the caller stops early all
+    processes end.
+    """
+    todo: queue.SimpleQueue[Job] = queue.SimpleQueue()
+    for job in jobs:
+        todo.put(job)
+    done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
+    crew = [_Worker(work) for _ in range(min(workers, len(jobs)))]
+    threads = [threading.Thread(target=_serve, args=(one, todo, done), daemon=True) for one in crew]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in jobs:
+            found = done.get()
+            if isinstance(found, BaseException):
+                raise found
+            yield found
+    finally:
+        for one in crew:
+            one.dismiss()
+        for thread in threads:
+            thread.join()
+
+
+def _serve(
+    worker: _Worker, todo: queue.SimpleQueue[Job], done: queue.SimpleQueue[Outcome | BaseException]
+) -> None:
+    """Give a worker one job after the other."""
+    try:
+        while not worker.dismissed:
+            try:
+                job = todo.get_nowait()
+            except queue.Empty:
+                break
+            found = None
+            for _ in range(ATTEMPTS):
+                found = found or (None if worker.dismissed else worker.ask(job))
+            done.put(found or outcome(job, LOST, reason=worker.epitaph))
+    except BaseException as fault:  # the caller waits for an outcome of every job
+        done.put(fault)
+    finally:
+        worker.close()
+
+
+class _Worker:
+    """A process that does jobs; a new one is started where the last has died."""
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self.dismissed = False
+        self.epitaph = ""
+        self._process: subprocess.Popen[str] | None = None
+        self._said = tempfile.TemporaryFile()
+        self._lock = threading.Lock()
+
+    def ask(self, job: Job) -> Outcome | None:
+        """The outcome of a job; None where the process died over it (`epitaph` says why)."""
+        process = self._started()
+        if process is None:
+            return None
+        line = ""
+        assert process.stdin is not None and process.stdout is not None
+        with suppress(OSError, ValueError):  # it may die while the job is written to it
+            process.stdin.write(json.dumps(job.to_json()) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        if line.endswith("\n"):
+            return Outcome.from_json(json.loads(line))
+        self.epitaph = _epitaph(self._reap(process), self._last_words())
+        return None
+
+    def _reap(self, process: subprocess.Popen[str]) -> int:
+        """Wait for a process to end; returns its exit status."""
+        status = process.wait()
+        for pipe in (process.stdin, process.stdout):
+            with suppress(OSError):  # unwritten text is lost
+                if pipe is not None:
+                    pipe.close()
+        with self._lock:
+            self._process = None
+        return status
+
+    def _started(self) -> subprocess.Popen[str] | None:
+        with self._lock:  # a dismissed worker starts no process
+            if self._process is None and not self.dismissed:
+                self._said.seek(0)
+                self._said.truncate()
+                work = self._work
+                begin = (
+                    f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import answer_jobs; "
+                    f"from {work.__module__} import {work.__qualname__} as work; sys.exit(answer_jobs(work))"
+                )
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", begin],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=self._said,
+                    text=True,
+                    encoding="utf-8",
+                    env={**os.environ, **ENVIRONMENT},
+                )
+            return self._process
+
+    def _last_words(self) -> str:
+        """The last line that the process wrote to its standard error."""
+        self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - 4000))
+        lines = self._said.read().decode(errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def dismiss(self) -> None:
+        """Kill the process."""
+        with self._lock:
+            self.dismissed = True
+            if self._process is not None:
+                self._process.kill()
+
+    def close(self) -> None:
+        """Kill the process and remove everything that belongs to it."""
+        self.dismiss()
+        if self._process is not None:
+            self._reap(self._process)
+        self._said.close()
+
+
+def _epitaph(status: int, last_words: str) -> str:
+    """Why a process died, and what to do."""
+    names = {-one.value: one.name for one in signal.Signals}
+    end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
+    reason = f"its process {end}, {ATTEMPTS} times in a row"
+    if names.get(status) == "SIGKILL":
+        reason += "; the system kills processes when memory is short: run it again with fewer --workers"
+    return f"{reason}; its last output: {last_words}" if last_words else reason

@@ -16,10 +16,9 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.fleet_tasks import do_task
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
 from hygrokf.estimation.optimiser import Objective, maximise
-from hygrokf.fleet.cluster import batches, on_cluster
 from hygrokf.fleet.job import DONE, Job, perform
 from hygrokf.fleet.plan import read_plan
-from hygrokf.fleet.processes import cores, in_processes
+from hygrokf.fleet.running import batches, cores, in_processes, on_cluster
 
 INSTANTS = 8_000
 DAYS = 25.2
@@ -124,7 +123,7 @@ def dask(quick: bool) -> Iterator[Figure]:
     """What a Dask cluster costs beside the work itself: turbines that are done, batched and one by one."""
     from distributed import LocalCluster
 
-    from hygrokf.fleet import cluster as module
+    from hygrokf.fleet import running as module
 
     count = 20 if quick else 200
     with tempfile.TemporaryDirectory() as folder:

@@ -242,7 +242,7 @@ def test_discovery_takes_what_is_logged_as_known() -> None:
     found = baseline(record.identification(), starts=1)
     assert {"heater_duty", "door_open"} <= set(found.submodels["thermal"].base.model.inputs)
     assert "door_open" in found.submodels["hygric"].base.model.inputs
-    from hygrokf.discovery.causes_heat import door
+    from hygrokf.discovery.causes import door
 
     assert door(found) == []
 

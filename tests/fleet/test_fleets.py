@@ -24,11 +24,10 @@ from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
-from hygrokf.fleet.cluster import batches, on_cluster
 from hygrokf.fleet.job import FleetFault, Job, content_key, finished, perform
 from hygrokf.fleet.plan import read_plan
-from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.results import columns_of, table_csv, table_parquet
+from hygrokf.fleet.running import batches, in_processes, on_cluster
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
@@ -198,7 +197,7 @@ def children() -> list[int]:
 
 def working() -> list[int]:
     """Those of them that do jobs: processes of ours, and workers of a cluster under their nannies."""
-    marks = ("hygrokf.fleet.processes", "spawn_main", "--multiprocessing-fork", "dask_worker")
+    marks = ("hygrokf.fleet.running", "spawn_main", "--multiprocessing-fork", "dask_worker")
     found = []
     for one in children():
         try:
@@ -266,7 +265,7 @@ def test_a_process_that_dies_before_it_begins_stops_nothing(
     park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It has made no folder for its row."""
-    from hygrokf.fleet import processes
+    from hygrokf.fleet import running as processes
 
     monkeypatch.setattr(processes.sys, "executable", "/bin/false")
     result = run_fleet(read_plan(park / "fleet.toml"), tmp_path, workers=1)
@@ -381,7 +380,7 @@ def test_a_turbine_that_kills_workers_is_lost_alone(park: Path, tmp_path: Path, 
 
 
 def in_one_batch(jobs: list[Job], address: str) -> list:
-    from hygrokf.fleet import cluster
+    from hygrokf.fleet import running as cluster
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "BATCHES", 0.01)
@@ -405,7 +404,7 @@ def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: 
     """Not as turbines that are lost: what is left is done by the same command."""
     from distributed import LocalCluster
 
-    from hygrokf.fleet import cluster
+    from hygrokf.fleet import running as cluster
 
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setattr(cluster, "perform_batch", sleeping)
@@ -473,7 +472,7 @@ def untimed(text: str) -> list[str]:
 
 
 def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hygrokf.fleet import cluster
+    from hygrokf.fleet import running as cluster
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
     with pytest.raises(FleetFault, match="expected the scheduler of a Dask cluster"):
@@ -612,7 +611,7 @@ def test_the_command_tells_writes_and_reports_again(park: Path, serial: tuple[Pa
 def test_what_cannot_be_run_is_said(
     park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str, words: str
 ) -> None:
-    from hygrokf.fleet import cluster
+    from hygrokf.fleet import running as cluster
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
     said = run(f"fleet {park}/fleet.toml --out {tmp_path}/out {more}")
