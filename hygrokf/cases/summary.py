@@ -15,7 +15,7 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
 from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.data.timestamps import DAY_S, modal_step, stamp_text
-from hygrokf.weather.clocks import SourceComparison, alignments, clock_errors, source_comparisons
+from hygrokf.weather.clocks import ClockError, alignments, clock_errors
 
 if TYPE_CHECKING:
     import pandas
@@ -102,7 +102,7 @@ class RecordSummary:
     validation: Span | None
     signals: tuple[SignalSummary, ...]
     actuators: tuple[ActuatorUse, ...]
-    comparisons: tuple[SourceComparison, ...]
+    comparisons: tuple[ClockError, ...]
     warnings: tuple[str, ...]
     doubts: tuple[str, ...]
     untold: tuple[str, ...]
@@ -134,7 +134,7 @@ def describe(record: Record) -> RecordSummary:
         _period_of(record.validation()),
         tuple(_describe_series(series) for series in record.series),
         tuple(ActuatorUse(one.signal, one.used, one.statement) for one in actuators(record.identification())),
-        source_comparisons(clocks),
+        clocks,
         record.warnings,
         tuple(map(str, all_doubts(record, clocks, read))),
         read.untold,

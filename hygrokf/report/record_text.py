@@ -11,7 +11,7 @@ from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
 from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
-from hygrokf.weather.clocks import LagFound, SourceComparison
+from hygrokf.weather.alignment import Alignment, Lag
 
 NONE = "-"
 WIDTH = 1000
@@ -109,24 +109,21 @@ def _sources(found: RecordSummary) -> Table:
 def _comparisons(found: RecordSummary) -> Table:
     """Lags are minutes by the weather, with bounds; positive where the first source is late."""
     head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
-    return Table("", head, tuple(_comparison(one) for one in found.comparisons), left=(0, 1, 2, 4, 5))
+    rows = tuple(_comparison(one) for error in found.comparisons for one in error.alignments)
+    return Table("", head, rows, left=(0, 1, 2, 4, 5))
 
 
-def _comparison(one: SourceComparison) -> tuple[str, ...]:
+def _comparison(one: Alignment) -> tuple[str, ...]:
     signal = signal_named(one.signal)
     unit = "K" if signal.display == "degC" else signal.display
-    offset = NONE
-    if one.offset is not None:
-        offset = f"{difference_from_si(one.offset[0], signal.display, signal):+.2g} {unit}".rstrip(" 1")
-    lags = (_lag(one.lags[season] or one.lags["whole"]) for season in ("winter", "summer"))
-    wave = NONE
-    if one.other_daily_amplitude:
-        wave = f"{100 * one.daily_amplitude / one.other_daily_amplitude:.0f} %"
+    offset = f"{difference_from_si(one.offset.value, signal.display, signal):+.2g} {unit}".rstrip(" 1")
+    wave = f"{100 * one.amplitude / one.other_amplitude:.0f} %" if one.other_amplitude else NONE
+    lags = (_lag(season or one.whole) for season in (one.winter, one.summer))
     return (one.signal, one.one, one.other, offset, *lags, wave)
 
 
-def _lag(lag: LagFound | None) -> str:
-    if lag is None or lag.weather_s is None:
+def _lag(lag: Lag) -> str:
+    if not lag.weather.known:
         return NONE
-    value, low, high = (number / MINUTE_S for number in lag.weather_s)
+    value, low, high = (n / MINUTE_S for n in (lag.weather.value, lag.weather.low, lag.weather.high))
     return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"

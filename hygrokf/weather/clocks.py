@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hygrokf.data.record import Record
@@ -238,73 +238,3 @@ def _late(lag: Bounded) -> str:
     )
     way = "late" if lag.value > 0 else "early"
     return f"{abs(lag.value) / MINUTE_S:.0f} min {way} ({ends[0]:.0f} … {ends[1]:.0f})"
-
-
-@dataclass(frozen=True)
-class LagFound:
-    """How much later one source is stamped than another [s], with 95 % bounds (value, lower, upper).
-
-    `weather_s` from the weather's changes, `mean_day_s` from the mean day, None where unknown; `correlation`
-    [1] of the changes; `days` [d] in common.
-    """
-
-    weather_s: tuple[float, float, float] | None
-    mean_day_s: tuple[float, float, float] | None
-    correlation: float
-    days: float
-
-
-@dataclass(frozen=True)
-class SourceComparison:
-    """One signal of two sources.
-
-    `days` [d] in common; `offset` of `one` against `other` with bounds, and both daily amplitudes, in the SI
-    unit of the signal; `lags` over the whole record ("whole") and by season; `clock` the kind of the clock's
-    error (`ClockError.kind`); `corrections_s` what to add to the stamps of `one` in winter and in summer.
-    """
-
-    signal: str
-    one: str
-    other: str
-    days: float
-    offset: tuple[float, float, float] | None
-    daily_amplitude: float
-    other_daily_amplitude: float
-    lags: Mapping[str, LagFound | None]
-    clock: str
-    corrections_s: tuple[float, float]
-
-
-def source_comparisons(errors: Sequence[ClockError]) -> tuple[SourceComparison, ...]:
-    """The comparisons of `clock_errors`, one for each signal, with rounded numbers."""
-    return tuple(
-        SourceComparison(
-            one.signal,
-            one.one,
-            one.other,
-            round(one.days, 2),
-            _rounded(one.offset),
-            float(f"{one.amplitude:.4g}"),
-            float(f"{one.other_amplitude:.4g}"),
-            {name: _lag_found(getattr(one, name)) for name in ("whole", "winter", "summer")},
-            error.kind,
-            error.corrections_s,
-        )
-        for error in errors
-        for one in error.alignments
-    )
-
-
-def _lag_found(lag: Lag | None) -> LagFound | None:
-    if lag is None:
-        return None
-    correlation = float(f"{lag.correlation:.3g}")
-    return LagFound(_rounded(lag.weather), _rounded(lag.mean_day), correlation, round(lag.days, 2))
-
-
-def _rounded(one: Bounded) -> tuple[float, float, float] | None:
-    """Value and bounds; None where they are not known."""
-    if not one.known:
-        return None
-    value, low, high = (float(f"{number:.4g}") for number in (one.value, one.low, one.high))
-    return value, low, high

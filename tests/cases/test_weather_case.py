@@ -200,8 +200,9 @@ def test_check_shows_the_comparison_and_stays_quiet_on_right_clocks(tmp_path: Pa
             == wrong
         )
         (row,) = found["comparisons"]
-        assert row["clock"] == ("constant" if wrong else "right")
-        assert row["lags"]["whole"]["weather_s"][0] == pytest.approx(late_s, abs=400.0)
+        assert row["kind"] == ("constant" if wrong else "right")
+        (alignment,) = row["alignments"]
+        assert alignment["whole"]["weather"]["value"] == pytest.approx(late_s, abs=400.0)
         shown = describe_text(describe(read_case(path, cabinet=False)))
         assert "lag in winter" in shown and "daily wave" in shown
 
