@@ -363,7 +363,7 @@ class Service:
 
     def _unreached(self, reaches: Mapping[str, Reach], now: float) -> dict[str, dict[str, float | None]]:
         """Turbine -> signal that is held while connected -> time [s] since when its sources are all lost,
-        None while one is reached; without signals that only records that are played back deliver."""
+        None while one is reached and ∞ before their limit; without signals that are played back alone."""
         found: dict[str, dict[str, float | None]] = {}
         held = {
             name: signals for name, one in self.turbines.items() if (signals := one.plan.held_while_connected)
@@ -372,9 +372,10 @@ class Service:
             senders = [(reaches[url], self.streams[url].signals(name)) for url in reaches]
             for signal in signals:
                 own = [reach for reach, sent in senders if signal in sent]
-                since = [reach.since for reach in own if reach.since and reach.share(now) >= 1.0]
+                since = [reach.since for reach in own if reach.since is not None]
                 if own:
-                    found.setdefault(name, {})[signal] = max(since) if len(since) == len(own) else None
+                    lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in own) else math.inf
+                    found.setdefault(name, {})[signal] = lost_s if len(since) == len(own) else None
         return found
 
     def _log_states(self, states: Mapping[str, SourceState]) -> None:

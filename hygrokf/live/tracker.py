@@ -216,14 +216,15 @@ class Tracker:
         return time
 
     def note_connection(self, signal: str, lost_s: float | None, now: float) -> tuple[float, float] | None:
-        """Note at `now` [s] that the connection of a signal is lost since `lost_s` [s], or is not (None).
+        """Note at `now` [s] that the connection of a signal is lost since `lost_s` [s], or is not (None);
+        ∞ if that is not known yet.
 
         Returns the span of a loss that has begun (its end is ∞) or ended.  No edge of it is before the newest
         final estimate or an earlier edge; they are whole seconds, as files keep them.
         """
         before = self.lost.get(signal, ())
         open_span = bool(before) and before[-1][1] == math.inf
-        if open_span == (lost_s is not None):
+        if open_span == (lost_s is not None) or lost_s == math.inf:
             return None
         edge = max(now if lost_s is None else lost_s, -math.inf if self.point is None else self.point.time)
         earlier = before[-1][0 if open_span else 1] if before else -math.inf

@@ -48,7 +48,8 @@ def record() -> Record:
 @pytest.fixture(scope="module")
 def door_plan(record: Record) -> Plan:
     made = planned(record)
-    return replace(made, forms={**made.forms, DOOR: Form("previous", longest_hold_s=math.inf)})
+    values = {**made.values, "door_conductance": 1.0, "door_exchange": 1.0}
+    return replace(made, values=values, forms={**made.forms, DOOR: Form("previous", longest_hold_s=math.inf)})
 
 
 def tracked(
@@ -67,12 +68,12 @@ def tracked(
             continue
         if down[0] <= now - 600.0 < down[1] or (restarts and number % restarts == 0):
             fleet = Fleet.from_store(turbines, store)
-            store.commit(fleet.note_connections(now, {"T1": {DOOR: None}}, begins=True))
+            store.commit(fleet.note_connections(now, {"T1": {DOOR: math.inf}}, begins=True))
         while messages and messages[0][0] <= now:
             first = [Delivery(content, now) for at, content in messages[:50] if at <= now]
             del messages[: len(first)]
             store.commit(fleet.round(first, mapping, "mqtt:"))
-        for second in range(0, 600, 55):
+        for second in (0, 590):
             at = now + second
             since = lost_s if lost_s + noticed_s <= at < regained_s else None
             store.commit(fleet.note_connections(at, {"T1": {DOOR: since}}))
@@ -116,7 +117,7 @@ def test_a_door_is_unknown_while_its_source_is_lost_live_and_offline(
     store = tracked(tmp_path, door_plan, record, noticed_s, restarts)
     ((lost, regained),) = store.losses("T1")[DOOR]
     lost_h, regained_h = ((at - record.start_s) / HOUR_S for at in (lost, regained))
-    assert regained_h == pytest.approx(REGAINED_H, abs=0.01)
+    assert regained_h == pytest.approx(REGAINED_H, abs=0.17)
     expected_h = LOST_H + (noticed_s - LATENESS_S) / HOUR_S if begins_h is None else begins_h
     assert lost_h == pytest.approx(expected_h, abs=0.35 if begins_h is None else 1e-3)
     read = exported(store, tmp_path / "out", record)
@@ -136,8 +137,8 @@ def test_a_door_is_unknown_while_its_source_is_lost_live_and_offline(
     before = store.point("T1")
     refilter(store, {"T1": Turbine(door_plan)})
     assert store.point("T1").state.mean.tobytes() == before.state.mean.tobytes()
-    assert prune(store, "T1", record.end_s, lost) > 0 and store.losses("T1")
-    assert prune(store, "T1", record.end_s, regained + 1.0) > 0 and not store.losses("T1")
+    for until, kept in ((regained, True), (regained + 1.0, False)):
+        assert prune(store, "T1", record.end_s, until, 10**6) > 0 and (DOOR in store.losses("T1")) == kept
     store.close()
 
 
@@ -145,7 +146,7 @@ def test_what_is_not_tracked_is_not_connected(tmp_path: Path, record: Record, do
     """A tracker that is down for three hours has lost its connections from when it last knew them."""
     store = tracked(tmp_path, door_plan, record, math.inf, 9, down_h=3.0)
     ((lost, regained),) = store.losses("T1")[DOOR]
-    assert (lost - record.start_s) / HOUR_S == pytest.approx(55.15, abs=0.02)
+    assert (lost - record.start_s) / HOUR_S == pytest.approx(55.16, abs=0.01)
     assert (regained - record.start_s) / HOUR_S == pytest.approx(58.0, abs=0.02)
     assert store.memory(SOURCE, CONNECTED) > record.end_s - 600.0
     tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).trackers["T1"]
@@ -173,7 +174,7 @@ def test_a_signal_is_lost_when_all_its_sources_are(tmp_path: Path, record: Recor
     assert unreached(0.0) == {"T1": {DOOR: None}}
     for source in sources:
         source._state = SourceState("waiting", "")
-        assert unreached(59.0) == {"T1": {DOOR: None}}
+        assert unreached(59.0) == {"T1": {DOOR: math.inf if source is sources[1] else None}}
     assert unreached(61.0) == {"T1": {DOOR: now}}
     sources[0]._state = SourceState("connected", "")
     assert unreached(61.0) == {"T1": {DOOR: None}}
