@@ -6,6 +6,7 @@ import datetime
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.numbers import stated_marks
@@ -202,6 +203,34 @@ def source_mappings(
 def _without_place(fault: str) -> str:
     """A fault of a mapping without the table that it is in."""
     return fault.partition("mapping")[2].lstrip("] ")
+
+
+def expect_one_place(
+    mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, Any]], place: Place
+) -> None:
+    """Faults of tags of one server or file that two [[source]] tables read as different signals."""
+    taken: dict[tuple[str, ...], tuple[str, int]] = {}
+    for number, (mapping, source) in enumerate(zip(mappings, sources, strict=True)):
+        nodes, topics = source.get("nodes"), source.get("topics")
+        tags: dict[tuple[str, ...], str] = {}
+        for name, one in mapping.fields.items():
+            for topic in topics if isinstance(topics, list) else [""]:
+                tags[str(topic), name] = one.signal
+        if isinstance(nodes, Mapping):
+            tags = {
+                (name,): f"{mapping.fields[one['field']].signal} of {one.get('turbine')}"
+                for name, one in nodes.items()
+                if isinstance(one, Mapping) and one.get("field") in mapping.fields
+            }
+        for tag, said in tags.items():
+            of = (str(source.get("url")), str(source.get("query")), str(source.get("weather")), *tag)
+            other, first = taken.setdefault(of, (said, number))
+            if other != said:
+                there = place.inside("source", first).at()
+                place.inside("source", number).fault(
+                    f"{tag[-1]} of {of[0]} is {said} here and {other} in {there}: a tag has one place; name "
+                    "the right one alone"
+                )
 
 
 def source_forms(
