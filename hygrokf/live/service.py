@@ -197,7 +197,8 @@ class Service:
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
             begins, self.fleet = self.fleet is None, Fleet.from_store(self.turbines, store)
             # before anything that came meanwhile is filtered
-            store.commit(self._connections(self.fleet, begins=begins))
+            if not (batch := self._connections(self.fleet, begins=begins)).empty:
+                store.commit(batch)
             self._marks.clear()
         except BaseException:
             store.close()
