@@ -328,6 +328,7 @@ def _source_series(
         if hold == PREVIOUS:
             until_next = one.signal.name in SWITCHED and on_change(own, raw)
             settings["longest_hold_s"] = source.longest_hold_s or (math.inf if until_next else None)
+            settings["lost"] = source.lost
         try:
             found.append(
                 Series(

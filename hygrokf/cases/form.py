@@ -45,6 +45,13 @@ def longest_hold(value: Any) -> float:
     return duration(value)
 
 
+def _losses(value: Any) -> tuple[tuple[float, float], ...]:
+    """Spans (start, end) [s] of a list of pairs of stamps.  Raises ValueError."""
+    if not isinstance(value, list) or not all(isinstance(one, list) and len(one) == 2 for one in value):
+        raise ValueError(f"expected pairs of stamps such as [[START, END], …], found {value!r}")
+    return tuple((moment(start), moment(end)) for start, end in value)
+
+
 HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
 LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
 _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
@@ -148,6 +155,9 @@ class StatedSource:
     )
     hold: str | None = setting(None, HOLD_HELP, read=hold_named)
     longest_hold_s: float | None = setting(None, LONGEST_HELP, read=longest_hold, above=0.0)
+    lost: tuple[tuple[float, float], ...] = setting(
+        (), "spans in which its connection was lost, with held values unknown", read=_losses
+    )
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)

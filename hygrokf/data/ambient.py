@@ -119,6 +119,8 @@ def place_absolute_humidity(record: Record, place: str) -> Series | None:
                 value=np.minimum(convert(series.value, temperature), MOST_VAPOUR),
                 hold=series.hold,
                 interval_s=series.interval_s,
+                longest_hold_s=series.longest_hold_s,
+                lost=series.lost,
                 clock_uncertainty_s=series.clock_uncertainty_s,
                 source=series.source,
             )

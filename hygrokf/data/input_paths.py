@@ -178,18 +178,18 @@ def _weights(count: int, edge: float, block: int | None, noise_share: float) -> 
 
 def _held(series: Series) -> Series:
     """The path of values that hold from their stamps on: level, with steep pieces after their changes."""
-    time, value = series.known
+    time, value, held = series.held
     if not len(time):
         return series
     gap = np.append(np.diff(time), np.inf)
-    held = np.minimum(series.held_s, 30 * DAY_S)  # a path has an end
+    held = np.minimum(held, 30 * DAY_S)  # a path has an end
     ends = gap > held
     changes = np.append(False, (value[1:] != value[:-1]) & ~ends[:-1])
     steep = np.minimum(JOINED_S, 0.5 * np.minimum(gap, held))
     times = np.concatenate([time[changes], time + np.where(changes, steep, 0.0), (time + held)[ends]])
     order = np.argsort(times, kind="stable")
     values = np.concatenate([value[np.flatnonzero(changes) - 1], value, value[ends]])
-    return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None)
+    return replace(series, time=times[order], value=values[order], hold=LINEAR, longest_hold_s=None, lost=())
 
 
 def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:

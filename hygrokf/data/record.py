@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from numbers import Real
 from typing import TYPE_CHECKING, NoReturn
 
@@ -45,6 +46,8 @@ class Series:
     height_m: [m] height above ground of a wind whose file states it; None: not known.
     response_time_s: [s] stated time constant of the sensor; None: not stated.
     longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
+    lost: [s] spans (start, end) in which its connection was lost, in order: a held value of before is unknown
+        in them.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -61,6 +64,7 @@ class Series:
     height_m: float | None = None
     response_time_s: float | None = None
     longest_hold_s: float | None = None
+    lost: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -83,6 +87,9 @@ class Series:
             faults.append(str(fault))
         if self.longest_hold_s is not None and not self.longest_hold_s > 0.0:
             faults.append(f"longest_hold_s must be a number > 0 or None, found {self.longest_hold_s}")
+        edges = [edge for span in self.lost for edge in span]
+        if any(not before < after for before, after in pairwise(edges)):
+            faults.append(f"lost must be spans (start, end) in order, found {self.lost}")
         for name in ("interval_s", "resolution"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
@@ -144,11 +151,31 @@ class Series:
             held[1:] = AGE_STEPS * np.nanmedian(windows, axis=1)
         return held
 
+    @cached_property
+    def held(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times [s] and values from which on a value holds, and how long [s] at most: the readings that are
+        not missing, cut off where the connection is lost, and what they go on with once it is regained."""
+        (time, value), held = self.known, self.held_s
+        for lost, regained in self.lost:
+            last = int(np.searchsorted(time, lost)) - 1
+            if last < 0:
+                continue
+            goes_on = regained < min([time[last] + held[last], *time[last + 1 : last + 2]])
+            left_s = held[last] - (regained - time[last]) if goes_on else 0.0
+            held = np.append(held[:last], [min(held[last], lost - time[last]), *held[last + 1 :]])
+            if goes_on:
+                time, value, held = (
+                    np.insert(columns, last + 1, one)
+                    for columns, one in ((time, regained), (value, value[last]), (held, left_s))
+                )
+        return time, value, held
+
     def held_at(self, time: np.ndarray) -> np.ndarray:
-        """Values that hold from their stamps on, at other times [s]; NaN before the first and if too old."""
-        known, value = self.known
+        """Values that hold from their stamps on, at other times [s]; NaN before the first, if too old, and
+        while the connection is lost."""
+        known, value, held = self.held
         last = np.searchsorted(known, time, side="right") - 1
-        return np.where((last >= 0) & (time - known[last] <= self.held_s[last]), value[last], np.nan)
+        return np.where((last >= 0) & (time - known[last] <= held[last]), value[last], np.nan)
 
     def window(self, start_s: float, end_s: float) -> Series | None:
         """The readings with start_s ≤ time ≤ end_s [s], and one at start_s of a value that is held until

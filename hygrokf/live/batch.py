@@ -24,6 +24,16 @@ class Observation:
     revision: bool = False
 
 
+@dataclass(frozen=True)
+class Loss:
+    """A span in which the connection of a turbine's signal was lost [s]; None while it still is."""
+
+    turbine: str
+    signal: str
+    lost: float
+    regained: float | None
+
+
 STATES = ("at risk", "alarm", "stale", "no estimate", "ok", "off")
 """States of a turbine, in the order in which they need attention.
 
@@ -130,14 +140,16 @@ class Estimates:
 class Batch:
     """The results of one round.
 
-    `held`: readings whose stamps are ahead of this machine's clock, kept apart until they are `released`;
-    `reopened`: alarms that are unacknowledged again; `estimates`: by turbine; `properties`: (turbine, time
-    [s], properties); `memories`: (turbine or source, name) → JSON data that the tracker resumes from;
-    `counters`: (turbine, name) → increase; `place`: source → position to resume from; `forecasts`: turbine →
-    forecast that replaces the previous one, None to delete it; `weather`: values of a weather forecast.
+    `losses`: spans of lost connection that began or ended; `held`: readings whose stamps are ahead of this
+    machine's clock, kept apart until they are `released`; `reopened`: alarms that are unacknowledged again;
+    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine or source,
+    name) → JSON data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source →
+    position to resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete
+    it; `weather`: values of a weather forecast.
     """
 
     observations: list[Observation] = field(default_factory=list)
+    losses: list[Loss] = field(default_factory=list)
     held: list[Observation] = field(default_factory=list)
     released: list[Observation] = field(default_factory=list)
     points: dict[str, Point] = field(default_factory=dict)

@@ -20,7 +20,7 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.heating import heating_sd
-from hygrokf.live.mapping_form import MappingForm, source_forms, source_mappings, texts
+from hygrokf.live.mapping_form import MappingForm, expect_one_place, source_forms, source_mappings, texts
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.form import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
@@ -163,6 +163,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     mappings = source_mappings(form.mapping, stated.get("mapping"), form.source, place)
     turbines, names = _turbines(form, file.parent, source_forms(mappings, form.source, place), place)
     own_names = _own_names(form.turbine, {name for one in mappings for name in one.fields}, place)
+    expect_one_place(mappings, form.source, place)
     streams: list[Stream] = []
     for number, (table, layout) in enumerate(zip(form.source, mappings, strict=True)):
         inside = place.inside("source", number)

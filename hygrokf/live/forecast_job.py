@@ -118,7 +118,7 @@ def _history(
     for signal, at, value in store.course(name, signals, since, until):
         times.setdefault(signal, []).append(at)
         values.setdefault(signal, []).append(value)
-    return record_of(plan, times, values)
+    return record_of(plan, times, values, store.losses(name))
 
 
 def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Series]:

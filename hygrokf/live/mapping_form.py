@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hygrokf.cases.form import HOLD_HELP, LONGEST_HELP, STAMPS, StatedSensor, longest_hold, stated_signal
 from hygrokf.data.numbers import stated_marks
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, stated_vocabulary
-from hygrokf.data.signals import Signal
+from hygrokf.data.signals import SWITCHED, Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
@@ -18,9 +20,11 @@ from hygrokf.live.sources.payload_fields import Field
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.physics.holds import MEAN, hold_named
+from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")
+ON_CHANGE = ("mqtt", "opc.tcp:")
+"""Beginnings of the URLs of sources that report a value when it changes."""
 SAMPLE = datetime.datetime(2026, 11, 23, 17, 48)
 """A time whose parts differ, to try a form of stamps on."""
 
@@ -201,11 +205,43 @@ def _without_place(fault: str) -> str:
     return fault.partition("mapping")[2].lstrip("] ")
 
 
+def expect_one_place(
+    mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, Any]], place: Place
+) -> None:
+    """Faults of tags of one server or file that two [[source]] tables read as different signals."""
+    taken: dict[tuple[str, ...], tuple[str, int]] = {}
+    for number, (mapping, source) in enumerate(zip(mappings, sources, strict=True)):
+        nodes, topics = source.get("nodes"), source.get("topics")
+        tags: dict[tuple[str, ...], str] = {}
+        for name, one in mapping.fields.items():
+            for topic in topics if isinstance(topics, list) else [""]:
+                tags[str(topic), name] = one.signal
+        if isinstance(nodes, Mapping):
+            tags = {
+                (name,): f"{mapping.fields[one['field']].signal} of {one.get('turbine')}"
+                for name, one in nodes.items()
+                if isinstance(one, Mapping) and one.get("field") in mapping.fields
+            }
+        for tag, said in tags.items():
+            of = (str(source.get("url")), str(source.get("query")), str(source.get("weather")), *tag)
+            other, first = taken.setdefault(of, (said, number))
+            if other != said:
+                there = place.inside("source", first).at()
+                place.inside("source", number).fault(
+                    f"{tag[-1]} of {of[0]} is {said} here and {other} in {there}: a tag has one place; name "
+                    "the right one alone"
+                )
+
+
 def source_forms(
     mappings: Iterable[PayloadMapping], sources: Sequence[Mapping[str, object]], place: Place
 ) -> dict[str, Form]:
-    """Signal → how its sources report it, which must be the same for all but weather forecasts."""
+    """Signal → how its sources report it, which must be the same for all but weather forecasts.
+
+    What only switches and comes from a source that reports changes holds while connected by default.
+    """
     found: dict[str, Form] = {}
+    on_change: set[str] = set()
     for number, mapping in enumerate(mappings):
         if number < len(sources) and sources[number].get("weather") is True:
             continue
@@ -215,4 +251,9 @@ def source_forms(
                     f"mapping: {name} is {one.signal} of another interval, accuracy, resolution or response "
                     "time than that of an earlier source; state the same in both"
                 )
+            if str(sources[number].get("url")).startswith(ON_CHANGE) and one.signal in SWITCHED:
+                on_change.add(one.signal)
+    for signal in on_change:
+        if found[signal].hold == PREVIOUS and found[signal].longest_hold_s is None:
+            found[signal] = replace(found[signal], longest_hold_s=math.inf)
     return found

@@ -3,6 +3,7 @@ final."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -121,6 +122,14 @@ class Plan:
     def looks_back(self, signal: str) -> bool:
         """Whether an input at a time depends on readings up to that time alone."""
         return self.form(signal).hold == PREVIOUS and HOLDS[signal] == MEAN
+
+    @cached_property
+    def held_while_connected(self) -> tuple[str, ...]:
+        """Signals whose values hold until the next one, as long as their source is connected."""
+        forms = self.forms.items()
+        return tuple(
+            name for name, form in forms if form.hold == PREVIOUS and form.longest_hold_s == math.inf
+        )
 
     def scale(self, signal: str) -> Scale | None:
         """The scale by which the gate judges readings of a signal; None where the fit has none."""

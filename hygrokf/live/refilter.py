@@ -14,6 +14,7 @@ from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.storage.database import Cursor, SqlValue
 from hygrokf.live.storage.store import ALARM_COLUMNS, Store
+from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
 
 KEPT = ("alarms", "known", "forecast", "advice")
@@ -82,6 +83,7 @@ def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, 
 def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
     """What the tracker makes of a turbine's readings, day after day."""
     fleet, one = Fleet({name: turbines[name]}), turbines[name]
+    fleet.trackers[name] = Tracker(one.plan, lost=store.losses(name))
     points = {other: store.point(other) for other in turbines if other != name}
     yield fleet.take_events(store.events(name))
     readings = sorted(store.readings(name, -math.inf), key=lambda reading: reading.time)

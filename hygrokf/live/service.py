@@ -15,7 +15,7 @@ import secrets
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
@@ -195,7 +195,10 @@ class Service:
             store.claim("turbine", self.turbines)
             store.claim("channel", [one.name for one in self.channels])
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
-            self.fleet = Fleet.from_store(self.turbines, store)
+            begins, self.fleet = self.fleet is None, Fleet.from_store(self.turbines, store)
+            # before anything that came meanwhile is filtered
+            if not (batch := self._connections(self.fleet, begins=begins)).empty:
+                store.commit(batch)
             self._marks.clear()
         except BaseException:
             store.close()
@@ -330,6 +333,7 @@ class Service:
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
             self._publish(self._commit(lambda: self._open_fleet.tick(now, reaches, left, quiet)))
+            self._publish(self._commit(lambda: self._connections(self._open_fleet, left)))
             self._publish(self._commit(lambda: self._open_fleet.take_events(self._open_store.all_events())))
             self._publish(self._commit(lambda: look_again(self._open_store, self.now, self.channels)))
         behind = self._open_fleet.waiting or not self._waiting.empty()
@@ -352,6 +356,28 @@ class Service:
         news = [one for url, one in self.streams.items() if url in reaches and reaches[url].share(now) < 1.0]
         known = [name for name in self.turbines if any(one.signals(name) for one in self.streams.values())]
         return [name for name in known if not any(one.signals(name) for one in news)]
+
+    def _connections(self, fleet: Fleet, left: Collection[str] = (), begins: bool = False) -> Batch:
+        """What has changed of the connections of a fleet, and their time."""
+        now = self.now
+        return fleet.note_connections(now, self._unreached(self.reaches(), now), left, begins)
+
+    def _unreached(self, reaches: Mapping[str, Reach], now: float) -> dict[str, dict[str, float | None]]:
+        """Turbine -> signal that is held while connected -> time [s] since when its sources are all lost,
+        None while one is reached and ∞ before their limit; without signals that are played back alone."""
+        found: dict[str, dict[str, float | None]] = {}
+        held = {
+            name: signals for name, one in self.turbines.items() if (signals := one.plan.held_while_connected)
+        }
+        for name, signals in held.items():
+            senders = [(reaches[url], self.streams[url].signals(name)) for url in reaches]
+            for signal in signals:
+                own = [reach for reach, sent in senders if signal in sent]
+                since = [reach.since for reach in own if reach.since is not None]
+                if own:
+                    lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in own) else math.inf
+                    found.setdefault(name, {})[signal] = lost_s if len(since) == len(own) else None
+        return found
 
     def _log_states(self, states: Mapping[str, SourceState]) -> None:
         """Log sources whose state has changed."""

@@ -33,6 +33,8 @@ from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
 WAITS_S = 7 * DAY_S
 """[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
+Losses = Mapping[str, Sequence[tuple[float, float]]]
+"""Spans [s] in which the connection of a signal was lost, ∞ as the end of one that still is."""
 Column = Sequence[float] | np.ndarray
 Readings = tuple[np.ndarray, np.ndarray]
 """Times [s] (T,) and values [SI unit] (T,) of a signal's readings."""
@@ -144,6 +146,7 @@ class Tracker:
     versions: of stamps that had several values.
     judged_s: [s] time up to which alarms have been judged before.
     frozen: signals that repeated a value at the point.
+    lost: spans in which a connection was lost.
     """
 
     def __init__(
@@ -155,6 +158,7 @@ class Tracker:
         versions: Versions | None = None,
         judged_s: float = -math.inf,
         frozen: Mapping[str, Frozen] | None = None,
+        lost: Losses | None = None,
     ) -> None:
         self.plan = plan
         self.changes = tuple(changes)
@@ -172,6 +176,7 @@ class Tracker:
         self._versions = dict(versions or {})
         self._accepted: dict[str, Readings] = {}
         self.frozen = dict(frozen or {})
+        self.lost = {signal: tuple(spans) for signal, spans in (lost or {}).items()}
         for one in readings:
             self._insert(one)
         self.judged_s = judged_s if point is None else max(point.time, judged_s)
@@ -209,6 +214,25 @@ class Tracker:
         self._doubt(time)
         self.changes = (*self.changes, time)
         return time
+
+    def note_connection(self, signal: str, lost_s: float | None, now: float) -> tuple[float, float] | None:
+        """Note at `now` [s] that the connection of a signal is lost since `lost_s` [s], or is not (None);
+        ∞ if that is not known yet.
+
+        Returns the span of a loss that has begun (its end is ∞) or ended.  No edge of it is before the newest
+        final estimate or an earlier edge; they are whole seconds, as files keep them.
+        """
+        before = self.lost.get(signal, ())
+        open_span = bool(before) and before[-1][1] == math.inf
+        if open_span == (lost_s is not None) or lost_s == math.inf:
+            return None
+        edge = max(now if lost_s is None else lost_s, -math.inf if self.point is None else self.point.time)
+        earlier = before[-1][0 if open_span else 1] if before else -math.inf
+        edge = float(math.ceil(max(edge, earlier + 1.0)))
+        span = (before[-1][0], edge) if open_span else (edge, math.inf)
+        self.lost[signal] = (*(before[:-1] if open_span else before), span)
+        self._doubt(edge)
+        return span
 
     def _doubt(self, time: float) -> None:
         """Filter and judge anew from the point on if something new acts at a `time` [s] that is judged."""
@@ -287,7 +311,7 @@ class Tracker:
 
     def record(self) -> Record:
         """The stored readings as a record, without those that the gate keeps out."""
-        return record_of(self.plan, self._times, self._values)
+        return record_of(self.plan, self._times, self._values, self.lost)
 
     def awaited(self) -> tuple[str, ...]:
         """Signals that the model needs but that are still missing; a missing ambient humidity is named by its
@@ -461,7 +485,7 @@ class Tracker:
             s: (np.append(times, ahead), np.append(values, values[-1])) if s in stale else (times, values)
             for s, (times, values) in self._accepted.items()
         }
-        return _record(self.plan, readings)
+        return _record(self.plan, readings, self.lost)
 
     def _forget(self) -> None:
         """Drop readings that no later instant needs, but keep `BEFORE` older ones to delimit gaps."""
@@ -474,6 +498,7 @@ class Tracker:
                     del columns[signal][:place]
         kept = {signal: times[0] for signal, times in self._times.items() if times}
         self._versions = {at: known for at, known in self._versions.items() if at[1] >= kept[at[0]]}
+        self.lost = {s: tuple(one for one in spans if one[1] >= oldest) for s, spans in self.lost.items()}
 
 
 @dataclass(frozen=True)
@@ -510,15 +535,23 @@ def judged_readings(
     return Judged((time, value), judge(signal, time, value, scale, known_until_s))
 
 
-def record_of(plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column]) -> Record:
+def record_of(
+    plan: Plan, times: Mapping[str, Column], values: Mapping[str, Column], lost: Losses | None = None
+) -> Record:
     """A record of the plan's turbine from times [s] and values [SI unit] by signal, judged by the gate."""
     judged = {signal: judged_readings(plan, signal, times[signal], values[signal]) for signal in times}
-    return _record(plan, {signal: one.accepted for signal, one in judged.items()})
+    return _record(plan, {signal: one.accepted for signal, one in judged.items()}, lost or {})
 
 
-def _record(plan: Plan, readings: Mapping[str, Readings]) -> Record:
+def _record(plan: Plan, readings: Mapping[str, Readings], lost: Losses) -> Record:
     series = [
-        Series(signal=signal, time=time, value=value, **vars(plan.form(signal)))
+        Series(
+            signal=signal,
+            time=time,
+            value=value,
+            lost=tuple(lost.get(signal, ())),
+            **vars(plan.form(signal)),
+        )
         for signal, (time, value) in sorted(readings.items())
         if len(time)
     ]
@@ -533,7 +566,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     """
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
-    accepted = record_of(plan, times, values)
+    accepted = record_of(plan, times, values, {s.signal: s.lost for s in record.series})
     silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
     made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from hygrokf.data.structured import structured
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S
 from hygrokf.live.alarms import (
     CLOCK,
     CONTRADICTS,
@@ -37,7 +37,7 @@ from hygrokf.live.alarms import (
     with_doubts,
 )
 from hygrokf.live.backlog import Backlogs
-from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Observation
+from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
@@ -71,6 +71,10 @@ PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
 SISTERS_S = DAY_S
 """[s] for which fault isolation waits for the readings of other turbines."""
+DOWN_S = MINUTE_S
+"""[s] after which a tracker that does not run has lost its connections."""
+CONNECTED = "connected"
+"""Name of the memory of the time at which a tracker last knew what is connected."""
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
 
@@ -136,7 +140,8 @@ class Fleet:
             judged_s = -math.inf if known.get("judged") is None else structured(float, known["judged"])
             found = structured(dict[str, tuple[float, float, float]], known.get("frozen", {}))
             frozen = {signal: Frozen(signal, *parts) for signal, parts in found.items()}
-            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions, judged_s, frozen)
+            lost = store.losses(name)
+            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions, judged_s, frozen, lost)
             fleet._frozen[name] = frozen
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
@@ -413,6 +418,34 @@ class Fleet:
         for name in self.turbines:
             self._assess(name, batch)
         batch.counters = {key: count for key, count in counts.items() if count}
+        return batch
+
+    def note_connections(
+        self,
+        now: float,
+        unreached: Mapping[str, Mapping[str, float | None]],
+        left: Collection[str] = (),
+        begins: bool = False,
+    ) -> Batch:
+        """Note at `now` [s] which connections are lost or regained.
+
+        unreached: turbine -> signal that is held while connected -> time [s] since when its sources are lost.
+        left: turbines whose sender has left.  begins: whether a tracker begins; all were lost while none ran
+        for longer than `DOWN_S`.
+        """
+        batch, noted = Batch(), self._store.memory(SOURCE, CONNECTED) if begins and self._store else None
+        down_s = [noted] if isinstance(noted, float) and now - noted > DOWN_S else []
+        for name, signals in unreached.items():
+            for signal, lost_s in signals.items():
+                for since in (*down_s, now if lost_s is None and name in left else lost_s):
+                    span = self.trackers[name].note_connection(signal, since, now)
+                    if span is not None:
+                        regained = span[1] if math.isfinite(span[1]) else None
+                        batch.losses.append(Loss(name, signal, span[0], regained))
+                        self._note_doubt(name, batch)
+                        self.waiting.setdefault(name)
+        if unreached:
+            batch.memories[SOURCE, CONNECTED] = now
         return batch
 
     def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:

@@ -44,9 +44,9 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     if series.interval_s > 0:
         time = np.concatenate([time, time - series.interval_s])
     elif series.hold == PREVIOUS:
-        known, _ = series.known
-        ends = known + series.held_s
-        time = np.concatenate([time, ends[ends < np.append(known[1:], np.inf)]])
+        known, _, held = series.held
+        ends = known + held
+        time = np.concatenate([time, known, ends[ends < np.append(known[1:], np.inf)]])
     return time[(time >= first) & (time <= last)]
 
 

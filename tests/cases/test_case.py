@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import pickle
 import re
@@ -21,6 +22,7 @@ from hygrokf.cases.frames import read_frames
 from hygrokf.data.ambient import at_times
 from hygrokf.data.input_paths import on_change
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import stamp_text
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import prepare_run
 
@@ -189,6 +191,18 @@ def test_a_door_that_is_told_when_it_moves_is_open_in_between(tmp_path):
         assert run.input("door_open")[run.seconds <= record.start_s + 9 * 3600.0].tolist() == [
             *[0.0] * 7, 1.0, 0.0, 0.0,
         ]  # fmt: skip
+    text = (tmp_path / "case.toml").read_text()
+    span = [stamp_text(record.start_s + 3600.0 * hour) for hour in (1.0, 6.5)]
+    lost = {"door": [span]}
+    (tmp_path / "case.toml").write_text(f"{text}lost = {json.dumps([span])}\n")
+    for record in (
+        read_case(tmp_path / "case.toml"), read_frames(frames, signals=signals, units=units, lost=lost),
+    ):  # fmt: skip
+        unknown = np.isnan(at_times(record["door_open"], at, 6.0))
+        assert unknown.tolist() == [False, True, True, False, False, False, False]
+    (tmp_path / "case.toml").write_text(f"{text}lost = {json.dumps(span)}\n")
+    with pytest.raises(CaseFault, match=r"lost.*expected pairs of stamps"):
+        read_case(tmp_path / "case.toml")
 
 
 def test_a_signal_that_comes_on_change_and_is_joined_by_lines_is_said(folder):

@@ -10,7 +10,9 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
+from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series, Site
 
 
@@ -161,6 +163,29 @@ def test_a_window_begins_with_the_value_that_is_held_until_then():
     aged = dataclasses.replace(door, longest_hold_s=3600.0)
     assert aged.window(3 * 3600.0, 8 * 3600.0).value.tolist() == [1.0, 0.0]
     assert aged.window(9 * 3600.0, 10 * 3600.0) is None
+
+
+def test_a_held_value_is_unknown_while_its_connection_is_lost():
+    """Known again once it is regained, and from a reading on that comes from within the loss."""
+    hours = 3600.0 * np.array([0.0, 6.0, 7.0])
+    door = series("door_open", hours, [0.0, 1.0, 0.0], longest_hold_s=math.inf)
+    asked = 3600.0 * np.array([0.5, 1.0, 1.5, 2.0, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5])
+    nan = math.nan
+    for spans, expected in (
+        ([(1.0, 2.0)], [0, 0, nan, 0, 0, 0, 1, 0, 0, 0]),
+        ([(1.0, 2.0), (4.0, 5.0)], [0, 0, nan, 0, nan, 0, 1, 0, 0, 0]),
+        ([(5.0, 8.0)], [0, 0, 0, 0, 0, nan, 1, 0, 0, 0]),
+        ([(-2.0, -1.0), (8.0, math.inf)], [0, 0, 0, 0, 0, 0, 1, 0, nan, nan]),
+    ):
+        lost = tuple((3600.0 * start, 3600.0 * end) for start, end in spans)
+        assert_array_equal(dataclasses.replace(door, lost=lost).held_at(asked), expected)
+    aged = dataclasses.replace(door, longest_hold_s=3 * 3600.0, lost=((3600.0, 7200.0),))
+    assert_array_equal(aged.held_at(asked), [0, 0, nan, 0, nan, nan, 1, 0, 0, 0])
+    path = input_path(dataclasses.replace(door, lost=((3600.0, 7200.0),)))
+    assert (path.time[:4] / 3600.0).tolist() == [0.0, 1.0, 2.0, 6.0] and path.lost == ()
+    for wrong in (((2.0, 1.0),), ((0.0, 2.0), (1.0, 3.0))):
+        with pytest.raises(ValueError, match="lost must be spans"):
+            dataclasses.replace(door, lost=wrong)
 
 
 def test_a_record_finds_its_signals():

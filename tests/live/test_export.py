@@ -56,7 +56,8 @@ def frame(folder: Path, name: str) -> pd.DataFrame:
 def test_csv_says_times_units_and_flags(filled: str, tmp_path: Path) -> None:
     said = run(f"export --store {filled} --out {tmp_path / 'out'} --json")
     assert (said.status, said.err) == (0, "")
-    assert json.loads(said.out) == {"rows": {"observation": 4, "estimate": 2, "property": 1, "alarm": 2}}
+    rows = {"observation": 4, "connection": 0, "estimate": 2, "property": 1, "alarm": 2}
+    assert json.loads(said.out) == {"rows": rows}
     rows = frame(tmp_path / "out", "observation")
     assert list(rows) == [
         "turbine", "signal", "time_utc", "value_si", "unit", "received_utc", "late", "contradicted"
@@ -91,7 +92,7 @@ def test_csv_says_times_units_and_flags(filled: str, tmp_path: Path) -> None:
 def test_parquet_holds_the_same_as_csv(filled: str, tmp_path: Path) -> None:
     for form in module.FORMATS:
         said = run(f"export --store {filled} --out {tmp_path / form} --format {form}")
-        assert said.status == 0 and said.out.count(" rows written: ") == 4
+        assert said.status == 0 and said.out.count(" rows written: ") == 5
     for table in module.TABLES:
         typed = pd.read_parquet(tmp_path / "parquet" / f"{table.name}.parquet")
         text = frame(tmp_path / "csv", table.name)
@@ -157,7 +158,7 @@ def test_a_store_that_fails_on_the_way_leaves_the_old_files(
     monkeypatch.setattr(module, "CHUNK", 1)
     run(f"export --store {filled} --out {tmp_path}")
     before = {one.name: one.read_bytes() for one in tmp_path.iterdir() if one.suffix == ".csv"}
-    assert len(before) == 4
+    assert len(before) == 5
     store = open_store(filled)
     with store.transaction() as cursor:
         cursor.execute("DELETE FROM observation")

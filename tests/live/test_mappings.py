@@ -565,3 +565,25 @@ def test_nothing_from_outside_breaks_a_mapping(folder: Path) -> None:
 def test_nothing_from_outside_breaks_a_mapping_in_the_long_run(folder: Path) -> None:
     for seed in range(10):
         assert fuzz(folder, seed, 10_000)["reading"] > 1_000
+
+
+# -- one place a tag -----------------------------------------------------------------------------------------
+def test_a_tag_that_two_sources_read_as_different_signals_names_both(folder: Path) -> None:
+    own = '[source.mapping.signals]\nTcab = { signal = "ambient_temperature", unit = "degC" }\n'
+    broker = SOURCE.replace("[[source]]", '[[source]]\nclient_id = "b"')
+    twice = r"2: Tcab of mqtt://127.0.0.1:1 is ambient_temperature here and cabinet_temperature in"
+    with pytest.raises(ConfigFault, match=rf"{twice} .*\[\[source\]\] 1: a tag has one place"):
+        config(folder, "", SOURCE + broker + own)
+    assert len(config(folder, "", SOURCE + broker).streams) == 2
+    elsewhere = broker.replace('"#"', '"mast"')
+    assert len(config(folder, "", SOURCE.replace('"#"', '"cabinet"') + elsewhere + own).streams) == 2
+
+
+def test_a_node_that_two_sources_read_for_different_turbines_names_both(folder: Path) -> None:
+    def server(turbine: str) -> str:
+        node = f'{{ "i=5" = {{ turbine = "{turbine}", field = "Tcab" }} }}'
+        return f'[[source]]\nurl = "opc.tcp://127.0.0.1:1/"\nnodes = {node}\n'
+
+    said = r"2: i=5 of opc.tcp://127.0.0.1:1/ is \w+ of W02 here and cabinet_temperature of W01 in"
+    with pytest.raises(ConfigFault, match=rf"{said} .*\[\[source\]\] 1"):
+        config(folder, "", server("W01") + server("W02"))

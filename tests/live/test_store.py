@@ -35,6 +35,7 @@ def test_a_batch_comes_back(store: Store) -> None:
         "alarm": 1, "memory": 1,
         "counter": 2, "source": 1, "claim": 0,
         "held": 0, "assessment": 0, "shelf": 0, "event": 0, "outbox": 0, "revision": 0,
+            "connection": 0,
     }  # fmt: skip
     assert store.place("file:live.csv") == "1200" and store.place("file:other.csv") is None
     assert (

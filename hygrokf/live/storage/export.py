@@ -1,5 +1,5 @@
-"""Exports the store's history to files: observations, estimates, properties and alarms, as CSV or Parquet
-with timestamps."""
+"""Exports the store's history to files: observations, losses of connection, estimates, properties and
+alarms, as CSV or Parquet with timestamps."""
 
 from __future__ import annotations
 
@@ -78,6 +78,12 @@ TABLES = (
             "received_utc received time", "late flag", "contradicted flag",
         ),
         ("turbine", "signal", "time"),
+    ),
+    Table(
+        "connection", "connection",
+        _columns("turbine text", "signal text", "lost_utc lost time", "regained_utc regained time"),
+        ("turbine", "signal", "lost"),
+        ("(regained IS NULL OR regained >= ?)", "lost < ?"),
     ),
     Table(
         "estimate", "estimate_readable",

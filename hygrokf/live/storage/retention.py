@@ -77,6 +77,7 @@ def prune(store: Store, turbine: str, before: float, needed: float, most: int = 
             count += _bite(store, cursor, "observation", same, "time", until, most - count)
         for table, column in (
             ("revision", "time"), ("estimate", "time"), ("property", "time"), ("alarm", "ended"),
+            ("connection", "regained"),
         ):  # fmt: skip
             count += _bite(store, cursor, table, {"turbine": turbine}, column, limit, most - count)
     return count

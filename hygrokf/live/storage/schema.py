@@ -61,7 +61,7 @@ READABLE_COLUMNS = tuple(_readable())
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
 _AIR = ", ".join(f"{q.column} DOUBLE PRECISION, {q.sd_column} DOUBLE PRECISION" for q in QUANTITIES)
-VERSION = 5
+VERSION = 6
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
 STATEMENTS = (
     """CREATE TABLE turbine (
@@ -98,6 +98,12 @@ STATEMENTS = (
         number INTEGER NOT NULL,
         PRIMARY KEY (turbine, signal, time, value))""",
     "CREATE INDEX revision_by_time ON revision (turbine, time)",
+    """CREATE TABLE connection (
+        turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        lost DOUBLE PRECISION NOT NULL,
+        regained DOUBLE PRECISION,
+        PRIMARY KEY (turbine, signal, lost))""",
     """CREATE TABLE point (
         turbine TEXT PRIMARY KEY,
         time DOUBLE PRECISION NOT NULL,
@@ -249,6 +255,7 @@ VIEWS = {
         GROUP BY turbine, signal, hour""",
 }
 """View -> its query; a view stands after those that it uses."""
+
 
 def creation(dialect: Dialect) -> list[str]:
     """Statements that create all tables and views in one database's SQL dialect."""

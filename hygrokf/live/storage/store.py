@@ -22,7 +22,7 @@ import numpy as np
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Notice, Observation, Shelf
+from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Loss, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
@@ -69,6 +69,7 @@ ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again"
 ASSESSMENT_COLUMNS = tuple(one.name for one in fields(Assessment))
 SHELF_COLUMNS = tuple(one.name for one in fields(Shelf))
 EVENT_COLUMNS = tuple(one.name for one in fields(Event))
+LOSS_COLUMNS = tuple(one.name for one in fields(Loss))
 NOTICE_COLUMNS = tuple(one.name for one in fields(Notice))
 
 
@@ -135,6 +136,11 @@ class Store:
             cursor,
             "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?",
             [_reading_row(one)[:3] for one in batch.released],
+        )
+        self._many(
+            cursor,
+            replacing("connection", LOSS_COLUMNS, key=LOSS_COLUMNS[:3]),
+            [astuple(one) for one in batch.losses],
         )
         self._many(
             cursor,
@@ -374,6 +380,14 @@ class Store:
         )
         for signal, at, value, mark in rows:
             found.setdefault((signal, at), []).append(_reading(signal, at, value, mark))
+        return found
+
+    def losses(self, turbine: str) -> dict[str, list[tuple[float, float]]]:
+        """Spans [s] in which the connection of each signal of a turbine was lost, ∞ as an end to come."""
+        found: dict[str, list[tuple[float, float]]] = {}
+        asked = "SELECT signal, lost, regained FROM connection WHERE turbine = ? ORDER BY signal, lost"
+        for signal, lost, regained in self.rows(asked, (turbine,)):
+            found.setdefault(signal, []).append((lost, math.inf if regained is None else regained))
         return found
 
     def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
