@@ -42,14 +42,21 @@ def longest_hold(value: Any) -> float:
     """The age [s] up to which a value holds: a duration, or ∞ for "connected".  Raises ValueError."""
     if value == "connected":
         return math.inf
-    return duration(value)
+    try:
+        return duration(value)
+    except ValueError as fault:
+        raise ValueError(f'{fault}; "connected" holds a value while the connection lasts') from None
 
 
 def _losses(value: Any) -> tuple[tuple[float, float], ...]:
     """Spans (start, end) [s] of a list of pairs of stamps.  Raises ValueError."""
     if not isinstance(value, list) or not all(isinstance(one, list) and len(one) == 2 for one in value):
         raise ValueError(f"expected pairs of stamps such as [[START, END], …], found {value!r}")
-    return tuple((moment(start), moment(end)) for start, end in value)
+    spans = tuple((moment(start), moment(end)) for start, end in value)
+    edges = [edge for span in spans for edge in span]
+    if edges != sorted(set(edges)):
+        raise ValueError(f"expected pairs of stamps in the order of time, without overlap, found {value!r}")
+    return spans
 
 
 HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
@@ -161,7 +168,7 @@ class StatedSource:
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
     separator: str = setting(",", "of columns", **_CHARACTER)
-    decimal: str | None = setting(None, 'mark of numbers; by default "."', **_CHARACTER)
+    decimal: str | None = setting(None, 'mark of numbers; by default "."', choices=(".", ","))
     thousands: str | None = setting(None, "mark between groups of three digits", **_CHARACTER)
     comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
     missing: tuple[str, ...] = setting(

@@ -200,8 +200,12 @@ def test_a_door_that_is_told_when_it_moves_is_open_in_between(tmp_path):
     ):  # fmt: skip
         unknown = np.isnan(at_times(record["door_open"], at, 6.0))
         assert unknown.tolist() == [False, True, True, False, False, False, False]
-    (tmp_path / "case.toml").write_text(f"{text}lost = {json.dumps(span)}\n")
-    with pytest.raises(CaseFault, match=r"lost.*expected pairs of stamps"):
+    for wrong in (span, [span[::-1]], [span, span]):
+        (tmp_path / "case.toml").write_text(f"{text}lost = {json.dumps(wrong)}\n")
+        with pytest.raises(CaseFault, match=r"lost.*expected pairs of stamps"):
+            read_case(tmp_path / "case.toml")
+    (tmp_path / "case.toml").write_text(f'{text}longest_hold = "connectd"\ndecimal = ";"\n')
+    with pytest.raises(CaseFault, match=r'(?s)"connected" holds.*decimal must be one of'):
         read_case(tmp_path / "case.toml")
 
 
