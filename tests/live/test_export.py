@@ -140,6 +140,7 @@ def test_memory_does_not_grow_with_the_store(
     monkeypatch.setattr(module, "CHUNK", 500)
     store = open_store(store_url)
     store.add_turbines({"T1": "a"})
+    export(store, tmp_path / "out", "parquet")  # loads its library
     peaks = []
     for count in (3_000, 12_000):
         store.commit(Batch(observations=[observed("rain", T0 + i, 0.1 * i) for i in range(count)]))
