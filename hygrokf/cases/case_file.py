@@ -52,7 +52,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
 
     def table(source: StatedSource) -> Table:
         columns = [one.column for one in source.columns]
-        return read_table(file.parent / source.file, columns, source.time, **source.reading)
+        return read_table(file.parent / source.file, columns, source.time, source.notation)
 
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from hygrokf.cases.places import Statement
+from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import POLES, Meaning
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import Site
@@ -209,16 +210,13 @@ class StatedSource:
         return tuple(one for one in valid if one.column)
 
     @property
-    def reading(self) -> dict[str, Any]:
-        """Further arguments of `hygrokf.data.table_readers.read_table`."""
-        names = (
-            "timezone", "separator", "decimal", "thousands", "comment", "missing", "time_format",
-            "ignore_offset",
-        )  # fmt: skip
+    def notation(self) -> Notation:
+        """How the table writes its readings."""
         meanings = {one.column: one.meaning for one in self.columns}
         quality = {one.column: one.quality for one in self.columns}
         stated = StatedQuality(quality, self.vocabulary, self.use_uncertain)
-        return {"meanings": meanings, "quality": stated} | {name: getattr(self, name) for name in names}
+        own = {one.name: getattr(self, one.name) for one in fields(Notation) if hasattr(self, one.name)}
+        return Notation(**{**own, "meanings": meanings, "quality": stated})
 
 
 @dataclass(frozen=True)

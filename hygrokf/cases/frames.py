@@ -35,9 +35,6 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = (
-    "timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset", "quality",
-)  # fmt: skip
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -248,9 +245,9 @@ class _Prepared:
             self.stamps,
             self.stamps_named,
             _PLACES,
-            faults=self.faults,
-            beside=self.beside,
-            **{key: source.reading[key] for key in _READING},
+            source.notation,
+            self.beside,
+            self.faults,
         )
 
 

@@ -10,7 +10,7 @@ import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ import numpy as np
 from hygrokf.data.columns import (
     HEADER,
     MISSING,
+    Notation,
     Places,
     Table,
     TableFault,
@@ -28,8 +29,8 @@ from hygrokf.data.columns import (
     numbered,
     table_of,
 )
-from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
-from hygrokf.data.quality import NOTHING_STATED, StatedQuality
+from hygrokf.data.numbers import POINT, could_divide_thousands
+from hygrokf.data.quality import StatedQuality
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -48,74 +49,43 @@ class _Layout:
 
 
 def read_table(
-    path: str | os.PathLike[str],
-    columns: Sequence[str],
-    time_column: str,
-    *,
-    timezone: str | None = None,
-    separator: str = ",",
-    decimal: str | None = None,
-    thousands: str | None = None,
-    meanings: Mapping[str, Meaning] | None = None,
-    comment: str | None = None,
-    missing: Sequence[str] = (),
-    time_format: str | None = None,
-    ignore_offset: bool = False,
-    quality: StatedQuality = NOTHING_STATED,
+    path: str | os.PathLike[str], columns: Sequence[str], time_column: str, notation: Notation
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
     columns: names of the columns of numbers.
-    time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
-        above the one that holds this name are skipped.
-    timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
-    separator: of a CSV file. comment: mark at the start of lines to skip.
-    decimal, thousands: marks of numbers in texts; by default a point, and none.
-    meanings: of the columns, by which units and flags are read.
-    missing: texts that mean no reading, besides `MISSING`.
-    time_format: strptime format of the stamps, or "excel".
-    ignore_offset: read stamps without the offset that they carry, in `timezone`.
-    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
+    time_column: name of the column of stamps. Lines above the one that holds this name are skipped.
+    notation: of stamps and numbers.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     file = Path(path)
-    faults: list[str] = []
     if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
         raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
-    content = file_bytes(file)
+    return table_in(file_bytes(file), file.name, columns, time_column, notation)
+
+
+def table_in(
+    content: bytes, name: str, columns: Sequence[str], time_column: str, notation: Notation
+) -> Table:
+    """Columns of numbers and their stamps from the bytes of a file with this name; as `read_table`."""
+    faults: list[str] = []
     wanted = list(dict.fromkeys(columns))
-    if file.name.lower().endswith(".parquet"):
-        frame, beside = _parquet_frame(content, wanted, time_column, quality, faults)
+    if name.lower().endswith(".parquet"):
+        frame, beside = _parquet_frame(content, wanted, time_column, notation.quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(
-            content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
-        )
-        frame, beside = source.frame(wanted, time_column, quality, faults)
+        source = _CsvSource(content, name, notation)
+        frame, beside = source.frame(wanted, time_column, faults)
         frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
-    return table_of(
-        frame,
-        wanted,
-        frame[time_column] if time_column in frame else None,
-        f'column "{time_column}"',
-        places,
-        timezone=timezone,
-        decimal=decimal,
-        thousands=thousands,
-        meanings=meanings,
-        missing=missing,
-        time_format=time_format,
-        ignore_offset=ignore_offset,
-        faults=faults,
-        sha256=hashlib.sha256(content).hexdigest(),
-        quality=quality,
-        beside=beside,
-    )
+    stamps = frame[time_column] if time_column in frame else None
+    digest = hashlib.sha256(content).hexdigest()
+    named = f'column "{time_column}"'
+    return table_of(frame, wanted, stamps, named, places, notation, beside, faults, digest)
 
 
 def file_bytes(file: Path) -> bytes:
@@ -137,15 +107,7 @@ def file_bytes(file: Path) -> bytes:
 class _CsvSource:
     """The bytes of one CSV file and the layout of its lines."""
 
-    def __init__(
-        self,
-        content: bytes,
-        name: str,
-        separator: str,
-        marks: Marks | None,
-        comment: str | None,
-        missing: tuple[str, ...],
-    ) -> None:
+    def __init__(self, content: bytes, name: str, notation: Notation) -> None:
         if name.lower().endswith(".gz") or content[:2] == b"\x1f\x8b":
             try:
                 content = gzip.decompress(content)
@@ -158,8 +120,8 @@ class _CsvSource:
         if content[:4] == b"PAR1":
             raise TableFault("is a Parquet file; name it .parquet")
         self.content, self.encoding = decodable(content)
-        self.separator, self.marks, self.comment = separator, marks, comment
-        self.missing = missing
+        self.separator, self.marks, self.comment = notation.separator, notation.marks, notation.comment
+        self.missing, self.quality = notation.missing, notation.quality
         self.layout = _Layout(0, ())
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
@@ -224,7 +186,7 @@ class _CsvSource:
         return None
 
     def frame(
-        self, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+        self, wanted: list[str], time_column: str, faults: list[str]
     ) -> tuple[pandas.DataFrame, dict[str, str]]:
         """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
         import pandas as pd
@@ -234,7 +196,7 @@ class _CsvSource:
             return pd.DataFrame(), {}
         self.layout = layout
         positions = {}
-        beside = quality.beside(layout.names, wanted)
+        beside = self.quality.beside(layout.names, wanted)
         marks = dict.fromkeys(beside.values())
         for name in dict.fromkeys([time_column, *wanted, *marks]):
             count = layout.names.count(name)

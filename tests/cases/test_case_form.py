@@ -8,6 +8,7 @@ import pytest
 
 from hygrokf.cases.form import stated_case
 from hygrokf.cases.places import CaseLines
+from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import StatedQuality
 
@@ -65,18 +66,14 @@ def test_the_form_is_read():
     assert (column.column, column.unit) == ("T", "degC")
     assert column.settings == {"accuracy": 0.5, "resolution": 0.1}
     assert (scada.stamp, scada.interval_s, scada.clock_uncertainty_s) == ("start", 600.0, 120.0)
-    assert scada.reading == {
-        "timezone": "+01:00",
-        "separator": ";",
-        "decimal": ",",
-        "thousands": None,
-        "meanings": {"P": Meaning("active_power", "kW")},
-        "comment": None,
-        "missing": ("bad",),
-        "time_format": None,
-        "ignore_offset": False,
-        "quality": StatedQuality({"P": None}),
-    }
+    assert scada.notation == Notation(
+        timezone="+01:00",
+        separator=";",
+        decimal=",",
+        missing=("bad",),
+        meanings={"P": Meaning("active_power", "kW")},
+        quality=StatedQuality({"P": None}),
+    )
 
 
 def test_the_name_defaults_to_that_of_the_file():

@@ -13,11 +13,15 @@ from builders.faults import faults_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hygrokf.data.columns import TableFault
+from hygrokf.data import table_readers
+from hygrokf.data.columns import Notation, Table, TableFault
 from hygrokf.data.numbers import Meaning
-from hygrokf.data.table_readers import read_table
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
+
+
+def read_table(path: Path, columns: list[str], time: str, **stated) -> Table:
+    return table_readers.read_table(path, columns, time, Notation(**stated))
 
 
 def stamps(count: int = 4) -> list[str]:
@@ -138,7 +142,7 @@ def test_text_in_a_number_column_names_lines_below_blanks_and_comments(write):
 
 def test_stated_words_mean_missing(write):
     path = write(GOOD.replace("21.5", "Bad Input").replace("52", "Bad Input"))
-    read = read_table(path, ["T", "RH"], "time", missing=["Bad Input"])
+    read = read_table(path, ["T", "RH"], "time", missing=("Bad Input",))
     assert np.isnan(read.values["T"]).tolist() == [False, True, False, False]
     assert np.isnan(read.values["RH"]).tolist() == [False, False, True, False]
 
