@@ -19,13 +19,11 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.weather.archive import MOST_BYTES
 from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
+from hygrokf.weather.site_weather import place_text
 
 if TYPE_CHECKING:
     import xarray
 
-EARTH_RADIUS_KM = 6371.0
-FAR_KM = 50.0
-"""[km] distance between the site and the point of the weather above which there is a warning."""
 _TIMES = ("valid_time", "time", "datetime", "date")
 _LATITUDES = ("latitude", "lat")
 _LONGITUDES = ("longitude", "lon")
@@ -63,26 +61,6 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
         raise TableFault(
             f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"
         ) from None
-
-
-def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
-    """Distance on the sphere from a point [deg] to a site [km], by the haversine formula."""
-    one, other = math.radians(latitude_deg), math.radians(site.latitude_deg)
-    across = math.radians(site.longitude_deg - longitude_deg)
-    half = math.sin(0.5 * (other - one)) ** 2 + math.cos(one) * math.cos(other) * math.sin(0.5 * across) ** 2
-    return 2.0 * EARTH_RADIUS_KM * math.asin(min(1.0, math.sqrt(half)))
-
-
-def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> str:
-    """A point in words with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
-    east = (longitude_deg + 180.0) % 360.0 - 180.0
-    text = (
-        f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "
-        f"{'E' if east >= 0 else 'W'}"
-    )
-    if site is None:
-        return text
-    return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
 
 
 def point_fields(
@@ -123,8 +101,6 @@ def point_fields(
     if latitude is not None and longitude is not None:
         dataset, at = _nearest(dataset, time_name, latitude, longitude, site, used)
         place = place_text(*at, site)
-        if site is not None and distance_km(*at, site) > FAR_KM:
-            warnings.append(f"its point lies at {place}: is it the weather of this site?")
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
     for name, short in used.items():
@@ -256,7 +232,7 @@ def _nearest(
                 outside.append(f"{name} {values.min():g} … {values.max():g}")
         if outside:
             raise TableFault(
-                f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
+                f"the site at {place_text(site.latitude_deg, site.longitude_deg)} lies outside of "
                 f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
             )
         narrowing = math.cos(math.radians(site.latitude_deg))

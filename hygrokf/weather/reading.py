@@ -20,17 +20,19 @@ from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
-from hygrokf.weather.gridded import FAR_KM, distance_km
 from hygrokf.weather.joining import joined
 from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reference_year import is_try, read_try
+from hygrokf.weather.site_weather import distance_km, place_text
 
 FORMATS = ("era5", "epw", "merra2", "open_meteo", "try")
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
 SHOWN_GAPS = 3
+FAR_KM = 50.0
+"""[km] distance between the site and the point of the weather above which there is a warning."""
 _HEAD = 2**14
 """Bytes of a file by which its format is known."""
 
@@ -60,7 +62,7 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    record = _within_range(_read(file, kind, site, year))
+    record = _within_range(_warned_of_distance(_read(file, kind, site, year), site))
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m
@@ -95,11 +97,11 @@ def _read(file: Path, kind: str, site: Site | None, year: int | None) -> Record:
     """The record of a file of one of the `FORMATS`, as its reader makes it."""
     match kind:
         case "epw":
-            return _warned_of_distance(read_epw(file, year), site)
+            return read_epw(file, year)
         case "try":
-            return _warned_of_distance(read_try(file, year), site)
+            return read_try(file, year)
         case "open_meteo":
-            return _warned_of_distance(read_open_meteo(file), site)
+            return read_open_meteo(file)
         case "merra2":
             return read_merra2(file, site)
     return read_era5(file, site)
@@ -168,12 +170,13 @@ def _within_range(record: Record) -> Record:
 
 
 def _warned_of_distance(record: Record, site: Site | None) -> Record:
+    """The record with a warning where the weather is from far away."""
     if site is None or record.site is None:
         return record
-    away = distance_km(record.site.latitude_deg, record.site.longitude_deg, site)
-    if away <= FAR_KM:
+    at = record.site.latitude_deg, record.site.longitude_deg
+    if distance_km(*at, site) <= FAR_KM:
         return record
-    said = f"its station lies {away:.0f} km from the site: is it the weather of this site?"
+    said = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
     return dataclasses.replace(record, warnings=(*record.warnings, said))
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import calendar
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Series
-from hygrokf.data.signals import signal_named
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.weather.fields import impossible_range
 
 WIND_HEIGHT_M = 10.0
 """[m] height of the wind in files of typical years."""
+SHIFTED = "the columns are shifted, or in other units"
+"""What impossible values mean in files of typical years."""
+WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
 
 
 def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -61,25 +62,33 @@ def local_seconds(stamps: np.ndarray) -> np.ndarray:
     return days * DAY_S + stamps[:, 3] * HOUR_S
 
 
-def hourly_series(
-    signal: str, time: np.ndarray, value: np.ndarray, mean: bool, column: str, source: str, faults: list[str]
-) -> Series | None:
-    """A series of hours; None without values, and for impossible values, which are added to `faults`.
+def hours_table(
+    lines: Sequence[tuple[int, Sequence[str]]],
+    width: int,
+    used: Sequence[int],
+    date: Callable[[np.ndarray], Iterable[float]],
+    faults: list[str],
+    exact: bool = False,
+) -> np.ndarray:
+    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
 
-    time: (T,) [s] ends of the hours.  value: (T,) [SI unit].  mean: whether it is the hour's mean or sum.
-    column: its name in faults.  source: its name in the record.
+    lines: number and cells. width: of a line at least, or with `exact` of every line.
+    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
     """
-    known = value[~np.isnan(value)]
-    if not len(known):
-        return None
-    if beyond := impossible_range(known, signal_named(signal)):
-        faults.append(f"column {column}: {beyond}: the columns are shifted, or in other units")
-        return None
-    return Series(
-        signal,
-        time,
-        value,
-        interval_s=HOUR_S if mean else 0.0,
-        source=source,
-        height_m=WIND_HEIGHT_M if signal.startswith("wind_") else None,
-    )
+    table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
+    wrong = []
+    for row, (number, cells) in zip(table, lines, strict=True):
+        try:
+            if len(cells) < width or (exact and len(cells) > width):
+                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
+            for column in used:
+                if column < len(cells) and cells[column].strip():
+                    row[column] = float(cells[column])
+                    if not np.isfinite(row[column]):
+                        raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
+            expect_hour(*(int(one) for one in date(row)))
+        except ValueError as reason:
+            wrong.append(f"line {number}: {reason}")
+    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
+    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
+    return table
