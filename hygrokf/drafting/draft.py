@@ -15,11 +15,13 @@ from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
 from hygrokf.drafting.case_text import Contents, Weather, case_text, lacking
-from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
+from hygrokf.drafting.layout import Export, read_export
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import noon_of, sun_remark
 from hygrokf.errors import HygrokfError
+from hygrokf.weather.archive import contents
+from hygrokf.weather.reading import weather_form
 
 
 class DraftFault(HygrokfError):
@@ -78,7 +80,7 @@ def draft_case(
 ) -> Draft:
     """Draft a case file from exports and write it, with copies of those tables that a case cannot name.
 
-    exports: CSV, Parquet or Excel files, and weather files (EPW, ERA5). out: the case file; copies go
+    exports: CSV, Parquet or Excel files, and weather files. out: the case file; copies go
         beside it.
     turbine: of exports that hold several. site: latitude and longitude [deg].
 
@@ -89,9 +91,9 @@ def draft_case(
     weather: list[Weather] = []
     for file in exports:
         try:
-            kind = weather_format(file)
+            kind = weather_form(file)
             if kind is not None:
-                weather.append(Weather(_relative(file, out), kind, kind == "epw" and is_typical_year(file)))
+                weather.append(Weather(_relative(file, out), kind, _is_typical_year(file, kind)))
             else:
                 tables.append(read_export(file))
         except TableFault as broken:
@@ -118,6 +120,14 @@ def draft_case(
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
     return _written(sources, said, chosen, found, left, weather, out, site)
+
+
+def _is_typical_year(file: Path, form: str) -> bool:
+    """Whether the months of a weather file are of different years, or of none.  Raises TableFault."""
+    if form != "epw":
+        return form == "try"
+    lines = b"\n".join(one.data for one in contents(file)[0] if one.kind == "epw").splitlines()
+    return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
 def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:

@@ -73,20 +73,6 @@ class Export:
         return values_in(self.cells[column], Marks(self.decimal, self.thousands), meaning)
 
 
-def weather_format(file: Path) -> str | None:
-    """The `format` of a weather file, by its first bytes; None for a table."""
-    content = _unpacked(file)[:8]
-    if content.startswith(b"LOCATION"):
-        return "epw"
-    return "era5" if content.startswith((b"\x89HDF", b"CDF")) else None
-
-
-def is_typical_year(file: Path) -> bool:
-    """Whether the months of an EPW file are of different years."""
-    years = {line.split(b",")[0] for line in _unpacked(file).splitlines()[8:] if line.count(b",") > 20}
-    return len(years) > 1
-
-
 def read_export(file: Path) -> Export:
     """The table of an export: CSV text of any separator (also compressed), Parquet or Excel (.xlsx).
 

@@ -18,6 +18,7 @@ from hygrokf.data.readings import mask_out_of_range
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
+from hygrokf.weather.archive import kind_of
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.joining import joined
@@ -108,7 +109,13 @@ def _read(file: Path, kind: str, site: Site | None, year: int | None) -> Record:
 
 
 def form_of(path: Path) -> str:
-    """The format of a file, one of `FORMATS`, by its name, its first bytes, or the names in a ZIP archive."""
+    """The format of a weather file, one of `FORMATS`; "era5" where nothing tells it: its reader says so."""
+    return weather_form(path) or "era5"
+
+
+def weather_form(path: Path) -> str | None:
+    """The format of a weather file by its name, its first bytes, or the names in a ZIP archive; None for a
+    table and for what cannot be read."""
     name = path.name.lower()
     if name.endswith((".epw", ".epw.gz")):
         return "epw"
@@ -122,30 +129,28 @@ def form_of(path: Path) -> str:
                 head = stream.read(_HEAD)
         if head[:4] == b"PK\x03\x04":
             with zipfile.ZipFile(path) as archive:
-                names = [name.lower().rpartition("/")[2] for name in archive.namelist()]
-            if any(name.startswith("merra2") for name in names):
-                return "merra2"
-            if any(name.endswith(".epw") for name in names):
-                return "epw"
-            return "try" if names and all(name.startswith("try") for name in names) else "era5"
-    except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile):  # the reader reports the fault
-        return "era5"
-    return _form_by_head(path, head)
-
-
-def _form_by_head(path: Path, head: bytes) -> str:
-    """The format by the first bytes of an unpacked file."""
-    if head[:8] == b"\x89HDF\r\n\x1a\n":
+                return _form_of_members([name.lower().rpartition("/")[2] for name in archive.namelist()])
+        kind = kind_of(head)
+    except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile, TableFault):
+        return None
+    if kind == "netcdf4":
         return "merra2" if _has_merra2(path) else "era5"
-    if head[:3] == b"CDF":  # the header names the fields
+    if kind == "netcdf3":  # the header names the fields
         return "merra2" if b"T2M" in head else "era5"
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if text.upper().startswith(b"LOCATION,"):
-        return "epw"
-    first = text.partition(b"\n")[0]
-    if b"utc_offset_seconds" in (head if text[:1] in (b"{", b"[") else first):
+    if kind == "json" or b"utc_offset_seconds" in head.partition(b"\n")[0]:
         return "open_meteo"
-    return "try" if is_try(head.decode("latin-1")) else "era5"
+    return "epw" if kind == "epw" else "try" if is_try(head.decode("latin-1")) else None
+
+
+def _form_of_members(names: Sequence[str]) -> str | None:
+    """The format by the names of an archive's files."""
+    if any(name.startswith("merra2") for name in names):
+        return "merra2"
+    if any(name.endswith(".epw") for name in names):
+        return "epw"
+    if names and all(name.startswith("try") for name in names):
+        return "try"
+    return "era5" if any(name.endswith((".nc", ".nc4")) for name in names) else None
 
 
 def _has_merra2(path: Path) -> bool:

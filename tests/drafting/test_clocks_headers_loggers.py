@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import builders.weather_services as services
 import numpy as np
 import pytest
 from builders.command_line import run
@@ -105,6 +106,17 @@ def test_a_weather_file_of_dwd_is_read(tmp_path):
     record = read_case(tmp_path / "case.toml", cabinet=False)
     assert record["ambient_temperature"].time[0] == TIMES[0].timestamp()
     assert len(record["ambient_temperature"].value) == ROWS
+
+
+def test_files_of_weather_services_are_named_with_their_formats(tmp_path):
+    scada = written(tmp_path / "s.csv", "time (UTC),Cabinet Temp (degC)", ["cabinet_temperature"])
+    answer = services.open_meteo_json(tmp_path / "a.json", services.open_meteo())
+    days = services.merra2_file(tmp_path)
+    draft_case([scada, answer, days, services.try_file(tmp_path / "TRY.dat")], tmp_path / "case.toml")
+    text = (tmp_path / "case.toml").read_text()
+    for file, form in (("a.json", "open_meteo"), (days.name, "merra2"), ("TRY.dat", "try")):
+        assert f'file = "{file}"\nformat = "{form}"\n' in text
+    assert text.count("year = ") == 1  # of the typical year alone
 
 
 def test_what_a_fit_would_miss_is_told(tmp_path, monkeypatch):
