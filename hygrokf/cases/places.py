@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import Protocol
+
+from hygrokf.data.toml_lines import Path, lines_of
 
 
 class Statement(Protocol):
@@ -23,26 +24,11 @@ class Statement(Protocol):
 
 
 class CaseLines:
-    """Finds the line of the case file on which a key stands, so that faults can name it."""
+    """The lines of a case file, so that faults can name those of their keys."""
 
     def __init__(self, name: str, text: str) -> None:
         self.name = name
-        self.lines = [line.split("#")[0] for line in text.splitlines()]
-        heads = [
-            number for number, line in enumerate(self.lines) if re.match(r"\s*\[\[\s*source\s*\]\]", line)
-        ]
-        ends = [
-            next(
-                (
-                    other
-                    for other in range(head + 1, len(self.lines))
-                    if re.match(r"\s*\[(?!\s*source\s*\.)", self.lines[other])
-                ),
-                len(self.lines),
-            )
-            for head in heads
-        ]
-        self.blocks = list(zip(heads, ends, strict=True))
+        self.lines = lines_of(text)
 
     def table(self, name: str) -> str:
         """The head of a table."""
@@ -58,18 +44,15 @@ class CaseLines:
         block: number of the [[source]], or None for the rest of the file.
         keys: the first of these found on a line gives the line.
         """
-        inside = [number for first, last in self.blocks for number in range(first, last)]
-        if block is None:
-            numbers = [number for number in range(len(self.lines)) if number not in set(inside)]
-        elif block < len(self.blocks):
-            numbers = list(range(*self.blocks[block]))
-        else:
-            numbers = list(range(len(self.lines)))
+        source: Path = ("source", -1 if block is None else block)
+        numbered = source in self.lines
+        inside = {
+            path: line
+            for path, line in self.lines.items()
+            if (path[:2] == source if numbered else block is not None or path[:1] != ("source",))
+        }
         for key in keys:
-            pattern = re.compile(rf"(?<![\w.-])(?:signals\.)?[\"']?{re.escape(key)}[\"']?\s*[.=\]]")
-            for number in numbers:
-                if pattern.search(self.lines[number]):
-                    return f"{self.name}, line {number + 1}"
-        if block is not None and block < len(self.blocks):
-            return f"{self.name}, line {self.blocks[block][0] + 1}"
-        return self.name
+            found = next((line for path, line in inside.items() if path[-1] == key), None)
+            if found is not None:
+                return f"{self.name}, line {found}"
+        return f"{self.name}, line {self.lines[source]}" if numbered else self.name

@@ -10,7 +10,7 @@ import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,10 +73,10 @@ def table_in(
     faults: list[str] = []
     wanted = list(dict.fromkeys(columns))
     if name.lower().endswith(".parquet"):
-        frame, beside = _parquet_frame(content, wanted, time_column, notation.quality, faults)
+        frame, beside = _parquet_source(content, wanted, time_column, notation.quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(content, name, notation)
+        source = _CsvSource(content, notation)
         frame, beside = source.frame(wanted, time_column, faults)
         frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
@@ -104,17 +104,23 @@ def file_bytes(file: Path) -> bytes:
     return content
 
 
+def unpacked(content: bytes) -> bytes:
+    """The bytes of a file, out of gzip where they are packed.  Raises TableFault."""
+    if content[:2] == b"\x1f\x8b":
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as broken:
+            raise TableFault(f"cannot be decompressed: {broken}") from None
+    if not content.strip():
+        raise TableFault("the file is empty")
+    return content
+
+
 class _CsvSource:
     """The bytes of one CSV file and the layout of its lines."""
 
-    def __init__(self, content: bytes, name: str, notation: Notation) -> None:
-        if name.lower().endswith(".gz") or content[:2] == b"\x1f\x8b":
-            try:
-                content = gzip.decompress(content)
-            except (OSError, EOFError, zlib.error) as broken:
-                raise TableFault(f"cannot be decompressed: {broken}") from None
-            if not content.strip():
-                raise TableFault("the file is empty")
+    def __init__(self, content: bytes, notation: Notation) -> None:
+        content = unpacked(content)
         if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
             raise TableFault("is an Excel file or a ZIP archive; export it as CSV text")
         if content[:4] == b"PAR1":
@@ -309,11 +315,11 @@ def decodable(content: bytes) -> tuple[bytes, str]:
     return content, "latin-1"
 
 
-def _parquet_frame(
-    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
-) -> tuple[pandas.DataFrame, dict[str, str]]:
-    import pandas as pd
+def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | None = None) -> pandas.DataFrame:
+    """A frame of columns of a Parquet file, with the names of all of them.  Raises TableFault.
 
+    select: the columns to read, from the names of all; None: all.
+    """
     try:
         import pyarrow
         from pyarrow import parquet
@@ -323,16 +329,26 @@ def _parquet_frame(
         ) from None
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
-        found = list(file.schema_arrow.names)
-        beside = quality.beside(found, wanted)
-        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
-        there = [name for name in columns if name in found]
-        faults += [column_fault(name, found, "the file has") for name in columns if name not in found]
-        if not there:
-            return pd.DataFrame(), beside
-        frame = file.read(columns=there).to_pandas(ignore_metadata=True)
-        frame.attrs[HEADER] = found
-        return frame, beside
+        names = list(file.schema_arrow.names)
+        columns = names if select is None else select(names)
+        frame = file.read(columns=columns).to_pandas(ignore_metadata=True)
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault(f"cannot be read as Parquet: {reason}") from None
+    frame.attrs[HEADER] = names
+    return frame
+
+
+def _parquet_source(
+    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+) -> tuple[pandas.DataFrame, dict[str, str]]:
+    """The wanted columns, missing ones as faults; column -> that of its quality."""
+    beside: dict[str, str] = {}
+
+    def select(found: list[str]) -> list[str]:
+        beside.update(quality.beside(found, wanted))
+        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
+        faults.extend(column_fault(name, found, "the file has") for name in columns if name not in found)
+        return [name for name in columns if name in found]
+
+    return parquet_frame(content, select), beside

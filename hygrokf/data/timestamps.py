@@ -444,19 +444,19 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     other = 0
     for index in gaps:
-        day, season = _change_date(time[index] + step)
+        day, season = change_date(time[index] + step)
         if season:
             gap_days[season].append(day)
         else:
             other += 1
     dates = np.arange(time[0], time[-1], DAY_S)
-    if other * sum(bool(_change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
+    if other * sum(bool(change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
         gap_days = {"spring": [], "autumn": []}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / DAY_S)):
         of_day = doubles[np.floor(doubles / DAY_S) == number]
-        day, season = _change_date(of_day[0])
+        day, season = change_date(of_day[0])
         if season and abs(len(of_day) - HOUR_S / step) < 1.5 and np.ptp(of_day) < HOUR_S:
             double_days[season].append(day)
     warnings = []
@@ -486,7 +486,7 @@ def _days(days: list[date]) -> str:
     return ", ".join(day.isoformat() for day in days)
 
 
-def _change_date(seconds: float) -> tuple[date, str]:
+def change_date(seconds: float) -> tuple[date, str]:
     """Date of a moment and "spring" or "autumn" if clocks change on it, else ""."""
     day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(seconds))).date()
     if day.weekday() != 6:

@@ -10,24 +10,6 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS, SWITCHED, fitting_units, share_in_range, to_si, unit_mistaken
 from hygrokf.data.timestamps import HOUR_S
 
-_FIRST_CHOICE = (
-    "degC",
-    "%",
-    "hPa",
-    "kW",
-    "g/m3",
-    "m/s",
-    "W/m2",
-    "deg",
-    "rpm",
-    "1",
-    "K",
-    "Pa",
-    "kPa",
-    "MW",
-    "W",
-)
-
 
 @dataclass(frozen=True)
 class Hourly:
@@ -66,7 +48,7 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
         if better:
             return better[0], f"the header says {stated}, but the readings fit {better[0]}"
         return stated, f"the readings do not fit the unit {stated} of the header"
-    ranked = list(dict.fromkeys(one for one in (*_FIRST_CHOICE, *units) if one in units))
+    ranked = list(dict.fromkeys((SIGNALS[signal].display, *units)))
     if not len(finite):
         return ranked[0], "the column holds no readings"
     if signal.endswith("_power"):

@@ -17,6 +17,7 @@ from hygrokf.data.timestamps import (
     EXCEL,
     HOUR_S,
     MINUTE_S,
+    change_date,
     modal_step,
     read_stamps,
     zone_in_header,
@@ -196,31 +197,27 @@ class _Hole:
     american: bool
 
 
-_ZONES = {(1, False): "Europe/London", (2, False): "Europe/Berlin", (3, False): "Europe/Helsinki"}
+_ZONES = {1: "Europe/London", 2: "Europe/Berlin", 3: "Europe/Helsinki"}
 
 
 def _holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
     """Hours missing on dates of change in spring, and the number of such dates without a missing hour."""
-    import pandas as pd
-
     moments = np.unique(time[np.isfinite(time)])
     if not step <= HOUR_S or len(moments) < 10:
         return [], 0
     holes, whole = [], 0
-    days = pd.date_range(pd.Timestamp(moments[0], unit="s").normalize(), pd.Timestamp(moments[-1], unit="s"))
-    for day in days:
-        european = day.month == 3 and day.weekday() == 6 and day.day >= 25
-        american = day.month == 3 and day.weekday() == 6 and 8 <= day.day <= 14
-        if not (european or american):
+    for start in np.arange(DAY_S * np.floor(moments[0] / DAY_S), moments[-1], DAY_S):
+        day, season = change_date(start)
+        if season != "spring":
             continue
-        start = day.timestamp()
+        european = day.day >= 25
         near = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
         gaps = np.flatnonzero(np.diff(near) > 1.5 * step)
         if len(gaps) == 0 and len(near) > 5 * HOUR_S / step:
             whole += european
         elif len(gaps) == 1 and abs(near[gaps[0] + 1] - near[gaps[0]] - HOUR_S - step) < 0.01 * step:
             missing = (near[gaps[0]] + step - start) / HOUR_S
-            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, american and not european))
+            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, not european))
     return holes, whole
 
 
@@ -259,7 +256,7 @@ def _zone(
             )
         return named
     if found and not whole:
-        zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
+        zone = _ZONES.get(found[0].hour) if not found[0].american else None
         where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
         if zone is not None:
             remarks.append(f"{where}: the clock follows the summer time of {zone} or a zone like it")
