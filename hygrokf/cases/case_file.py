@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
-from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
-from hygrokf.cases.places import CaseLines
+from hygrokf.cases.form import CasePlace, StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
@@ -26,6 +25,7 @@ from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistake
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.data.toml_form import FormFault, read_toml
+from hygrokf.data.toml_lines import lines_of
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -48,7 +48,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     """
     file = Path(path)
     text, content = _case_text(file)
-    case, faults = stated_case(content, CaseLines(file.name, text), file.stem)
+    case, faults = stated_case(content, CasePlace(file=file.name, lines=lines_of(text)), file.stem)
 
     def table(source: StatedSource) -> Table:
         columns = [one.column for one in source.columns]
@@ -188,7 +188,7 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a case that lacks the signals a model needs."""
-    name, signal = case.lines.name, case.lines.signal
+    name, signal = case.place.file, case.place.signal
     faults = []
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
     if ambient and unheard:
@@ -392,8 +392,9 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     faults = []
     for key, value in (("start", case.start_s), ("until", case.until_s)):
         if value is not None and not record.start_s < value < record.end_s:
+            where = case.place.inside("identification").at(key)
             faults.append(
-                f"{case.lines.at(None, key)}: {key} = {stamp_text(value)} is outside of the record "
+                f"{where}: {key} = {stamp_text(value)} is outside of the record "
                 f"({period_text(record.start_s, record.end_s)})"
             )
     return faults

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
-from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
+from hygrokf.cases.form import CasePlace, StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
@@ -112,7 +112,7 @@ def read_frames(
         content["site"] = site
     if identification is not None:
         content["identification"] = identification
-    case, wrong = stated_case(content, _Arguments(list(prepared.values())), "record")
+    case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=content["source"]), "record")
 
     def table(source: StatedSource) -> Table:
         return prepared[source.file].table(source)
@@ -400,28 +400,23 @@ def _stamps(
     return stamps, named, None, []
 
 
-class _Arguments:
-    """Places of a case in the arguments of `read_frames`; implements `hygrokf.cases.places.Statement`."""
+@dataclass(frozen=True, kw_only=True)
+class _FramePlace(CasePlace):
+    """Places of a case in the arguments of `read_frames`: the frame, with the column of a signal."""
 
-    name = _HEAD
+    sources: Sequence[Mapping[str, Any]]
 
-    def __init__(self, prepared: Sequence[_Prepared]) -> None:
-        self.sources = [one.source for one in prepared]
+    def at(self, *keys: str) -> str:
+        if len(self.path) < 2:
+            return self.file
+        source = self.sources[int(self.path[1])]
+        named = next((one for one in (*keys, *self.path[3:]) if one in source["signals"]), None)
+        if named is None:
+            return str(source["file"])
+        return f'{source["file"]}, column "{source["signals"][named]["column"]}"'
 
-    def at(self, block: int | None, *keys: str) -> str:
-        """The frame, with the column of a signal."""
-        if block is None:
-            return self.name
-        source = self.sources[block]
-        for key in keys:
-            if key in source["signals"]:
-                return f'{source["file"]}, column "{source["signals"][key]["column"]}"'
-        return str(source["file"])
-
-    def table(self, name: str) -> str:
-        """The name of an argument."""
-        return f"{name}={{…}}"
+    def table(self, key: str) -> str:
+        return f" {key}={{…}}"
 
     def signal(self, name: str) -> str:
-        """The signal itself."""
         return name

@@ -6,11 +6,11 @@ import tomllib
 
 import pytest
 
-from hygrokf.cases.form import stated_case
-from hygrokf.cases.places import CaseLines
+from hygrokf.cases.form import CasePlace, stated_case
 from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import StatedQuality
+from hygrokf.data.toml_lines import lines_of
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0
@@ -39,7 +39,7 @@ until = 2020-12-01T00:00:00Z
 
 
 def state(text: str):
-    return stated_case(tomllib.loads(text), CaseLines("case.toml", text), "case")
+    return stated_case(tomllib.loads(text), CasePlace(file="case.toml", lines=lines_of(text)), "case")
 
 
 def faults(*changes: tuple[str, str]) -> list[str]:
