@@ -38,8 +38,10 @@ class Alternative:
 
 @dataclass(frozen=True)
 class _Scale:
-    """A row of the table: readings of a quantity that are `words`: called one unit, they are `factor` times as
-    many of `unit`; line: the key that corrects it."""
+    """A row of the table: readings of a quantity that are `words`.
+
+    called, unit: as declared, and what they are, `factor` times as many. line: the key that corrects it.
+    """
 
     kind: str
     words: str

@@ -127,6 +127,8 @@ PARTS = (
     r"|pipe|fan |slip ring|lueft|insulation|inverter averages"
 )
 """Parts of a turbine or a building that are not the air of a place."""
+OF_AIR = ("cabinet", "ambient", "coolant")
+"""Places whose temperature counts although a part is named."""
 NOT_MEANT = (
     r"psble|dir relative|react|blind"
     r"|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
@@ -183,19 +185,18 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
     bare = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
     whole = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
     for own, signal, make in OWN_NAMES:
-        of_make = replace(unknown, signal=signal, score=1.0, why=f"a name of {make}")
-        if own == whole != bare:
-            return replace(of_make, unit=None, stated="")
-        if own == bare and (known is None or known in fitting_units(signal)):
-            return of_make
+        with_unit = own == whole != bare
+        if with_unit or (own == bare and (known is None or known in fitting_units(signal))):
+            of_make = replace(unknown, signal=signal, score=1.0, why=f"a name of {make}")
+            return replace(of_make, unit=None, stated="") if with_unit else of_make
     quantity = _quantity(words) or _quantity_by_unit(known, stated, words)
     if re.search(NOT_MEANT, words) or not quantity:
         return unknown
     place, score = place_of(words)
     part = re.search(PARTS, words) is not None
     signal = _signal(quantity, place, words)
-    of_air = quantity in ("temperature", "relative_humidity") and place not in ("cabinet", "ambient", "coolant")
-    if part and (of_air or quantity == "power"):
+    of_part = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
+    if part and (of_part or quantity == "power"):
         return replace(unknown, place=place, why="a part that is no signal")
     if not place and signal:
         score = 0.85 if quantity != "power" else 0.9
