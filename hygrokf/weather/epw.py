@@ -6,7 +6,6 @@ import csv
 import io
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -46,18 +45,6 @@ _FEWEST_COLUMNS = 22
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """The hours of the file.
-
-    calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`,
-        NaN = missing.
-    """
-
-    calendar: np.ndarray
-    value: dict[str, np.ndarray]
-
-
 def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
@@ -79,25 +66,25 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     rows = list(csv.reader(io.StringIO(content.data.decode("utf-8-sig", "replace"))))
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
-    lines = _lines(rows, faults)
+    calendar, value = _hours(rows, faults)
     if faults:
         raise TableFault(*faults)
-    years = sorted({int(one) for one in lines.calendar[:, 0]})
-    warnings = []
+    years = np.unique(calendar[:, 0])
+    warnings: list[str] = []
     if year is None and len(years) > 1:
         raise TableFault(
             f"is a typical year composed of months from {years[0]} … {years[-1]}; state the calendar year "
             "to assign to it, such as year = 2019"
         )
     if year is not None:
-        lines, said = _placed(lines, year)
-        warnings += said
-    time = local_seconds(lines.calendar) - zone_h * HOUR_S
+        own = "" if list(years) == [year] else f"{years[0]} … {years[-1]}"
+        calendar, value, warnings = placed_in_year(calendar, value, year, own)
+    time = local_seconds(calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault(f"line {repeated + _HEADER + 1}: the hours must be consecutive, this hour is not")
     weather = SiteWeather(file.name, time, place, SHIFTED, warnings=warnings)
-    _add_columns(weather, lines.value)
+    _add_columns(weather, value)
     return weather.record(site, digest, "no dry-bulb temperature: all values of column 7 are missing")
 
 
@@ -136,9 +123,10 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
     return site, zone, f"{place_text(latitude, longitude)} {altitude:g} m"
 
 
-def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
-    """The hours of the file; their faults are added to `faults`."""
-    nothing = _Lines(np.zeros((0, 4), dtype=int), {})
+def _hours(rows: list[list[str]], faults: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Year, month, day, hour 1…24 (T, 4) as written, and signal -> (T,) in the unit of `_COLUMNS`, NaN =
+    missing; the faults of the lines are added to `faults`."""
+    nothing = np.zeros((0, 4), dtype=int), dict[str, np.ndarray]()
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
         faults.append(
@@ -170,7 +158,7 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
             absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
             scale = 10.0 if signal == "cloud_cover" else 1.0
             value[signal] = np.where(absent, np.nan, raw) / scale
-    return _Lines(table[:, :4].astype(int), value)
+    return table[:, :4].astype(int), value
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
@@ -187,17 +175,6 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
     if len(days) != 2 or days[1] < days[0]:
         return None
     return 24 * ((days[1] - days[0]).days + 1)
-
-
-def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
-    """The hours moved to one calendar year, with warnings; 29 February is added or left out as it needs."""
-    stamps, keep, said = placed_in_year(lines.calendar, year)
-    own = sorted({int(one) for one in lines.calendar[:, 0]})
-    if own != [year]:
-        said.append(
-            f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}"
-        )
-    return _Lines(stamps, {signal: one[keep] for signal, one in lines.value.items()}), said
 
 
 def _dew_point(si: Mapping[str, np.ndarray], weather: SiteWeather) -> np.ndarray:

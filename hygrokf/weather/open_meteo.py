@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.data.columns import TableFault
+from hygrokf.data.columns import Notation, Places, Table, TableFault, table_of
 from hygrokf.data.record import Record, Site
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import HOUR_S, stamp_text
 from hygrokf.weather.archive import only_content
 from hygrokf.weather.site_weather import SiteWeather, converted, dew_point_of, place_text
 
@@ -46,15 +46,15 @@ PREFERRED_WIND_M = 100.0
 class Answer:
     """What the service answered for one place.
 
-    stamps: as written. value: name -> (T,), NaN = missing. unit: name -> its unit, that of "time" included.
+    table: of the columns that are used, its time by the clock of the file. offset_s: [s] of that clock.
+    unit: name -> its unit, that of "time" included.
     """
 
     latitude_deg: float
     longitude_deg: float
     elevation_m: float | None
     offset_s: float
-    stamps: tuple[str | float, ...]
-    value: Mapping[str, np.ndarray]
+    table: Table
     unit: Mapping[str, str]
 
 
@@ -75,11 +75,8 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     file = Path(path)
     one, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
     answer = _json_answer(one.data) if one.kind == "json" else _csv_answer(one.data)
-    faults: list[str] = []
-    warnings: list[str] = []
-    time = _time(answer, faults, warnings)
-    if faults:
-        raise TableFault(*faults)
+    warnings = list(answer.table.warnings)
+    time = _time(answer, warnings)
     place = place_text(answer.latitude_deg, answer.longitude_deg)
     weather = SiteWeather(file.name, time, place, warnings=warnings)
     _add_columns(weather, answer)
@@ -101,19 +98,16 @@ def _json_answer(data: bytes) -> Answer:
     if not isinstance(hourly, dict) or not isinstance(units, dict) or "time" not in hourly:
         raise TableFault("expected hourly and hourly_units with time in them; ask for hourly=…")
     columns = {str(name): column for name, column in hourly.items() if isinstance(column, list)}
-    stamps = columns.pop("time", [])
+    count = len(columns.get("time", []))
     faults = [
-        f"{name}: {len(column)} values for {len(stamps)} stamps; fetch the file again"
+        f"{name}: {len(column)} values for {count} stamps; fetch the file again"
         for name, column in columns.items()
-        if len(column) != len(stamps)
+        if len(column) != count
     ]
     if faults:
         raise TableFault(*faults)
-    value = {name: _numbers(name, column, faults) for name, column in columns.items() if _used(name)}
     meta = [found.get(name) for name in _META]
-    if faults:
-        raise TableFault(*faults)
-    return _answer(meta, stamps, value, {str(name): str(unit) for name, unit in units.items()})
+    return _answer(meta, columns, {str(name): str(unit) for name, unit in units.items()})
 
 
 def _csv_answer(data: bytes) -> Answer:
@@ -138,7 +132,6 @@ def _csv_answer(data: bytes) -> Answer:
         unit[name] = rest.removesuffix(")")
     # further blocks, such as daily values, follow after an empty line
     end = next((i for i in range(begin + 1, len(rows)) if not any(rows[i])), len(rows))
-    faults: list[str] = []
     body = rows[begin + 1 : end]
     wrong = [i for i, row in enumerate(body) if len(row) != len(names)]
     if wrong:
@@ -146,21 +139,15 @@ def _csv_answer(data: bytes) -> Answer:
             f"line {begin + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
             "cut short? fetch the file again"
         )
-    columns = {name: [row[place] for row in body] for place, name in enumerate(names)}
-    value = {name: _numbers(name, columns[name], faults) for name in names[1:] if _used(name)}
-    if faults:
-        raise TableFault(*faults)
-    stamps = [float(text) if text.isdigit() else text for text in columns["time"]]
-    return _answer(meta, stamps, value, unit)
+    return _answer(meta, {name: [row[place] for row in body] for place, name in enumerate(names)}, unit)
 
 
 def _answer(
-    meta: Sequence[str | float | None],
-    stamps: Sequence[str | float],
-    value: Mapping[str, np.ndarray],
-    unit: Mapping[str, str],
+    meta: Sequence[str | float | None], columns: Mapping[str, Sequence[Any]], unit: Mapping[str, str]
 ) -> Answer:
     """The answer from latitude, longitude, elevation, offset, and its columns."""
+    import pandas as pd
+
     try:
         latitude, longitude, offset = (float(meta[place]) for place in (0, 1, 3))  # type: ignore[arg-type]
         elevation = float(meta[2]) if meta[2] is not None else math.nan
@@ -173,21 +160,17 @@ def _answer(
     if not -14.0 * HOUR_S <= offset <= 14.0 * HOUR_S:
         raise TableFault(f"utc_offset_seconds: expected -50400 … 50400, found {offset:g}")
     height = elevation if math.isfinite(elevation) else None
-    return Answer(latitude, longitude, height, offset, tuple(stamps), value, unit)
-
-
-def _numbers(name: str, column: Sequence[str | float | None], faults: list[str]) -> np.ndarray:
-    """Values (T,); null, NaN and empty cells are NaN."""
-    made = np.full(len(column), math.nan)
-    for place, cell in enumerate(column):
-        if cell is None or (isinstance(cell, str) and not cell.strip()):
-            continue
-        try:
-            made[place] = float(cell)
-        except (TypeError, ValueError):
-            faults.append(f'{name}: expected numbers, found "{cell}" in row {place + 1}')
-            break
-    return np.where(np.isfinite(made), made, math.nan)
+    stamps = pd.Series(columns.get("time", []), dtype=object)
+    if not len(stamps):
+        raise TableFault("has no hour in it: fetch it again")
+    unix = pd.to_numeric(stamps, errors="coerce")
+    if unix.notna().all():
+        stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
+    used = [name for name in columns if _used(name)]
+    frame = pd.DataFrame({name: columns[name] for name in used})
+    places = Places("row", lambda rows: [int(row) + 1 for row in rows])
+    table = table_of(frame, used, stamps, "time", places, Notation(timezone="UTC", decimal="."), {})
+    return Answer(latitude, longitude, height, offset, table, unit)
 
 
 def _used(name: str) -> bool:
@@ -198,42 +181,32 @@ def _used(name: str) -> bool:
 # --- values ----------------------------------------------------------------------------------
 
 
-def _time(answer: Answer, faults: list[str], warnings: list[str]) -> np.ndarray:
-    """Stamps in UTC (T,) [s]."""
-    if not answer.stamps:
-        faults.append("has no hour in it: fetch it again")
-        return np.zeros(0)
-    if all(isinstance(one, int | float) for one in answer.stamps):
-        time = np.array(answer.stamps, dtype=float)
-    else:
-        try:
-            local = np.array(answer.stamps, dtype="datetime64[s]").astype(np.int64).astype(float)
-        except ValueError:
-            faults.append(f'time: expected stamps such as 2024-01-01T00:00, found "{answer.stamps[0]}"')
-            return np.zeros(0)
-        time = local - answer.offset_s
-        if answer.offset_s:
-            warnings.append(
-                f"stamps are read at the fixed offset {answer.offset_s / HOUR_S:+g} h that the file states, "
-                "in summer and winter; ask for timezone=GMT if a program between has changed them"
-            )
+def _time(answer: Answer, warnings: list[str]) -> np.ndarray:
+    """Stamps in UTC (T,) [s].  Raises TableFault where they are not hourly."""
+    time = answer.table.time - answer.offset_s
+    if answer.offset_s:
+        warnings.append(
+            f"stamps are read at the fixed offset {answer.offset_s / HOUR_S:+g} h that the file states, "
+            "in summer and winter; ask for timezone=GMT if a program between has changed them"
+        )
     steps = np.diff(time)
     if len(steps) and (np.abs(steps - HOUR_S) > 1.0).any():
         place = int(np.argmax(np.abs(steps - HOUR_S) > 1.0))
-        faults.append(
-            f"time: expected an hour between stamps, found {steps[place]:g} s after {answer.stamps[place]}: "
-            "the stamps follow summer time, or hours were removed; ask for timezone=GMT and hourly=…"
+        raise TableFault(
+            f"time: expected an hour between stamps, found {steps[place]:g} s after "
+            f"{stamp_text(time[place])}: the stamps follow summer time, or hours were removed; ask for "
+            "timezone=GMT and hourly=…"
         )
     return time
 
 
 def _add_columns(weather: SiteWeather, answer: Answer) -> None:
     """Add the series of the columns that are used."""
-    given = {_FORMER.get(name, name): name for name in answer.value}
+    given = {_FORMER.get(name, name): name for name in answer.table.values}
 
     def value(own: str, signal: str) -> np.ndarray:
         name = given[own]
-        return converted(name, answer.value[name], answer.unit.get(name, ""), signal, weather.faults)
+        return converted(name, answer.table.values[name], answer.unit.get(name, ""), signal, weather.faults)
 
     def add(own: str, signal: str, number: np.ndarray, **more: Any) -> None:
         remedy = f"the file states {answer.unit.get(given[own])}; fetch it again"

@@ -94,12 +94,8 @@ def read_try(path: str | os.PathLike[str], year: int | None = None) -> Record:
     stamps = np.column_stack(
         [np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))]
     ).astype(int)
-    stamps, keep, said = placed_in_year(stamps, year)
-    warnings += [
-        *said,
-        f"hours of a test reference year stand in {year}: a typical year, not the weather of {year}",
-    ]
-    column = {name: values[keep] for name, values in column.items()}
+    stamps, column, said = placed_in_year(stamps, column, year, "a test reference year")
+    warnings += said
     time = local_seconds(stamps) - ZONE_H * HOUR_S
     if (np.abs(np.diff(time) - HOUR_S) > 1.0).any():
         place = int(np.argmax(np.abs(np.diff(time) - HOUR_S) > 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import calendar
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -17,10 +17,13 @@ SHIFTED = "the columns are shifted, or in other units"
 WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
 
 
-def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Hours moved to one calendar year: their stamps, the rows that they come from, and warnings.
+def placed_in_year(
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, own: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Hours moved to one calendar year: their stamps, their columns, and warnings.
 
-    stamps: (T, 4) year, month, day, hour 1…24 as written. year: 1900 … 2200.
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: 1900 … 2200.
+    own: the years of the file in words, "" where it is that year.
 
     29 February is a repetition of the 28th where the year needs it and the file has none; it is left out
     where the year has none.  Raises TableFault for a year out of range.
@@ -42,7 +45,9 @@ def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarra
         keep = np.flatnonzero(~leap_day)
         placed = placed[keep]
         said.append(f"{year} is not a leap year: 29 February is left out")
-    return placed, keep, said
+    if own:
+        said.append(f"hours of {own} stand in {year}: a typical year, not the weather of {year}")
+    return placed, {name: one[keep] for name, one in columns.items()}, said
 
 
 def expect_hour(year: int, month: int, day: int, hour: int) -> None:
