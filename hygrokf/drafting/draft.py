@@ -101,25 +101,20 @@ def draft_case(
     together = joined(tables)
     faults += same_layout(together)
     sources: list[Source] = []
-    said: list[tuple[str, ...]] = []
-    chosen: list[str | None] = []
     for export in together:
         try:
-            ready, column, name, doubts = prepared(export, turbine)
-            sources.append(source_of(ready, column))
+            ready, column, chosen, doubts = prepared(export, turbine)
+            sources.append(replace(source_of(ready, column), said=doubts, turbine=chosen))
         except TableFault as broken:
             faults += [f"{export.file}: {fault}" for fault in broken.faults]
-            continue
-        said.append(doubts)
-        chosen.append(name)
-    if turbine is not None and not faults and not any(chosen):
+    if turbine is not None and not faults and not any(one.turbine for one in sources):
         faults.append(
             f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
         )
     if faults:
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
-    return _written(sources, said, chosen, found, left, weather, out, site)
+    return _written(sources, found, left, weather, out, site)
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
@@ -143,44 +138,32 @@ def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
 
 def _written(
     sources: list[Source],
-    said: list[tuple[str, ...]],
-    chosen: list[str | None],
     found: list[Assigned],
     left: dict[tuple[int, str], str],
     weather: list[Weather],
     out: Path,
     site: tuple[float, float] | None,
 ) -> Draft:
-    files: list[str] = []
+    """The draft, after its case file and the copies of tables are written."""
     copies: list[Path] = []
-    for source in sources:
+    placed: list[Source] = []
+    for number, source in enumerate(sources):
         path = source.export.file
-        if source.export.changes:
-            path = _copy_name(source.export.file, out, copies)
+        export = source.export
+        if export.changes:
+            path = _copy_name(path, out, copies)
             copies.append(path)
-        files.append(_relative(path, out))
-    clocks = [
-        (*doubts, *_offset_doubt(source), *_zone_doubt(source, sources))
-        for source, doubts in zip(sources, said, strict=True)
-    ]
+            export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
+            text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
+            write_text_whole(path, text)
+        said = (*source.said, *_offset_doubt(source), *_zone_doubt(source, sources))
+        sun = _sun(number, source, found, site)
+        placed.append(replace(source, export=export, path=_relative(path, out), said=said, sun=sun))
     rated, largest = _power(sources, found)
-    name = next((one for one in chosen if one), None) or _name(sources, out)
+    name = next((one.turbine for one in sources if one.turbine), None) or _name(sources, out)
     contents = Contents(
-        name,
-        tuple(files),
-        tuple(_with_copy_marks(one) for one in sources),
-        tuple(clocks),
-        tuple(found),
-        left,
-        tuple(weather),
-        rated,
-        largest,
-        site,
-        tuple(_sun(number, source, found, site) for number, source in enumerate(sources)),
+        name, tuple(placed), tuple(found), left, tuple(weather), rated, largest, site
     )
-    for source, target in zip((one for one in sources if one.export.changes), copies, strict=True):
-        separator = ";" if source.export.decimal == "," else ","
-        write_text_whole(target, source.export.cells.to_csv(index=False, sep=separator, lineterminator="\n"))
     write_text_whole(out, case_text(contents))
     return Draft(
         str(out),
@@ -188,7 +171,7 @@ def _written(
         tuple(
             DraftedSignal(
                 one.best.signal,
-                files[one.best.source],
+                placed[one.best.source].path,
                 one.best.column,
                 one.best.unit,
                 one.best.score,
@@ -198,11 +181,11 @@ def _written(
             )
             for one in found
         ),
-        tuple(LeftColumn(files[number], column, why) for (number, column), why in left.items()),
+        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in left.items()),
         tuple(
-            f"{file}: {doubt}"
-            for file, source, doubts in zip(files, sources, clocks, strict=True)
-            for doubt in (*source.clock.doubts, *doubts, *source.quality_doubts)
+            f"{one.path}: {doubt}"
+            for one in placed
+            for doubt in (*one.clock.doubts, *one.said, *one.quality_doubts)
         ),
         lacking(contents),
     )
@@ -213,14 +196,6 @@ def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
     stem = f"{out.stem}_{file.name.split('.')[0]}"
     names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
     return next(path for path in (out.parent / name for name in names) if path not in copies)
-
-
-def _with_copy_marks(source: Source) -> Source:
-    """The source as its copy will be read, where there is one."""
-    if not source.export.changes:
-        return source
-    separator = ";" if source.export.decimal == "," else ","
-    return replace(source, export=replace(source.export, separator=separator, comment=None))
 
 
 def _offset_doubt(source: Source) -> tuple[str, ...]:

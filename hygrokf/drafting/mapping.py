@@ -82,6 +82,8 @@ class Source:
     values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
     column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
     quality_doubts: about them.
+    said: doubts of the selection. turbine: that was selected, None where the file holds one alone.
+    path: in the case. sun: what the irradiance says of the clock.
     """
 
     export: Export
@@ -92,6 +94,10 @@ class Source:
     quality: dict[str, str] = field(default_factory=dict)
     vocabulary: QualityVocabulary = UNSTATED
     quality_doubts: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    turbine: str | None = None
+    path: str = ""
+    sun: str | None = None
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
