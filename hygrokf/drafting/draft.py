@@ -59,7 +59,8 @@ class LeftColumn:
 class Draft:
     """A drafted case.
 
-    case: path of the case file. copies: tables written beside it. doubts: of the clocks and of the selection.
+    case: path of the case file. copies: tables written beside it. doubts: of the clocks, of the selection
+    and, from `hygrokf init`, of the readings.
     lacks: signals that a fit needs or would miss and that no export holds, in words.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -126,6 +127,20 @@ def test_what_a_fit_would_miss_is_told(tmp_path, monkeypatch):
     assert len(draft.lacks) == 3  # outside, cabinet, power
     said = run("init o.csv --out other.toml")
     assert all(lack.split(":")[0] in said.out for lack in draft.lacks)
+
+
+def test_init_names_the_readings_that_depart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    export = written(tmp_path / "s.csv", "time (UTC),Cabinet Temp (degC)", ["cabinet_temperature"])
+    lines = export.read_text().splitlines()
+    stamp, _ = lines[1000].split(",")
+    lines[1000] = f"{stamp},85.0"
+    export.write_text("\n".join(lines))
+    at = f"{stamp.replace(' ', 'T')}Z"
+    said = f"1 reading that leaves its course and returns within 30 min masked: 85 degC at {at}"
+    assert said in run("init s.csv").out
+    doubts = json.loads(run("init s.csv --out other.toml --json").out)["doubts"]
+    assert [said in one for one in doubts].count(True) == 1
 
 
 @pytest.mark.parametrize("names", ["cabinet/174.csv outside/174.csv", "cabinet_174.csv outside_174.csv"])
