@@ -18,7 +18,7 @@ from hygrokf.cases.form import CasePlace, StatedCase, StatedColumn, StatedSource
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
-from hygrokf.data.probes import copies, probe_of
+from hygrokf.data.probes import copies, temperatures_of
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
@@ -175,8 +175,8 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
         warm, moist = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
         if warm is None or moist is None:
             continue
-        file, probe = moist[0], probe_of(moist[1])[0]
-        own = [one for one in headers.get(file, ()) if probe_of(one) == (probe, "temperature")]
+        file = moist[0]
+        own = temperatures_of(moist[1], headers.get(file, ()))
         if len(own) == 1 and warm != (file, own[0]):
             yield Doubt(
                 f'{place}_temperature ({warm[0]}, column "{warm[1]}") is not of the probe of '

@@ -15,8 +15,15 @@ import numpy as np
 
 from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
 from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
-from hygrokf.data.record import EARLIEST_S, LATEST_S
-from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
+from hygrokf.data.timestamps import (
+    EARLIEST_S,
+    LATEST_S,
+    fitting_formats,
+    read_stamps,
+    time_format_fault,
+    zone_in_header,
+    zone_named,
+)
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -360,17 +367,10 @@ def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stat
     words = [str(one).strip() for one in column[unreadable].iloc[:200]]
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
-    for pattern, form in (
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
-        (r"(19|20)\d{8}", "%Y%m%d%H"),
-        (r"[34]\d{4}([.,]\d+)?", EXCEL),
-    ):
-        if form != stated and all(re.fullmatch(pattern, word) for word in words):
-            ask = " (or month first: %m/%d)" if "/" in form else ""
-            return f'; state time_format = "{form}"{ask}{here}'
+    forms = [one for one in fitting_formats(column[unreadable].iloc[:200]) if one not in (None, stated)]
+    if forms:
+        others = f" (or {' or '.join(map(repr, forms[1:3]))})" * (len(forms) > 1)
+        return f'; state time_format = "{forms[0]}"{others}{here}'
     if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
         return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     if all(word.startswith("#") for word in words):

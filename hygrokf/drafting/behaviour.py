@@ -121,7 +121,7 @@ def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -
         return 0.3
     score = 0.4 * float(np.mean(mine > outside)) + 0.3 * max(_correlation(mine, outside), 0.0)
     if power is not None:
-        excess, load = Hourly(column.hour, column.value).beside(power)
+        excess, load = column.beside(power)
         score += 0.3 * max(_correlation(excess, load), 0.0)
     return score
 

@@ -14,10 +14,10 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.timestamps import (
     DAY_S,
-    EXCEL,
     HOUR_S,
     MINUTE_S,
     change_date,
+    fitting_formats,
     modal_step,
     read_stamps,
     zone_in_header,
@@ -28,18 +28,6 @@ from hygrokf.drafting.layout import Export, is_date
 if TYPE_CHECKING:
     import pandas
 
-FORMATS = (
-    "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%d.%m.%Y",
-    "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d/%m/%y %H:%M:%S", "%d/%m/%y %H:%M",
-    "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%y %H:%M:%S", "%m/%d/%y %H:%M",
-    "%m/%d/%Y %I:%M:%S %p", "%m/%d/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
-    "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
-    "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
-    "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
-    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M",
-    "%Y%m%d %H:%M", EXCEL,
-)  # fmt: skip
-"""strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
 _STATED_ZONE = re.compile(
     r"(?:time ?zone|zeitzone)\W{0,3}"
@@ -171,9 +159,7 @@ def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
     sample = text.dropna()
     sample = sample.iloc[np.linspace(0, len(sample) - 1, min(len(sample), 300)).astype(int)]
     found = []
-    for place, form in enumerate((None, *FORMATS)):
-        if read_stamps(sample, UTC, time_format=form).unreadable.any():
-            continue
+    for place, form in enumerate(fitting_formats(sample)):
         read = read_stamps(text, UTC, time_format=form)
         if read.unreadable.sum() > 0.001 * len(text):
             continue

@@ -257,10 +257,8 @@ def gaps_text(series: Series) -> list[str]:
     """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
     time, _ = series.known
     step, _ = modal_step(series.time)
-    if len(time) < 2 or not np.isfinite(step):
-        return []
     length = np.diff(time)
-    wide = np.flatnonzero(length > 3.01 * step)
+    wide = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
     if not len(wide):
         return []
     longest = wide[np.argsort(length[wide])[::-1][:SHOWN_GAPS]]
