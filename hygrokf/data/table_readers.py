@@ -6,6 +6,7 @@ import csv
 import gzip
 import hashlib
 import io
+import itertools
 import os
 import re
 import warnings as python_warnings
@@ -282,17 +283,9 @@ class _CsvSource:
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""
-        wanted = {int(row) for row in rows}
-        found, row = {}, 0
-        for number, _ in self._rows():
-            if number <= self.layout.header_line:
-                continue
-            if row in wanted:
-                found[row] = number
-                if len(found) == len(wanted):
-                    break
-            row += 1
-        return [found[int(row)] for row in rows if int(row) in found]
+        numbers = (number for number, _ in self._rows() if number > self.layout.header_line)
+        first = list(itertools.islice(numbers, int(max(rows, default=-1)) + 1))
+        return [first[int(row)] for row in rows if row < len(first)]
 
 
 def decodable(content: bytes) -> tuple[bytes, str]:

@@ -163,18 +163,12 @@ def _hours(rows: list[list[str]], faults: list[str]) -> tuple[np.ndarray, dict[s
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
     """Hours of the header's period without 29 February; None where it states no period."""
-    days = []
-    for cell in periods[5:7]:
-        parts = [part.strip() for part in cell.split("/")]
-        try:
-            days.append(
-                datetime(2019, int(parts[0]), min(int(parts[1]), 28 if parts[0] == "2" else 31), tzinfo=UTC)
-            )
-        except (ValueError, IndexError):
-            return None
-    if len(days) != 2 or days[1] < days[0]:
+    try:
+        dates = [[int(part) for part in cell.split("/")[:2]] for cell in periods[5:7]]
+        first, last = (datetime(2019, m, min(d, 28 if m == 2 else 31), tzinfo=UTC) for m, d in dates)
+    except ValueError:
         return None
-    return 24 * ((days[1] - days[0]).days + 1)
+    return 24 * ((last - first).days + 1) if last >= first else None
 
 
 def _dew_point(si: Mapping[str, np.ndarray], weather: SiteWeather) -> np.ndarray:

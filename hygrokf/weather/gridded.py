@@ -99,7 +99,7 @@ def point_fields(
     place = ""
     at: tuple[float, float] | None = None
     if latitude is not None and longitude is not None:
-        dataset, at = _nearest(dataset, time_name, latitude, longitude, site, used)
+        dataset, at = _nearest(dataset, latitude, longitude, site, used)
         place = place_text(*at, site)
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
@@ -203,12 +203,7 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
 
 
 def _nearest(
-    dataset: xarray.Dataset,
-    time_name: str,
-    latitude: str,
-    longitude: str,
-    site: Site | None,
-    used: dict[str, str],
+    dataset: xarray.Dataset, latitude: str, longitude: str, site: Site | None, used: dict[str, str]
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
     """The data set at the nearest cell with a temperature, and its latitude and longitude [deg]."""
     rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
@@ -237,7 +232,7 @@ def _nearest(
             )
         narrowing = math.cos(math.radians(site.latitude_deg))
         away = np.hypot(north[:, None], narrowing * east[None, :])
-        filled = _filled(dataset, time_name, latitude, longitude, used, away.shape)
+        filled = _filled(dataset, latitude, longitude, used, away.shape)
         nearest = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
         row, column = (int(place) for place in nearest)
     chosen = {
@@ -247,12 +242,7 @@ def _nearest(
 
 
 def _filled(
-    dataset: xarray.Dataset,
-    time_name: str,
-    latitude: str,
-    longitude: str,
-    used: dict[str, str],
-    shape: tuple[int, int],
+    dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
     """Cells (rows, columns) that have a temperature: land reanalyses have none over the sea."""
     name = next((name for name, short in used.items() if short == "t2m"), None)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.readings import mask_out_of_range
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
@@ -63,7 +63,8 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    record = _within_range(_warned_of_distance(_read(file, kind, site, year), site))
+    # such as codes of missing values
+    record = mask(_warned_of_distance(_read(file, kind, site, year), site), within_range=True)
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m
@@ -162,16 +163,6 @@ def _has_merra2(path: Path) -> bool:
             return "T2M" in file
     except (ImportError, OSError):  # the reader reports the fault
         return False
-
-
-def _within_range(record: Record) -> Record:
-    """The record without readings out of range, such as codes of missing values, with a warning for each."""
-    series, warnings = [], list(record.warnings)
-    for one in record.series:
-        kept, said = mask_out_of_range(one)
-        series.append(kept)
-        warnings += said
-    return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
 
 
 def _warned_of_distance(record: Record, site: Site | None) -> Record:
