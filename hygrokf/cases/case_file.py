@@ -318,7 +318,7 @@ def _source_series(
         length = source.interval_s
         if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
-                faults.append(_no_step(source, step, regular))
+                faults.append(_no_step(step, regular))
                 break
             length = step
         moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
@@ -352,7 +352,7 @@ def _source_series(
     return found, warnings, faults
 
 
-def _no_step(source: StatedSource, step: float, regular: float) -> str:
+def _no_step(step: float, regular: float) -> str:
     found = "there is only one stamp"
     if math.isfinite(step):
         found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"

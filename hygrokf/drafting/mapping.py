@@ -64,15 +64,13 @@ class Candidate:
 class Assigned:
     """The column of a signal.
 
-    active: whether the case reads it without an edit. compare: whether it is only compared. runners_up: next
-    best columns.
+    active: whether the case reads it without an edit. compare: whether it is only compared.
     """
 
     best: Candidate
     active: bool
     compare: bool
     doubts: tuple[str, ...]
-    runners_up: tuple[Candidate, ...]
 
 
 @dataclass(frozen=True)
@@ -392,9 +390,9 @@ def _settled(
         if poles and one.signal != "door_open":
             active = False
             doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
-        found.append(Assigned(one, active, False, tuple(doubts), near))
+        found.append(Assigned(one, active, False, tuple(doubts)))
         for second in seconds[:1]:
-            found.append(Assigned(second, True, True, second.doubts, ()))
+            found.append(Assigned(second, True, True, second.doubts))
             used.add((second.source, second.column))
     left = {}
     for number, source in enumerate(sources):

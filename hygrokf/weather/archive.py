@@ -30,7 +30,8 @@ RATIO_FROM = 2**20
 MOST_MEMBERS = 400
 """Most files in an archive: a year of daily files."""
 _PIECE = 2**20
-_FORMATS_OF_KINDS = {"netcdf4": "era5", "netcdf3": "era5", "epw": "epw", "json": "open_meteo"}
+FORMATS_OF_KINDS = {"netcdf4": "era5", "netcdf3": "era5", "epw": "epw", "json": "open_meteo"}
+"""Kind of a file that has one format of weather files alone, and this format."""
 T = TypeVar("T")
 
 
@@ -81,7 +82,7 @@ def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[Content, 
     found, digest = contents(path)
     own = [one for one in found if one.kind in kinds]
     if not own:
-        form = _FORMATS_OF_KINDS.get(found[0].kind)
+        form = FORMATS_OF_KINDS.get(found[0].kind)
         remedy = f'; state format = "{form}"' if form else ""
         raise TableFault(f"expected {what}, found {found[0].kind}{remedy}")
     if len(own) > 1:

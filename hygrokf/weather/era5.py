@@ -12,7 +12,7 @@ from hygrokf.data.columns import Notation, TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.weather.archive import Content, contents, read_each
+from hygrokf.weather.archive import FORMATS_OF_KINDS, Content, contents, read_each
 from hygrokf.weather.fields import NO_HUMIDITY, Field, PointFields, point_record, short_name
 from hygrokf.weather.gridded import open_dataset, point_fields
 from hygrokf.weather.joining import joined
@@ -52,10 +52,8 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
 
 def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
     """The record of one member; None for a further member without a known field, such as one of waves."""
-    if one.kind == "epw":
-        raise TableFault('is an EPW file; state format = "epw"')
-    if one.kind == "json":
-        raise TableFault('is JSON of Open-Meteo; state format = "open_meteo"')
+    if (form := FORMATS_OF_KINDS.get(one.kind, "era5")) != "era5":
+        raise TableFault(f'expected a file of ERA5, found {one.kind}; state format = "{form}"')
     if one.kind == "csv":
         points = _csv_fields(one.data, file, site, alone)
         return None if points is None else point_record(points, digest, temperature=alone)
