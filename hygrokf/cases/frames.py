@@ -105,15 +105,11 @@ def read_frames(
             tables[frame_name] = prepared[1]
     if not sources:
         raise CaseFault(_HEAD, faults)
-    content: dict[str, Any] = {"name": name, "source": sources}
-    if rated_power_kW is not None:
-        content["rated_power_kW"] = rated_power_kW
     if isinstance(site, Site):
-        content["site"] = {key: value for key, value in asdict(site).items() if value is not None}
-    elif site is not None:
-        content["site"] = site
-    if identification is not None:
-        content["identification"] = identification
+        site = {key: value for key, value in asdict(site).items() if value is not None}
+    about = {"rated_power_kW": rated_power_kW, "site": site, "identification": identification}
+    content: dict[str, Any] = {"name": name, "source": sources}
+    content |= {key: value for key, value in about.items() if value is not None}
     case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=sources), "record")
 
     faults += wrong
