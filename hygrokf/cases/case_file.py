@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 
 from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
-from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
-from hygrokf.cases.places import CaseLines
+from hygrokf.cases.form import CasePlace, StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
-from hygrokf.data.probes import copies, probe_of
+from hygrokf.data.probes import copies, temperatures_of
 from hygrokf.data.readings import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.data.toml_form import FormFault, read_toml
+from hygrokf.data.toml_lines import lines_of
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -48,11 +48,11 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     """
     file = Path(path)
     text, content = _case_text(file)
-    case, faults = stated_case(content, CaseLines(file.name, text), file.stem)
+    case, faults = stated_case(content, CasePlace(file=file.name, lines=lines_of(text)), file.stem)
 
     def table(source: StatedSource) -> Table:
         columns = [one.column for one in source.columns]
-        return read_table(file.parent / source.file, columns, source.time, **source.reading)
+        return read_table(file.parent / source.file, columns, source.time, source.notation)
 
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)
@@ -175,8 +175,8 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
         warm, moist = used.get(f"{place}_temperature"), used.get(f"{place}_relative_humidity")
         if warm is None or moist is None:
             continue
-        file, probe = moist[0], probe_of(moist[1])[0]
-        own = [one for one in headers.get(file, ()) if probe_of(one) == (probe, "temperature")]
+        file = moist[0]
+        own = temperatures_of(moist[1], headers.get(file, ()))
         if len(own) == 1 and warm != (file, own[0]):
             yield Doubt(
                 f'{place}_temperature ({warm[0]}, column "{warm[1]}") is not of the probe of '
@@ -188,7 +188,7 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a case that lacks the signals a model needs."""
-    name, signal = case.lines.name, case.lines.signal
+    name, signal = case.place.file, case.place.signal
     faults = []
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
     if ambient and unheard:
@@ -318,7 +318,7 @@ def _source_series(
         length = source.interval_s
         if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
-                faults.append(_no_step(source, step, regular))
+                faults.append(_no_step(step, regular))
                 break
             length = step
         moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
@@ -352,7 +352,7 @@ def _source_series(
     return found, warnings, faults
 
 
-def _no_step(source: StatedSource, step: float, regular: float) -> str:
+def _no_step(step: float, regular: float) -> str:
     found = "there is only one stamp"
     if math.isfinite(step):
         found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
@@ -392,8 +392,9 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     faults = []
     for key, value in (("start", case.start_s), ("until", case.until_s)):
         if value is not None and not record.start_s < value < record.end_s:
+            where = case.place.inside("identification").at(key)
             faults.append(
-                f"{case.lines.at(None, key)}: {key} = {stamp_text(value)} is outside of the record "
+                f"{where}: {key} = {stamp_text(value)} is outside of the record "
                 f"({period_text(record.start_s, record.end_s)})"
             )
     return faults

@@ -36,7 +36,6 @@ _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _MANY_LOST = 0.03
 """[1] share of readings without known inputs that is worth a doubt."""
-_FEWEST_IN_COMMON = 20
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
-from hygrokf.cases.places import Statement
+from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import POLES, Meaning
 from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, stated_vocabulary
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
-from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
+from hygrokf.data.toml_form import Key, Place, across, entry_name, read_form, setting
+from hygrokf.data.toml_lines import Path, line_of
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
@@ -108,45 +109,47 @@ class StatedColumn(StatedSensor):
 
 @dataclass(frozen=True, kw_only=True)
 class CasePlace(Place):
-    """A table of a case.
+    """A table of a case, whose places in messages are lines of its file, such as "case.toml, line 7".
 
-    lines: gives the places of the case. block: number of the [[source]], or None for the rest.
-    key: that gives the place of the table itself. subject: the table as the subject of "needs …".
+    file: its name. path: of the table. lines: of its tables and keys. subject: the table as the subject of
+    "needs …".
     """
 
-    lines: Statement
-    block: int | None = None
-    key: str | None = None
+    file: str
+    path: Path = ()
+    lines: Mapping[Path, int] = field(default_factory=dict, repr=False, compare=False)
     subject: str = ""
 
     def needs(self, key: str, stated: Key) -> str:
-        return f"{self.subject}needs {key}"
+        said = f"{self.subject}needs {key}"
+        if key == "unit":
+            said += f"; units that fit: {', '.join(fitting_units(str(self.path[-1])))}"
+        return said
 
     def at(self, *keys: str) -> str:
-        return self.lines.at(self.block, *keys, *([] if self.key is None else [self.key]))
+        line = line_of(self.lines, self.path, keys)
+        return self.file if line is None else f"{self.file}, line {line}"
 
     def table(self, key: str) -> str:
-        return f" {self.lines.table(key)}"
+        return f" [{key}]"
+
+    def signal(self, name: str) -> str:
+        """The name of a signal's entry."""
+        return f"signals.{name}"
+
+    def of_signal(self, block: int, name: str) -> Place:
+        """The entry of a signal in the source with a number."""
+        return self.inside("source", block).inside("signals", entry=name)
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
+        head = self.table(key)
+        of, subject = f" in{head}", f"{head.strip()} "
         if number is not None:
-            return replace(self, of=" in [[source]]", subject="this source ", block=number)
+            of, subject = " in [[source]]", "this source "
         if entry is not None:
-            said = {"of": f" in signals.{entry}", "subject": f"{self.lines.signal(entry)} "}
-            return SignalPlace(faults=self.faults, lines=self.lines, block=self.block, key=entry, **said)
-        head = self.lines.table(key)
-        return replace(self, of=f" in {head}", subject=f"{head} ", key=key)
-
-
-class SignalPlace(CasePlace):
-    """The entry of a signal; its line is that of the signal's name, as other sources have the same keys."""
-
-    def at(self, *keys: str) -> str:
-        return super().at(*(one for one in keys if one not in keys_of(StatedColumn)))
-
-    def needs(self, key: str, stated: Key) -> str:
-        units = f"; units that fit: {', '.join(fitting_units(str(self.key)))}"
-        return super().needs(key, stated) + (units if key == "unit" else "")
+            of, subject = f" in signals.{entry}", f"{self.signal(entry)} "
+        within = (one for one in (number, entry) if one is not None)
+        return replace(self, of=of, subject=subject, path=(*self.path, key, *within))
 
 
 @dataclass(frozen=True)
@@ -216,16 +219,13 @@ class StatedSource:
         return tuple(one for one in valid if one.column)
 
     @property
-    def reading(self) -> dict[str, Any]:
-        """Further arguments of `hygrokf.data.table_readers.read_table`."""
-        names = (
-            "timezone", "separator", "decimal", "thousands", "comment", "missing", "time_format",
-            "ignore_offset",
-        )  # fmt: skip
+    def notation(self) -> Notation:
+        """How the table writes its readings."""
         meanings = {one.column: one.meaning for one in self.columns}
         quality = {one.column: one.quality for one in self.columns}
         stated = StatedQuality(quality, self.vocabulary, self.use_uncertain)
-        return {"meanings": meanings, "quality": stated} | {name: getattr(self, name) for name in names}
+        own = {one.name: getattr(self, one.name) for one in fields(Notation) if hasattr(self, one.name)}
+        return Notation(**{**own, "meanings": meanings, "quality": stated})
 
 
 @dataclass(frozen=True)
@@ -304,7 +304,7 @@ class StatedCase:
     start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
     sources: those that can be read. weather: sources that are weather files.
     declared: every signal of a source that is used, with the number of its source.
-    lines: gives the place of a key.
+    place: of its file or call, in messages.
     """
 
     name: str
@@ -314,20 +314,19 @@ class StatedCase:
     until_s: float | None
     sources: tuple[StatedSource, ...]
     declared: dict[str, int]
-    lines: Statement
+    place: CasePlace
     weather: tuple[StatedWeather, ...] = ()
 
 
-def stated_case(content: dict[str, Any], lines: Statement, name: str) -> tuple[StatedCase, list[str]]:
+def stated_case(content: dict[str, Any], place: CasePlace, name: str) -> tuple[StatedCase, list[str]]:
     """The statements of a case, and every fault of its form.
 
-    content: the parsed TOML, or the equivalent made from arguments. lines: gives the place of a key. name: of
+    content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages. name: of
         the enclosure, by default.
     """
-    place = CasePlace(lines=lines)
     form = read_form(CaseForm, content, place)
     if not content.get("source"):
-        place.faults.append(f"{lines.name}: names no source; expected one [[source]] for each file")
+        place.fault("names no source; expected one [[source]] for each file")
     tables: dict[int, StatedSource] = {}
     weather: list[StatedWeather] = []
     for block, table in enumerate(form.source):
@@ -338,7 +337,7 @@ def stated_case(content: dict[str, Any], lines: Statement, name: str) -> tuple[S
         weather.append(read_form(StatedWeather, table, inside))
         if weather[-1].to_site_altitude and (form.site is None or form.site.altitude_m is None):
             inside.fault("to_site_altitude needs altitude_m in [site]", "to_site_altitude")
-    declared = _declared(tables, lines, place.faults)
+    declared = _declared(tables, place)
     case = StatedCase(
         form.name or name,
         form.site,
@@ -347,13 +346,13 @@ def stated_case(content: dict[str, Any], lines: Statement, name: str) -> tuple[S
         form.identification.until_s,
         tuple(one for one in tables.values() if one.file and one.time),
         declared,
-        lines,
+        place,
         tuple(one for one in weather if one.file and one.format),
     )
     return case, place.faults
 
 
-def _declared(tables: Mapping[int, StatedSource], lines: Statement, faults: list[str]) -> dict[str, int]:
+def _declared(tables: Mapping[int, StatedSource], place: CasePlace) -> dict[str, int]:
     """Every signal that is used, with the number of its source."""
     declared: dict[str, int] = {}
     compared: dict[str, int] = {}
@@ -361,11 +360,11 @@ def _declared(tables: Mapping[int, StatedSource], lines: Statement, faults: list
         for name in one.signals:
             before = compared if one.compare else declared
             if name in before:
-                other = lines.at(before[name], name).split(", ")[-1]
+                other = place.of_signal(before[name], name).at().split(", ")[-1]
                 remedy = ": to compare the two, state compare = true in one of the sources"
-                faults.append(
-                    f"{lines.at(block, name)}: {lines.signal(name)} is named a second time (first: "
-                    f"{other}); a record has one series of a signal{remedy * (before is declared)}"
+                place.of_signal(block, name).fault(
+                    f"{place.signal(name)} is named a second time (first: {other}); a record has one "
+                    f"series of a signal{remedy * (before is declared)}"
                 )
             before.setdefault(name, block)
     return declared

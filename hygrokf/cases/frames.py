@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
-from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
+from hygrokf.cases.form import CasePlace, StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
@@ -35,9 +35,6 @@ COLUMN_OPTIONS = {"units": "unit"} | {
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
 _HEAD = "read_frames"
-_READING = (
-    "timezone", "decimal", "thousands", "meanings", "missing", "time_format", "ignore_offset", "quality",
-)  # fmt: skip
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
@@ -94,33 +91,31 @@ def read_frames(
     given = {**settings, "units": units}
     by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
-    prepared: dict[str, _Prepared] = {}
+    sources: list[dict[str, Any]] = []
+    tables: dict[str, Callable[[StatedSource], Table]] = {}
     for frame_name, frame in named.items():
         stated = {
             key: value.get(frame_name) if isinstance(value, Mapping) else value
             for key, value in by_frame.items()
         }
         columns = {key: values[frame_name] for key, values in by_column.items()}
-        source = _prepare(frame_name, frame, mapped[frame_name], columns, stated, faults)
-        if source is not None:
-            prepared[frame_name] = source
-    if not prepared:
+        prepared = _prepare(frame_name, frame, mapped[frame_name], columns, stated, faults)
+        if prepared is not None:
+            sources.append(prepared[0])
+            tables[frame_name] = prepared[1]
+    if not sources:
         raise CaseFault(_HEAD, faults)
-    content: dict[str, Any] = {"name": name, "source": [one.source for one in prepared.values()]}
-    if rated_power_kW is not None:
-        content["rated_power_kW"] = rated_power_kW
     if isinstance(site, Site):
-        content["site"] = {key: value for key, value in asdict(site).items() if value is not None}
-    elif site is not None:
-        content["site"] = site
-    if identification is not None:
-        content["identification"] = identification
-    case, wrong = stated_case(content, _Arguments(list(prepared.values())), "record")
+        site = {key: value for key, value in asdict(site).items() if value is not None}
+    about = {"rated_power_kW": rated_power_kW, "site": site, "identification": identification}
+    content: dict[str, Any] = {"name": name, "source": sources}
+    content |= {key: value for key, value in about.items() if value is not None}
+    case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=sources), "record")
 
-    def table(source: StatedSource) -> Table:
-        return prepared[source.file].table(source)
-
-    return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
+    faults += wrong
+    return record_of(
+        case, faults, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
+    )
 
 
 def _own_units(frame: pandas.DataFrame) -> dict[str, str]:
@@ -222,38 +217,6 @@ def _per_frame(
     }
 
 
-@dataclass(frozen=True)
-class _Prepared:
-    """A frame as a source.
-
-    source: in the form of a case file. frame: columns by name, rows counted from 0. stamps: (N,), or None
-    where the faults explain why. stamps_named: name of the stamps in messages. faults: of the stamps.
-    beside: column -> column of its quality.
-    """
-
-    source: dict[str, Any]
-    frame: pandas.DataFrame
-    stamps: pandas.Series | None
-    stamps_named: str
-    faults: tuple[str, ...]
-    beside: Mapping[str, str]
-
-    def table(self, source: StatedSource) -> Table:
-        """Its readings; raises TableFault."""
-        if not len(self.frame):
-            raise TableFault("expected readings, found no row in the frame")
-        return table_of(
-            self.frame,
-            [one.column for one in source.columns],
-            self.stamps,
-            self.stamps_named,
-            _PLACES,
-            faults=self.faults,
-            beside=self.beside,
-            **{key: source.reading[key] for key in _READING},
-        )
-
-
 def _prepare(
     name: str,
     frame: pandas.DataFrame,
@@ -261,9 +224,10 @@ def _prepare(
     by_column: Mapping[str, Mapping[str, Any]],
     stated: Mapping[str, Any],
     faults: list[str],
-) -> _Prepared | None:
-    """A frame as a source, or None where no column is usable; adds the faults that only frames can have.
+) -> tuple[dict[str, Any], Callable[[StatedSource], Table]] | None:
+    """A frame as a source in the form of a case file, and what reads it; None where no column is usable.
 
+    The faults that only frames can have are added.
     mapped: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
     """
     time = None if stated.get("time") is None else str(stated["time"])
@@ -314,7 +278,14 @@ def _prepare(
     kept.columns = columns
     kept.index = range(len(frame))
     kept.attrs = {HEADER: labels}
-    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong), beside)
+
+    def table(stated: StatedSource) -> Table:
+        if not len(kept):
+            raise TableFault("expected readings, found no row in the frame")
+        numbers = [one.column for one in stated.columns]
+        return table_of(kept, numbers, stamps, stamps_named, _PLACES, stated.notation, beside, wrong)
+
+    return source, table
 
 
 def _entries(
@@ -403,28 +374,23 @@ def _stamps(
     return stamps, named, None, []
 
 
-class _Arguments:
-    """Places of a case in the arguments of `read_frames`; implements `hygrokf.cases.places.Statement`."""
+@dataclass(frozen=True, kw_only=True)
+class _FramePlace(CasePlace):
+    """Places of a case in the arguments of `read_frames`: the frame, with the column of a signal."""
 
-    name = _HEAD
+    sources: Sequence[Mapping[str, Any]]
 
-    def __init__(self, prepared: Sequence[_Prepared]) -> None:
-        self.sources = [one.source for one in prepared]
+    def at(self, *keys: str) -> str:
+        if len(self.path) < 2:
+            return self.file
+        source = self.sources[int(self.path[1])]
+        named = next((one for one in (*keys, *self.path[3:]) if one in source["signals"]), None)
+        if named is None:
+            return str(source["file"])
+        return f'{source["file"]}, column "{source["signals"][named]["column"]}"'
 
-    def at(self, block: int | None, *keys: str) -> str:
-        """The frame, with the column of a signal."""
-        if block is None:
-            return self.name
-        source = self.sources[block]
-        for key in keys:
-            if key in source["signals"]:
-                return f'{source["file"]}, column "{source["signals"][key]["column"]}"'
-        return str(source["file"])
-
-    def table(self, name: str) -> str:
-        """The name of an argument."""
-        return f"{name}={{…}}"
+    def table(self, key: str) -> str:
+        return f" {key}={{…}}"
 
     def signal(self, name: str) -> str:
-        """The signal itself."""
         return name

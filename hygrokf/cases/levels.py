@@ -15,6 +15,7 @@ import numpy as np
 from hygrokf.data.ambient import place_absolute_humidity
 from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
@@ -37,27 +38,30 @@ class Alternative:
 
 @dataclass(frozen=True)
 class _Scale:
-    """A row of the table: readings of a quantity that are `words`, and become factor · x + offset in its
-    display unit; line: the key that corrects it."""
+    """A row of the table: readings of a quantity that are `words`.
+
+    called, unit: as declared, and what they are, `factor` times as many. line: the key that corrects it.
+    """
 
     kind: str
     words: str
     line: str
     quantity: str
-    factor: float
-    offset: float = 0.0
+    called: str
+    unit: str
+    factor: float = 1.0
 
 
 _SCALES = (
-    _Scale("unit", "in °F, called °C", 'unit = "degF"', "temperature", 1 / 1.8, -32 / 1.8),
-    _Scale("unit", "in °C, called °F", 'unit = "degC"', "temperature", 1.8, 32.0),
-    _Scale("unit", "in K, called °C", 'unit = "K"', "temperature", 1.0, -273.15),
-    _Scale("unit", "in °C, called K", 'unit = "degC"', "temperature", 1.0, 273.15),
-    _Scale("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", 100.0),
-    _Scale("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", 0.01),
+    _Scale("unit", "in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF"),
+    _Scale("unit", "in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC"),
+    _Scale("unit", "in K, called °C", 'unit = "K"', "temperature", "degC", "K"),
+    _Scale("unit", "in °C, called K", 'unit = "degC"', "temperature", "K", "degC"),
+    _Scale("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1"),
+    _Scale("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%"),
     *(
-        _Scale("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', quantity, 0.1**digits)
-        for quantity in ("temperature", "relative_humidity")
+        _Scale("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
+        for shown in (("temperature", "degC", "degC"), ("relative_humidity", "%", "%"))
         for digits in (1, 2)
     ),
 )
@@ -92,33 +96,24 @@ def value_alternatives(record: Record) -> tuple[Alternative, ...]:
     return tuple(one for one in made if all(name in record for name in one.signals))
 
 
-def _shown(series: Series) -> np.ndarray:
-    return series.value - ZERO_CELSIUS_K if series.signal.endswith("_temperature") else 100.0 * series.value
-
-
-def _from_shown(signal: str, value: np.ndarray) -> np.ndarray:
-    return value + ZERO_CELSIUS_K if signal.endswith("_temperature") else 0.01 * value
-
-
 def _scaled(signals: Sequence[str], scale: _Scale, record: Record) -> Record:
     """Raises ValueError where readings cannot be so: a decimal mark that was lost leaves whole numbers."""
     changed = []
     for one in (record[signal] for signal in signals):
-        shown = _shown(one)
-        if scale.kind == "decimal" and np.nanmax(np.abs(shown - np.round(shown)), initial=0.0) > 1e-6:
+        called = from_si(one.value, scale.called, one.signal)
+        if scale.kind == "decimal" and np.nanmax(np.abs(called - np.round(called)), initial=0.0) > 1e-6:
             raise ValueError(f"{one.signal} has fractions")
-        changed.append(replace(one, value=_from_shown(one.signal, scale.factor * shown + scale.offset)))
+        changed.append(replace(one, value=to_si(scale.factor * called, scale.unit, one.signal)))
     return record.replace_series(*changed)
 
 
 def _exchanged(pairs: Sequence[tuple[str, str]], record: Record) -> Record:
-    return record.replace_series(
-        *(
-            replace(record[other], signal=one, value=_from_shown(one, _shown(record[other])))
-            for pair in pairs
-            for one, other in (pair, pair[::-1])
-        )
-    )
+    def taken(signal: str, other: str) -> Series:
+        numbers = from_si(record[other].value, SIGNALS[other].display, other)
+        return replace(record[other], signal=signal, value=to_si(numbers, SIGNALS[signal].display, signal))
+
+    both = (one for pair in pairs for one in (pair, pair[::-1]))
+    return record.replace_series(*(taken(*one) for one in both))
 
 
 def surprise(record: Record) -> float:

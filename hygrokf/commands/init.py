@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from dataclasses import replace
 from pathlib import Path
 
 from hygrokf.commands.console import UserFault, expect_file, printable, show
@@ -44,11 +45,15 @@ def _run(options: Namespace) -> int:
     if options.out.exists():
         raise UserFault(f"--out {options.out}: expected a new file, found one; remove it or name another one")
     found = draft_case(options.exports, options.out, turbine=options.turbine, site=options.site)
-    show(found, draft_text(found), options.json)
+    broken = ""
     try:
-        read_case(options.out, cabinet=False, ambient=False)
+        said = read_case(options.out, cabinet=False, ambient=False).warnings
+        found = replace(found, doubts=tuple(dict.fromkeys((*found.doubts, *said))))
     except CaseFault as fault:
-        print(f"the draft needs an edit before it can be read:\n{printable(str(fault))}", file=sys.stderr)
+        broken = f"the draft needs an edit before it can be read:\n{printable(str(fault))}"
+    show(found, draft_text(found), options.json)
+    if broken:
+        print(broken, file=sys.stderr)
     return 0
 
 

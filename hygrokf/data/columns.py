@@ -15,8 +15,15 @@ import numpy as np
 
 from hygrokf.data.numbers import PARTED, POINT, Marks, Meaning, Unread, evidence, stated_marks, values_in
 from hygrokf.data.quality import NOTHING_STATED, Judged, StatedQuality
-from hygrokf.data.record import EARLIEST_S, LATEST_S
-from hygrokf.data.timestamps import EXCEL, read_stamps, time_format_fault, zone_in_header, zone_named
+from hygrokf.data.timestamps import (
+    EARLIEST_S,
+    LATEST_S,
+    fitting_formats,
+    read_stamps,
+    time_format_fault,
+    zone_in_header,
+    zone_named,
+)
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -78,24 +85,47 @@ class Places:
     here: str = " in this source"
 
 
+@dataclass(frozen=True)
+class Notation:
+    """How a table writes its readings.
+
+    timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name. time_format: strptime format of
+        the stamps, or "excel"; None: ISO 8601. ignore_offset: read stamps without the offset that they
+        carry, in `timezone`.
+    separator: of a CSV file. comment: mark at the start of lines to skip.
+    decimal, thousands: marks of numbers in texts; by default a point, and none.
+    missing: texts that mean no reading, besides `MISSING`.
+    meanings: of the columns, by which units and flags are read.
+    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
+    """
+
+    timezone: str | None = None
+    separator: str = ","
+    decimal: str | None = None
+    thousands: str | None = None
+    comment: str | None = None
+    missing: tuple[str, ...] = ()
+    time_format: str | None = None
+    ignore_offset: bool = False
+    meanings: Mapping[str, Meaning] = field(default_factory=dict)
+    quality: StatedQuality = NOTHING_STATED
+
+    @property
+    def marks(self) -> Marks | None:
+        """The marks of numbers; None where none is stated."""
+        return stated_marks(self.decimal, self.thousands)
+
+
 def table_of(
     frame: pandas.DataFrame,
     columns: Sequence[str],
     stamps: pandas.Series | None,
     stamps_named: str,
     places: Places,
-    *,
-    timezone: str | None = None,
-    decimal: str | None = None,
-    thousands: str | None = None,
-    meanings: Mapping[str, Meaning] | None = None,
-    missing: Sequence[str] = (),
-    time_format: str | None = None,
-    ignore_offset: bool = False,
+    notation: Notation,
+    beside: Mapping[str, str],
     faults: Sequence[str] = (),
     sha256: str = "",
-    quality: StatedQuality = NOTHING_STATED,
-    beside: Mapping[str, str] | None = None,
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
@@ -103,26 +133,26 @@ def table_of(
         name those that the frame lacks.
     stamps: of the rows, or None where `faults` already explains why. stamps_named: their name in messages,
         such as 'column "time"'.
-    places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
+    places: how messages name rows. notation: of stamps and numbers.
+    beside: column of numbers -> column of the frame with its quality.  Readings that it excludes are missing,
+        whatever their cells hold.
     faults: found before, raised together with those found here. sha256: of the file, where there is one.
-    quality: as stated. beside: column of numbers -> column of the frame with its quality.  Readings that it
-        excludes are missing, whatever their cells hold.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
-    zone = _zone(timezone, faults)
+    zone = _zone(notation.timezone, faults)
     values = {}
     judged = {
-        name: quality.judged(name, of, frame[of])
-        for name, of in (beside or {}).items()
+        name: notation.quality.judged(name, of, frame[of])
+        for name, of in beside.items()
         if name in frame and of in frame
     }
     warnings = [said for one in judged.values() for said in one.warnings]
-    stated = stated_marks(decimal, thousands)
+    stated = notation.marks
     for name in (one for one in dict.fromkeys(columns) if one in frame):
-        meaning = (meanings or {}).get(name, Meaning())
-        numbers, wrong, reasons = _numbers(frame[name], stated or POINT, tuple(missing), meaning)
+        meaning = notation.meanings.get(name, Meaning())
+        numbers, wrong, reasons = _numbers(frame[name], stated or POINT, notation.missing, meaning)
         if name in judged:
             wrong = wrong & judged[name].usable
             numbers = np.where(judged[name].usable, numbers, np.nan)
@@ -141,8 +171,7 @@ def table_of(
         rows = np.array([*values.values()]).reshape(len(values), len(frame))
         same = (rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))
         repeated = np.append(False, np.all(same, axis=0))[: len(frame)]
-        options = {"time_format": time_format, "ignore_offset": ignore_offset, "repeated": repeated}
-        time, said, amiss = _stamps_read(stamps, stamps_named, places, zone, timezone, options)
+        time, said, amiss = _stamps_read(stamps, stamps_named, places, zone, notation, repeated)
         warnings += said
         faults += amiss
         given = stamps.notna().to_numpy()
@@ -189,12 +218,13 @@ def _stamps_read(
     stamps_named: str,
     places: Places,
     zone: tzinfo | None,
-    timezone: str | None,
-    options: Mapping[str, Any],
+    notation: Notation,
+    repeated: np.ndarray,
 ) -> tuple[np.ndarray, list[str], list[str]]:
-    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`;
-    options: of `read_stamps`."""
-    time_format = options["time_format"]
+    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of` and
+    `read_stamps`."""
+    time_format, ignore_offset = notation.time_format, notation.ignore_offset
+    options: dict[str, Any] = dict(time_format=time_format, ignore_offset=ignore_offset, repeated=repeated)
     if fault := time_format_fault(time_format or ""):
         return np.full(len(stamps), np.nan), [], [f"{stamps_named}: {fault}"]
     warnings: list[str] = []
@@ -220,8 +250,8 @@ def _stamps_read(
             f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
             'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
         )
-    elif zone is not None and not options["ignore_offset"] and found.aware:
-        warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
+    elif zone is not None and not ignore_offset and found.aware:
+        warnings.append(f'timezone = "{notation.timezone}" is not used: the stamps carry offsets')
     warnings += found.warnings
     beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
     if beyond.any():
@@ -337,17 +367,10 @@ def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str, stat
     words = [str(one).strip() for one in column[unreadable].iloc[:200]]
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
-    for pattern, form in (
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
-        (r"(19|20)\d{8}", "%Y%m%d%H"),
-        (r"[34]\d{4}([.,]\d+)?", EXCEL),
-    ):
-        if form != stated and all(re.fullmatch(pattern, word) for word in words):
-            ask = " (or month first: %m/%d)" if "/" in form else ""
-            return f'; state time_format = "{form}"{ask}{here}'
+    forms = [one for one in fitting_formats(column[unreadable].iloc[:200]) if one not in (None, stated)]
+    if forms:
+        others = f" (or {' or '.join(map(repr, forms[1:3]))})" * (len(forms) > 1)
+        return f'; state time_format = "{forms[0]}"{others}{here}'
     if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
         return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     if all(word.startswith("#") for word in words):

@@ -7,7 +7,7 @@ its words of quantity and unit.  Dew points are told by two words, "dew point", 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -37,6 +37,11 @@ def probe_of(name: str) -> tuple[str, str]:
     for pattern in (*(words_of for _, words_of in QUANTITIES), _UNITS):
         words = re.sub(f" ({pattern})(?= )", " ", words)
     return re.sub(r"\s+", " ", words).strip(), quantity
+
+
+def temperatures_of(probe: str, columns: Iterable[str]) -> list[str]:
+    """Columns of the temperature of the probe that a column is of."""
+    return [one for one in columns if probe_of(one) == (probe_of(probe)[0], "temperature")]
 
 
 def copies(series: Sequence[Series]) -> Iterator[tuple[Series, str]]:

@@ -18,18 +18,21 @@ PILED = 5
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
 """[-] ranges over which noise may spread the readings of saturated air."""
 
-def mask(record: Record) -> Record:
+
+def mask(record: Record, within_range: bool = False) -> Record:
     """Record in which everything is masked that can be masked safely, with warnings.
 
-    record: any, SI units. Readings out of the physical range, those that the gate keeps out and saturated
-    cabinet humidity become missing, in this order.  Series that are only compared are treated alike.
+    record: any, SI units. Readings out of the physical range and, unless `within_range` is all that is asked,
+    those that the gate keeps out and saturated cabinet humidity become missing, in this order.  Series that
+    are only compared are treated alike.
     """
+    treatments = (mask_out_of_range,) if within_range else (mask_out_of_range, mask_gated, mask_saturated)
     warnings: list[str] = []
 
     def masked(group: tuple[Series, ...]) -> tuple[Series, ...]:
         result = []
         for series in group:
-            for treat in (mask_out_of_range, mask_gated, mask_saturated):
+            for treat in treatments:
                 series, said = treat(series)
                 warnings.extend(said)
             result.append(series)

@@ -15,6 +15,7 @@ import numpy as np
 
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
+from hygrokf.data.timestamps import EARLIEST_S, LATEST_S
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
@@ -212,8 +213,6 @@ class Series:
 
 
 _SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
-EARLIEST_S, LATEST_S = -3786825600.0, 7289654400.0
-"""[s] start of 1850 and end of 2200: the accepted range of times."""
 
 
 def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:

@@ -6,11 +6,12 @@ import csv
 import gzip
 import hashlib
 import io
+import itertools
 import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ import numpy as np
 from hygrokf.data.columns import (
     HEADER,
     MISSING,
+    Notation,
     Places,
     Table,
     TableFault,
@@ -28,8 +30,8 @@ from hygrokf.data.columns import (
     numbered,
     table_of,
 )
-from hygrokf.data.numbers import POINT, Marks, Meaning, could_divide_thousands, stated_marks
-from hygrokf.data.quality import NOTHING_STATED, StatedQuality
+from hygrokf.data.numbers import POINT, could_divide_thousands
+from hygrokf.data.quality import StatedQuality
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -48,74 +50,43 @@ class _Layout:
 
 
 def read_table(
-    path: str | os.PathLike[str],
-    columns: Sequence[str],
-    time_column: str,
-    *,
-    timezone: str | None = None,
-    separator: str = ",",
-    decimal: str | None = None,
-    thousands: str | None = None,
-    meanings: Mapping[str, Meaning] | None = None,
-    comment: str | None = None,
-    missing: Sequence[str] = (),
-    time_format: str | None = None,
-    ignore_offset: bool = False,
-    quality: StatedQuality = NOTHING_STATED,
+    path: str | os.PathLike[str], columns: Sequence[str], time_column: str, notation: Notation
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
     columns: names of the columns of numbers.
-    time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
-        above the one that holds this name are skipped.
-    timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
-    separator: of a CSV file. comment: mark at the start of lines to skip.
-    decimal, thousands: marks of numbers in texts; by default a point, and none.
-    meanings: of the columns, by which units and flags are read.
-    missing: texts that mean no reading, besides `MISSING`.
-    time_format: strptime format of the stamps, or "excel".
-    ignore_offset: read stamps without the offset that they carry, in `timezone`.
-    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
+    time_column: name of the column of stamps. Lines above the one that holds this name are skipped.
+    notation: of stamps and numbers.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     file = Path(path)
-    faults: list[str] = []
     if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
         raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
-    content = file_bytes(file)
+    return table_in(file_bytes(file), file.name, columns, time_column, notation)
+
+
+def table_in(
+    content: bytes, name: str, columns: Sequence[str], time_column: str, notation: Notation
+) -> Table:
+    """Columns of numbers and their stamps from the bytes of a file with this name; as `read_table`."""
+    faults: list[str] = []
     wanted = list(dict.fromkeys(columns))
-    if file.name.lower().endswith(".parquet"):
-        frame, beside = _parquet_frame(content, wanted, time_column, quality, faults)
+    if name.lower().endswith(".parquet"):
+        frame, beside = _parquet_source(content, wanted, time_column, notation.quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(
-            content, file.name, separator, stated_marks(decimal, thousands), comment, tuple(missing)
-        )
-        frame, beside = source.frame(wanted, time_column, quality, faults)
+        source = _CsvSource(content, notation)
+        frame, beside = source.frame(wanted, time_column, faults)
         frame.attrs[HEADER] = source.layout.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
-    return table_of(
-        frame,
-        wanted,
-        frame[time_column] if time_column in frame else None,
-        f'column "{time_column}"',
-        places,
-        timezone=timezone,
-        decimal=decimal,
-        thousands=thousands,
-        meanings=meanings,
-        missing=missing,
-        time_format=time_format,
-        ignore_offset=ignore_offset,
-        faults=faults,
-        sha256=hashlib.sha256(content).hexdigest(),
-        quality=quality,
-        beside=beside,
-    )
+    stamps = frame[time_column] if time_column in frame else None
+    digest = hashlib.sha256(content).hexdigest()
+    named = f'column "{time_column}"'
+    return table_of(frame, wanted, stamps, named, places, notation, beside, faults, digest)
 
 
 def file_bytes(file: Path) -> bytes:
@@ -134,32 +105,30 @@ def file_bytes(file: Path) -> bytes:
     return content
 
 
+def unpacked(content: bytes) -> bytes:
+    """The bytes of a file, out of gzip where they are packed.  Raises TableFault."""
+    if content[:2] == b"\x1f\x8b":
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as broken:
+            raise TableFault(f"cannot be decompressed: {broken}") from None
+    if not content.strip():
+        raise TableFault("the file is empty")
+    return content
+
+
 class _CsvSource:
     """The bytes of one CSV file and the layout of its lines."""
 
-    def __init__(
-        self,
-        content: bytes,
-        name: str,
-        separator: str,
-        marks: Marks | None,
-        comment: str | None,
-        missing: tuple[str, ...],
-    ) -> None:
-        if name.lower().endswith(".gz") or content[:2] == b"\x1f\x8b":
-            try:
-                content = gzip.decompress(content)
-            except (OSError, EOFError, zlib.error) as broken:
-                raise TableFault(f"cannot be decompressed: {broken}") from None
-            if not content.strip():
-                raise TableFault("the file is empty")
+    def __init__(self, content: bytes, notation: Notation) -> None:
+        content = unpacked(content)
         if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
             raise TableFault("is an Excel file or a ZIP archive; export it as CSV text")
         if content[:4] == b"PAR1":
             raise TableFault("is a Parquet file; name it .parquet")
         self.content, self.encoding = decodable(content)
-        self.separator, self.marks, self.comment = separator, marks, comment
-        self.missing = missing
+        self.separator, self.marks, self.comment = notation.separator, notation.marks, notation.comment
+        self.missing, self.quality = notation.missing, notation.quality
         self.layout = _Layout(0, ())
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
@@ -224,7 +193,7 @@ class _CsvSource:
         return None
 
     def frame(
-        self, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+        self, wanted: list[str], time_column: str, faults: list[str]
     ) -> tuple[pandas.DataFrame, dict[str, str]]:
         """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
         import pandas as pd
@@ -234,7 +203,7 @@ class _CsvSource:
             return pd.DataFrame(), {}
         self.layout = layout
         positions = {}
-        beside = quality.beside(layout.names, wanted)
+        beside = self.quality.beside(layout.names, wanted)
         marks = dict.fromkeys(beside.values())
         for name in dict.fromkeys([time_column, *wanted, *marks]):
             count = layout.names.count(name)
@@ -314,17 +283,9 @@ class _CsvSource:
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""
-        wanted = {int(row) for row in rows}
-        found, row = {}, 0
-        for number, _ in self._rows():
-            if number <= self.layout.header_line:
-                continue
-            if row in wanted:
-                found[row] = number
-                if len(found) == len(wanted):
-                    break
-            row += 1
-        return [found[int(row)] for row in rows if int(row) in found]
+        numbers = (number for number, _ in self._rows() if number > self.layout.header_line)
+        first = list(itertools.islice(numbers, int(max(rows, default=-1)) + 1))
+        return [first[int(row)] for row in rows if row < len(first)]
 
 
 def decodable(content: bytes) -> tuple[bytes, str]:
@@ -347,11 +308,11 @@ def decodable(content: bytes) -> tuple[bytes, str]:
     return content, "latin-1"
 
 
-def _parquet_frame(
-    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
-) -> tuple[pandas.DataFrame, dict[str, str]]:
-    import pandas as pd
+def parquet_frame(content: bytes, select: Callable[[list[str]], list[str]] | None = None) -> pandas.DataFrame:
+    """A frame of columns of a Parquet file, with the names of all of them.  Raises TableFault.
 
+    select: the columns to read, from the names of all; None: all.
+    """
     try:
         import pyarrow
         from pyarrow import parquet
@@ -361,16 +322,26 @@ def _parquet_frame(
         ) from None
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
-        found = list(file.schema_arrow.names)
-        beside = quality.beside(found, wanted)
-        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
-        there = [name for name in columns if name in found]
-        faults += [column_fault(name, found, "the file has") for name in columns if name not in found]
-        if not there:
-            return pd.DataFrame(), beside
-        frame = file.read(columns=there).to_pandas(ignore_metadata=True)
-        frame.attrs[HEADER] = found
-        return frame, beside
+        names = list(file.schema_arrow.names)
+        columns = names if select is None else select(names)
+        frame = file.read(columns=columns).to_pandas(ignore_metadata=True)
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault(f"cannot be read as Parquet: {reason}") from None
+    frame.attrs[HEADER] = names
+    return frame
+
+
+def _parquet_source(
+    content: bytes, wanted: list[str], time_column: str, quality: StatedQuality, faults: list[str]
+) -> tuple[pandas.DataFrame, dict[str, str]]:
+    """The wanted columns, missing ones as faults; column -> that of its quality."""
+    beside: dict[str, str] = {}
+
+    def select(found: list[str]) -> list[str]:
+        beside.update(quality.beside(found, wanted))
+        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
+        faults.extend(column_fault(name, found, "the file has") for name in columns if name not in found)
+        return [name for name in columns if name in found]
+
+    return parquet_frame(content, select), beside

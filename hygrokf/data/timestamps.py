@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings as python_warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from functools import lru_cache
@@ -18,6 +19,8 @@ from hygrokf.errors import suggestion
 if TYPE_CHECKING:
     import pandas
 
+EARLIEST_S, LATEST_S = -3786825600.0, 7289654400.0
+"""[s] start of 1850 and end of 2200: the accepted range of times."""
 MINUTE_S, HOUR_S, DAY_S, WEEK_S = 60.0, 3600.0, 86400.0, 604800.0
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
 _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
@@ -29,6 +32,18 @@ _HEADER_ZONE = re.compile(
 _CENTRAL_EUROPE_H = {"CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2}
 EXCEL = "excel"
 """The `time_format` of Excel's serial days: days since 1899-12-30, with their fraction."""
+FORMATS = (
+    "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%d.%m.%Y",
+    "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d/%m/%y %H:%M:%S", "%d/%m/%y %H:%M",
+    "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%y %H:%M:%S", "%m/%d/%y %H:%M",
+    "%m/%d/%Y %I:%M:%S %p", "%m/%d/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
+    "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
+    "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
+    "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
+    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M",
+    "%Y%m%d %H:%M", EXCEL,
+)  # fmt: skip
+"""strptime formats of exports, besides ISO 8601."""
 _EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
 _CLOCK_CHANGES = (
@@ -246,6 +261,15 @@ def read_stamps(
     return Stamps(np.where(naive, utc, seconds), unreadable, nothing, warnings)
 
 
+def fitting_formats(texts: pandas.Series) -> Iterator[str | None]:
+    """Formats that read all of these stamps (N,) as times of 1850 to 2200, ISO 8601 (None) first."""
+    for form in (None, *FORMATS):
+        read = read_stamps(texts, UTC, time_format=form)
+        known = read.time[np.isfinite(read.time)]
+        if not read.unreadable.any() and not np.any((known < EARLIEST_S) | (known > LATEST_S)):
+            yield form
+
+
 def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.ndarray]:
     """Datetimes (NaT where unreadable), and True for those without an offset."""
     import pandas as pd
@@ -444,19 +468,19 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     other = 0
     for index in gaps:
-        day, season = _change_date(time[index] + step)
+        day, season = change_date(time[index] + step)
         if season:
             gap_days[season].append(day)
         else:
             other += 1
     dates = np.arange(time[0], time[-1], DAY_S)
-    if other * sum(bool(_change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
+    if other * sum(bool(change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
         gap_days = {"spring": [], "autumn": []}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / DAY_S)):
         of_day = doubles[np.floor(doubles / DAY_S) == number]
-        day, season = _change_date(of_day[0])
+        day, season = change_date(of_day[0])
         if season and abs(len(of_day) - HOUR_S / step) < 1.5 and np.ptp(of_day) < HOUR_S:
             double_days[season].append(day)
     warnings = []
@@ -486,7 +510,7 @@ def _days(days: list[date]) -> str:
     return ", ".join(day.isoformat() for day in days)
 
 
-def _change_date(seconds: float) -> tuple[date, str]:
+def change_date(seconds: float) -> tuple[date, str]:
     """Date of a moment and "spring" or "autumn" if clocks change on it, else ""."""
     day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(seconds))).date()
     if day.weekday() != 6:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.toml_form import Place
@@ -26,8 +27,17 @@ def lines_of(text: str) -> dict[Path, int]:
             table = _numbered(_split(head[2]), counts, head[1] == "[[")
             found.setdefault(table, number)
         elif key is not None:
-            found.setdefault((*table, *_split(key[1])), number)
+            names = _split(key[1])
+            for length in range(len(names)):
+                found.setdefault((*table, *names[: length + 1]), number)
     return found
+
+
+def line_of(lines: Mapping[Path, int], table: Path, keys: Sequence[str]) -> int | None:
+    """The line of the first of these keys of a table that is found, else of the table or of one around it."""
+    around = (table[:length] for length in range(len(table), 0, -1))
+    # a key of an inline table stands on the line of that table
+    return next((lines[one] for one in (*((*table, key) for key in keys), *around) if one in lines), None)
 
 
 def _split(names: str) -> list[str]:
@@ -57,10 +67,7 @@ class LinedPlace(Place):
     path: Path = ()
 
     def at(self, *keys: str) -> str:
-        paths = [(*self.path, key) for key in keys]
-        # a key of an inline table stands on the line of that table
-        around = [self.path[:length] for length in range(len(self.path), 0, -1)]
-        line = next((self.lines[one] for one in (*paths, *around) if one in self.lines), None)
+        line = line_of(self.lines, self.path, keys)
         return ", ".join(([] if line is None else [f"line {line}"]) + ([self.name] if self.name else []))
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:

@@ -10,24 +10,6 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS, SWITCHED, fitting_units, share_in_range, to_si, unit_mistaken
 from hygrokf.data.timestamps import HOUR_S
 
-_FIRST_CHOICE = (
-    "degC",
-    "%",
-    "hPa",
-    "kW",
-    "g/m3",
-    "m/s",
-    "W/m2",
-    "deg",
-    "rpm",
-    "1",
-    "K",
-    "Pa",
-    "kPa",
-    "MW",
-    "W",
-)
-
 
 @dataclass(frozen=True)
 class Hourly:
@@ -66,7 +48,7 @@ def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple
         if better:
             return better[0], f"the header says {stated}, but the readings fit {better[0]}"
         return stated, f"the readings do not fit the unit {stated} of the header"
-    ranked = list(dict.fromkeys(one for one in (*_FIRST_CHOICE, *units) if one in units))
+    ranked = list(dict.fromkeys((SIGNALS[signal].display, *units)))
     if not len(finite):
         return ranked[0], "the column holds no readings"
     if signal.endswith("_power"):
@@ -139,7 +121,7 @@ def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -
         return 0.3
     score = 0.4 * float(np.mean(mine > outside)) + 0.3 * max(_correlation(mine, outside), 0.0)
     if power is not None:
-        excess, load = Hourly(column.hour, column.value).beside(power)
+        excess, load = column.beside(power)
         score += 0.3 * max(_correlation(excess, load), 0.0)
     return score
 

@@ -33,23 +33,19 @@ class Weather:
 class Contents:
     """All that a drafted case says.
 
-    name: of the enclosure. files: paths of the sources, relative to the case. said: doubts of each source
-    besides those of its clock. rated_kW: by the plateau of the power [kW], None where there is none.
+    name: of the enclosure. rated_kW: by the plateau of the power [kW], None where there is none.
     power_kW: its largest readings [kW], None where no power was found.
-    site: latitude and longitude [deg], or None. sun: what the irradiance says of the clock.
+    site: latitude and longitude [deg], or None.
     """
 
     name: str
-    files: tuple[str, ...]
     sources: tuple[Source, ...]
-    said: tuple[tuple[str, ...], ...]
     found: tuple[Assigned, ...]
     left: dict[tuple[int, str], str]
     weather: tuple[Weather, ...]
     rated_kW: float | None
     power_kW: float | None
     site: tuple[float, float] | None
-    sun: tuple[str | None, ...]
 
 
 def case_text(case: Contents) -> str:
@@ -102,7 +98,7 @@ def _lines(case: Contents) -> Iterator[str]:
             if any(one.active for one in lines):
                 yield from ("", *_source(case, number, lines, compare))
             elif not compare:
-                yield from ("", f"# {case.files[number]}: no signal was recognised; its columns:")
+                yield from ("", f"# {case.sources[number].path}: no signal was recognised; its columns:")
                 yield from _left(case, number)
     for weather in case.weather:
         yield from ("", "[[source]]", f"file = {_text(weather.file)}", f'format = "{weather.format}"')
@@ -127,13 +123,13 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield from _comment(
             f"# a copy of {export.file.name}, in a form that a case can name: {'; '.join(export.changes)}"
         )
-    yield f"file = {_text(case.files[number])}"
+    yield f"file = {_text(source.path)}"
     yield f"time = {_text(clock.column)}"
     if clock.time_format is not None:
         yield f"time_format = {_text(clock.time_format)}"
-    for remark in (*clock.remarks, *([case.sun[number]] if case.sun[number] else [])):
+    for remark in filter(None, (*clock.remarks, source.sun)):
         yield from _comment(f"# {remark}")
-    for doubt in () if compare else (*clock.doubts, *case.said[number]):
+    for doubt in () if compare else (*clock.doubts, *source.said):
         yield from _doubt(doubt)
     if clock.timezone is not None:
         yield f"timezone = {_text(clock.timezone)}"

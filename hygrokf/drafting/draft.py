@@ -15,11 +15,13 @@ from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
 from hygrokf.drafting.case_text import Contents, Weather, case_text, lacking
-from hygrokf.drafting.layout import Export, is_typical_year, read_export, weather_format
+from hygrokf.drafting.layout import Export, read_export
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import noon_of, sun_remark
 from hygrokf.errors import HygrokfError
+from hygrokf.weather.archive import contents
+from hygrokf.weather.reading import weather_form
 
 
 class DraftFault(HygrokfError):
@@ -57,7 +59,8 @@ class LeftColumn:
 class Draft:
     """A drafted case.
 
-    case: path of the case file. copies: tables written beside it. doubts: of the clocks and of the selection.
+    case: path of the case file. copies: tables written beside it. doubts: of the clocks, of the selection
+    and, from `hygrokf init`, of the readings.
     lacks: signals that a fit needs or would miss and that no export holds, in words.
     """
 
@@ -78,7 +81,7 @@ def draft_case(
 ) -> Draft:
     """Draft a case file from exports and write it, with copies of those tables that a case cannot name.
 
-    exports: CSV, Parquet or Excel files, and weather files (EPW, ERA5). out: the case file; copies go
+    exports: CSV, Parquet or Excel files, and weather files. out: the case file; copies go
         beside it.
     turbine: of exports that hold several. site: latitude and longitude [deg].
 
@@ -89,9 +92,9 @@ def draft_case(
     weather: list[Weather] = []
     for file in exports:
         try:
-            kind = weather_format(file)
+            kind = weather_form(file)
             if kind is not None:
-                weather.append(Weather(_relative(file, out), kind, kind == "epw" and is_typical_year(file)))
+                weather.append(Weather(_relative(file, out), kind, _is_typical_year(file, kind)))
             else:
                 tables.append(read_export(file))
         except TableFault as broken:
@@ -99,25 +102,28 @@ def draft_case(
     together = joined(tables)
     faults += same_layout(together)
     sources: list[Source] = []
-    said: list[tuple[str, ...]] = []
-    chosen: list[str | None] = []
     for export in together:
         try:
-            ready, column, name, doubts = prepared(export, turbine)
-            sources.append(source_of(ready, column))
+            ready, column, chosen, doubts = prepared(export, turbine)
+            sources.append(replace(source_of(ready, column), said=doubts, turbine=chosen))
         except TableFault as broken:
             faults += [f"{export.file}: {fault}" for fault in broken.faults]
-            continue
-        said.append(doubts)
-        chosen.append(name)
-    if turbine is not None and not faults and not any(chosen):
+    if turbine is not None and not faults and not any(one.turbine for one in sources):
         faults.append(
             f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
         )
     if faults:
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
-    return _written(sources, said, chosen, found, left, weather, out, site)
+    return _written(sources, found, left, weather, out, site)
+
+
+def _is_typical_year(file: Path, form: str) -> bool:
+    """Whether the months of a weather file are of different years, or of none.  Raises TableFault."""
+    if form != "epw":
+        return form == "try"
+    lines = b"\n".join(one.data for one in contents(file)[0] if one.kind == "epw").splitlines()
+    return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
 def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
@@ -133,44 +139,32 @@ def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
 
 def _written(
     sources: list[Source],
-    said: list[tuple[str, ...]],
-    chosen: list[str | None],
     found: list[Assigned],
     left: dict[tuple[int, str], str],
     weather: list[Weather],
     out: Path,
     site: tuple[float, float] | None,
 ) -> Draft:
-    files: list[str] = []
+    """The draft, after its case file and the copies of tables are written."""
     copies: list[Path] = []
-    for source in sources:
+    placed: list[Source] = []
+    for number, source in enumerate(sources):
         path = source.export.file
-        if source.export.changes:
-            path = _copy_name(source.export.file, out, copies)
+        export = source.export
+        if export.changes:
+            path = _copy_name(path, out, copies)
             copies.append(path)
-        files.append(_relative(path, out))
-    clocks = [
-        (*doubts, *_offset_doubt(source), *_zone_doubt(source, sources))
-        for source, doubts in zip(sources, said, strict=True)
-    ]
+            export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
+            text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
+            write_text_whole(path, text)
+        said = (*source.said, *_offset_doubt(source), *_zone_doubt(source, sources))
+        sun = _sun(number, source, found, site)
+        placed.append(replace(source, export=export, path=_relative(path, out), said=said, sun=sun))
     rated, largest = _power(sources, found)
-    name = next((one for one in chosen if one), None) or _name(sources, out)
+    name = next((one.turbine for one in sources if one.turbine), None) or _name(sources, out)
     contents = Contents(
-        name,
-        tuple(files),
-        tuple(_with_copy_marks(one) for one in sources),
-        tuple(clocks),
-        tuple(found),
-        left,
-        tuple(weather),
-        rated,
-        largest,
-        site,
-        tuple(_sun(number, source, found, site) for number, source in enumerate(sources)),
+        name, tuple(placed), tuple(found), left, tuple(weather), rated, largest, site
     )
-    for source, target in zip((one for one in sources if one.export.changes), copies, strict=True):
-        separator = ";" if source.export.decimal == "," else ","
-        write_text_whole(target, source.export.cells.to_csv(index=False, sep=separator, lineterminator="\n"))
     write_text_whole(out, case_text(contents))
     return Draft(
         str(out),
@@ -178,7 +172,7 @@ def _written(
         tuple(
             DraftedSignal(
                 one.best.signal,
-                files[one.best.source],
+                placed[one.best.source].path,
                 one.best.column,
                 one.best.unit,
                 one.best.score,
@@ -188,11 +182,11 @@ def _written(
             )
             for one in found
         ),
-        tuple(LeftColumn(files[number], column, why) for (number, column), why in left.items()),
+        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in left.items()),
         tuple(
-            f"{file}: {doubt}"
-            for file, source, doubts in zip(files, sources, clocks, strict=True)
-            for doubt in (*source.clock.doubts, *doubts, *source.quality_doubts)
+            f"{one.path}: {doubt}"
+            for one in placed
+            for doubt in (*one.clock.doubts, *one.said, *one.quality_doubts)
         ),
         lacking(contents),
     )
@@ -203,14 +197,6 @@ def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
     stem = f"{out.stem}_{file.name.split('.')[0]}"
     names = (f"{stem}.csv", *(f"{stem}_{number}.csv" for number in range(2, len(copies) + 2)))
     return next(path for path in (out.parent / name for name in names) if path not in copies)
-
-
-def _with_copy_marks(source: Source) -> Source:
-    """The source as its copy will be read, where there is one."""
-    if not source.export.changes:
-        return source
-    separator = ";" if source.export.decimal == "," else ","
-    return replace(source, export=replace(source.export, separator=separator, comment=None))
 
 
 def _offset_doubt(source: Source) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import re
 import zipfile
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 from hygrokf.data.columns import MISSING, TableFault
 from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
 from hygrokf.data.signals import unit_named
-from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes
+from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes, parquet_frame, unpacked
 
 if TYPE_CHECKING:
     import numpy as np
@@ -73,28 +72,14 @@ class Export:
         return values_in(self.cells[column], Marks(self.decimal, self.thousands), meaning)
 
 
-def weather_format(file: Path) -> str | None:
-    """The `format` of a weather file, by its first bytes; None for a table."""
-    content = _unpacked(file)[:8]
-    if content.startswith(b"LOCATION"):
-        return "epw"
-    return "era5" if content.startswith((b"\x89HDF", b"CDF")) else None
-
-
-def is_typical_year(file: Path) -> bool:
-    """Whether the months of an EPW file are of different years."""
-    years = {line.split(b",")[0] for line in _unpacked(file).splitlines()[8:] if line.count(b",") > 20}
-    return len(years) > 1
-
-
 def read_export(file: Path) -> Export:
     """The table of an export: CSV text of any separator (also compressed), Parquet or Excel (.xlsx).
 
     Raises TableFault for what is no table, in one message with the remedy.
     """
-    content = _unpacked(file)
+    content = unpacked(file_bytes(file))
     if content[:4] == b"PAR1":
-        return _framed(file, _parquet(content), ())
+        return _framed(file, parquet_frame(content).apply(lambda column: column.map(_cell_text)), ())
     if content[:4] == b"PK\x03\x04":
         rows = _excel_rows(content)
         return _laid_out(file, rows, ",", ("an Excel file",))
@@ -114,18 +99,6 @@ def read_export(file: Path) -> Export:
         raise TableFault(f"cannot be read as CSV: {broken}") from None
     readable = file.name.lower().endswith(SUFFIXES)
     return _laid_out(file, rows, separator, () if readable else (f"the ending {file.suffix}",))
-
-
-def _unpacked(file: Path) -> bytes:
-    content = file_bytes(file)
-    if content[:2] == b"\x1f\x8b":
-        try:
-            content = gzip.decompress(content)
-        except (OSError, EOFError, zlib.error) as broken:
-            raise TableFault(f"cannot be decompressed: {broken}") from None
-    if not content.strip():
-        raise TableFault("the file is empty")
-    return content
 
 
 def is_date(cell: str) -> bool:
@@ -292,19 +265,6 @@ def _unique(names: list[str]) -> list[str]:
         seen[name] += 1
         result.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
     return result
-
-
-def _parquet(content: bytes) -> pandas.DataFrame:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        raise TableFault('Parquet files need the extra "parquet": pip install "hygrokf[parquet]"') from None
-    try:
-        frame = parquet.ParquetFile(pyarrow.BufferReader(content)).read().to_pandas(ignore_metadata=True)
-    except pyarrow.ArrowException as broken:
-        raise TableFault(f"cannot be read as Parquet: {str(broken).splitlines()[0]}") from None
-    return frame.apply(lambda column: column.map(_cell_text))
 
 
 def _excel_rows(content: bytes) -> list[list[str]]:

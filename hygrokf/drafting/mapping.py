@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.data.numbers import POLES, flag_word
-from hygrokf.data.probes import copies, probe_of
+from hygrokf.data.probes import copies, probe_of, temperatures_of
 from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
 from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS, to_si
@@ -64,15 +64,13 @@ class Candidate:
 class Assigned:
     """The column of a signal.
 
-    active: whether the case reads it without an edit. compare: whether it is only compared. runners_up: next
-    best columns.
+    active: whether the case reads it without an edit. compare: whether it is only compared.
     """
 
     best: Candidate
     active: bool
     compare: bool
     doubts: tuple[str, ...]
-    runners_up: tuple[Candidate, ...]
 
 
 @dataclass(frozen=True)
@@ -82,6 +80,8 @@ class Source:
     values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
     column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
     quality_doubts: about them.
+    said: doubts of the selection. turbine: that was selected, None where the file holds one alone.
+    path: in the case. sun: what the irradiance says of the clock.
     """
 
     export: Export
@@ -92,6 +92,10 @@ class Source:
     quality: dict[str, str] = field(default_factory=dict)
     vocabulary: QualityVocabulary = UNSTATED
     quality_doubts: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    turbine: str | None = None
+    path: str = ""
+    sun: str | None = None
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
@@ -167,7 +171,7 @@ def _no_numbers(export: Export, name: str, empty: Set[str]) -> str:
 
 def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
     """The column of every signal found, and why each other column holds none."""
-    sure = [one for number, source in enumerate(sources) for one in _by_name(number, source)]
+    sure = [one for number in range(len(sources)) for one in _by_name(sources, number)]
     ambient, power = _best(sure, "ambient_temperature"), _best(sure, "active_power")
     open_temperatures = _unplaced(sources, "temperature")
     guesses: list[Candidate] = [*_by_file(sources, open_temperatures)]
@@ -190,32 +194,25 @@ def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str
     return _settled(sources, _of_their_own(sources, found))
 
 
-def _by_name(number: int, source: Source) -> list[Candidate]:
-    found = []
+def _by_name(sources: list[Source], number: int) -> list[Candidate]:
+    found, source = [], sources[number]
     for column, named in source.named.items():
         if not named.signal:
             continue
         if _NO_UNIT_HERE.search(words_of(column)):
             source.left[column] = f"may be {named.signal}, in a unit that a case does not know: convert it"
             continue
-        found.append(_candidate([source], named.signal, 0, column, named.score, named.why, number))
+        found.append(_candidate(sources, named.signal, number, column, named.score, named.why))
     return found
 
 
 def _candidate(
-    sources: list[Source],
-    signal: str,
-    at: int,
-    column: str,
-    score: float,
-    why: str,
-    number: int | None = None,
+    sources: list[Source], signal: str, number: int, column: str, score: float, why: str
 ) -> Candidate:
-    """A candidate with its unit; number: of the source, by default its place `at` in `sources`."""
-    source = sources[at]
+    """A candidate with its unit."""
+    source = sources[number]
     unit, doubt = unit_by_values(source.values[column], signal, source.named[column].unit)
-    said = () if doubt is None else (doubt,)
-    return Candidate(signal, at if number is None else number, column, unit, score, why, said)
+    return Candidate(signal, number, column, unit, score, why, () if doubt is None else (doubt,))
 
 
 def _unplaced(sources: list[Source], quantity: str) -> list[tuple[int, str]]:
@@ -282,16 +279,10 @@ def _companions(sources: list[Source], taken: dict[tuple[int, str], Candidate]) 
                         score, why = min(candidate.score, 0.75), f'beside "{other}"'
                         signal = f"{place}_{quantity}"
                         found.append(_candidate(sources, signal, number, column, score, why))
-            if quantity == "dew_point_temperature" and not _of_probe(sources[number], column):
+            if quantity == "dew_point_temperature" and not temperatures_of(column, sources[number].values):
                 signal = f"ambient_{quantity}"
                 found.append(_candidate(sources, signal, number, column, 0.85, "by its name"))
     return [one for one in found if one.signal in SIGNALS]
-
-
-def _of_probe(source: Source, column: str) -> list[str]:
-    """Temperatures of the probe that a humidity or a dew point is of."""
-    probe = probe_of(column)[0]
-    return [one for one in source.values if probe_of(one) == (probe, "temperature")]
 
 
 def _paired(sources: list[Source], candidates: list[Candidate]) -> list[Candidate]:
@@ -299,7 +290,7 @@ def _paired(sources: list[Source], candidates: list[Candidate]) -> list[Candidat
     taken, first = _chosen(candidates), []
     for one in taken.values():
         place, _, quantity = one.signal.rpartition("_relative_")
-        own = _of_probe(sources[one.source], one.column) if quantity == "humidity" else []
+        own = temperatures_of(one.column, sources[one.source].values) if quantity == "humidity" else []
         signal = f"{place}_temperature"
         other = next((c for c in taken.values() if c.signal == signal), None)
         if len(own) != 1 or other is None or (other.source, other.column) == (one.source, own[0]):
@@ -399,9 +390,9 @@ def _settled(
         if poles and one.signal != "door_open":
             active = False
             doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
-        found.append(Assigned(one, active, False, tuple(doubts), near))
+        found.append(Assigned(one, active, False, tuple(doubts)))
         for second in seconds[:1]:
-            found.append(Assigned(second, True, True, second.doubts, ()))
+            found.append(Assigned(second, True, True, second.doubts))
             used.add((second.source, second.column))
     left = {}
     for number, source in enumerate(sources):

@@ -122,6 +122,20 @@ def _with(
     return replace(export, cells=cells, names=names, units=of_names, changes=(*export.changes, change))
 
 
+def _chosen(names: list[str], turbine: str | None, where: str, doubts: list[str]) -> str:
+    """The turbine of an export of several, by default the first, with a doubt.  Raises TableFault."""
+    chosen = names[0] if turbine is None else turbine
+    if chosen not in names:
+        found = f"{', '.join(names[:20])}{suggestion(chosen, names)}"
+        raise TableFault(f'{where}: expected the turbine "{chosen}", found {found}')
+    if turbine is None:
+        rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
+        doubts.append(
+            f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
+        )
+    return chosen
+
+
 def _one_turbine(
     export: Export, column: str, hours: str | None, turbine: str | None, doubts: list[str]
 ) -> tuple[Export, str | None]:
@@ -133,17 +147,7 @@ def _one_turbine(
         stamps = [column] if hours is None else [column, hours]
         if not 2 <= len(names) <= 1000 or cells.duplicated(stamps).mean() < 0.3:
             continue
-        chosen = names[0] if turbine is None else turbine
-        if chosen not in names:
-            raise TableFault(
-                f'column "{key}": expected the turbine "{chosen}", found {", ".join(names[:20])}'
-                f"{suggestion(chosen, names)}"
-            )
-        if turbine is None:
-            rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
-            doubts.append(
-                f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
-            )
+        chosen = _chosen(names, turbine, f'column "{key}"', doubts)
         rows = cells[cells[key] == chosen].drop(columns=[key]).reset_index(drop=True)
         return _with(export, rows, f'rows of turbine "{chosen}" alone'), chosen
     if turbine is not None and any(cells[key].nunique() == 1 for key in keys):
@@ -206,14 +210,7 @@ def _one_label(
     if not several:
         return export, None
     names = list(dict.fromkeys(label for found in several for label in found))
-    chosen = names[0] if turbine is None else turbine
-    if chosen not in names:
-        raise TableFault(
-            f'expected columns of turbine "{chosen}", found those of {", ".join(names)}'
-            f"{suggestion(chosen, names)}"
-        )
-    if turbine is None:
-        doubts.append(f'the columns of "{chosen}" are taken, of {", ".join(names)}: --turbine selects others')
+    chosen = _chosen(names, turbine, "names of columns", doubts)
     kept = [one for one in export.cells if labels.get(one) not in names or labels[one] == chosen]
     units = tuple(given for one, given in zip(export.cells, export.units, strict=True) if one in kept)
     # nothing moves in the file: the case names the columns of one turbine

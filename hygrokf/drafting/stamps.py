@@ -14,9 +14,10 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.timestamps import (
     DAY_S,
-    EXCEL,
     HOUR_S,
     MINUTE_S,
+    change_date,
+    fitting_formats,
     modal_step,
     read_stamps,
     zone_in_header,
@@ -27,18 +28,6 @@ from hygrokf.drafting.layout import Export, is_date
 if TYPE_CHECKING:
     import pandas
 
-FORMATS = (
-    "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%d.%m.%Y",
-    "%d/%m/%Y %H:%M:%S", "%d/%m/%Y %H:%M", "%d/%m/%y %H:%M:%S", "%d/%m/%y %H:%M",
-    "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %H:%M", "%m/%d/%y %H:%M:%S", "%m/%d/%y %H:%M",
-    "%m/%d/%Y %I:%M:%S %p", "%m/%d/%y %I:%M:%S %p", "%m/%d/%Y %I:%M %p", "%m/%d/%y %I:%M %p",
-    "%d/%m/%Y %I:%M:%S %p", "%d/%m/%y %I:%M:%S %p",
-    "%d-%m-%Y %H:%M:%S", "%d-%m-%Y %H:%M", "%m-%d-%Y %H:%M:%S", "%m-%d-%Y %H:%M",
-    "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M", "%d %b %Y %H:%M:%S", "%Y.%m.%d %H:%M:%S", "%Y.%m.%d %H:%M",
-    "%d.%m.%Y, %H:%M", "%d.%m.%Y, %H:%M:%S", "%Y%m%d %H%M", "%Y%m%d%H%M%S", "%Y%m%d%H", "%Y%m%d%H%M",
-    "%Y%m%d %H:%M", EXCEL,
-)  # fmt: skip
-"""strptime formats of exports, besides ISO 8601."""
 _TIME_ALONE = re.compile(r"\d{1,2}:\d{2}(:\d{2})?(\s?[AaPp][Mm])?$")
 _STATED_ZONE = re.compile(
     r"(?:time ?zone|zeitzone)\W{0,3}"
@@ -170,9 +159,7 @@ def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
     sample = text.dropna()
     sample = sample.iloc[np.linspace(0, len(sample) - 1, min(len(sample), 300)).astype(int)]
     found = []
-    for place, form in enumerate((None, *FORMATS)):
-        if read_stamps(sample, UTC, time_format=form).unreadable.any():
-            continue
+    for place, form in enumerate(fitting_formats(sample)):
         read = read_stamps(text, UTC, time_format=form)
         if read.unreadable.sum() > 0.001 * len(text):
             continue
@@ -196,31 +183,27 @@ class _Hole:
     american: bool
 
 
-_ZONES = {(1, False): "Europe/London", (2, False): "Europe/Berlin", (3, False): "Europe/Helsinki"}
+_ZONES = {1: "Europe/London", 2: "Europe/Berlin", 3: "Europe/Helsinki"}
 
 
 def _holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
     """Hours missing on dates of change in spring, and the number of such dates without a missing hour."""
-    import pandas as pd
-
     moments = np.unique(time[np.isfinite(time)])
     if not step <= HOUR_S or len(moments) < 10:
         return [], 0
     holes, whole = [], 0
-    days = pd.date_range(pd.Timestamp(moments[0], unit="s").normalize(), pd.Timestamp(moments[-1], unit="s"))
-    for day in days:
-        european = day.month == 3 and day.weekday() == 6 and day.day >= 25
-        american = day.month == 3 and day.weekday() == 6 and 8 <= day.day <= 14
-        if not (european or american):
+    for start in np.arange(DAY_S * np.floor(moments[0] / DAY_S), moments[-1], DAY_S):
+        day, season = change_date(start)
+        if season != "spring":
             continue
-        start = day.timestamp()
+        european = day.day >= 25
         near = moments[(moments >= start - HOUR_S) & (moments <= start + 6 * HOUR_S)]
         gaps = np.flatnonzero(np.diff(near) > 1.5 * step)
         if len(gaps) == 0 and len(near) > 5 * HOUR_S / step:
             whole += european
         elif len(gaps) == 1 and abs(near[gaps[0] + 1] - near[gaps[0]] - HOUR_S - step) < 0.01 * step:
             missing = (near[gaps[0]] + step - start) / HOUR_S
-            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, american and not european))
+            holes.append(_Hole(math.floor(missing + 1e-6), missing % 1.0 > 1e-6, not european))
     return holes, whole
 
 
@@ -259,7 +242,7 @@ def _zone(
             )
         return named
     if found and not whole:
-        zone = _ZONES.get((found[0].hour, False)) if not found[0].american else None
+        zone = _ZONES.get(found[0].hour) if not found[0].american else None
         where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
         if zone is not None:
             remarks.append(f"{where}: the clock follows the summer time of {zone} or a zone like it")

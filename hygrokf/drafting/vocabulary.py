@@ -4,9 +4,9 @@ own."""
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from hygrokf.data.signals import fitting_units
+from hygrokf.data.signals import UNITS, fitting_units
 from hygrokf.drafting.layout import unit_in_export
 
 OWN_NAMES: tuple[tuple[str, str, str], ...] = (
@@ -127,6 +127,8 @@ PARTS = (
     r"|pipe|fan |slip ring|lueft|insulation|inverter averages"
 )
 """Parts of a turbine or a building that are not the air of a place."""
+OF_AIR = ("cabinet", "ambient", "coolant")
+"""Places whose temperature counts although a part is named."""
 NOT_MEANT = (
     r"psble|dir relative|react|blind"
     r"|apparent|schein|factor|faktor|set ?point|sollw|limit|possible|potential|available|theoretic"
@@ -141,6 +143,9 @@ _SUFFIX = re.compile(
 )
 _LOGICAL_NODE = re.compile(r"^(?:.*[./$])?(W[A-Z]{3})\d*(?:[./$](?:MX|ST))?(?=[./$])")
 _DATA_ATTRIBUTE = re.compile(r"[./$](?:(?:inst)?mag|cval|instcval)(?:[./$][fi])?(?![A-Za-z])", re.IGNORECASE)
+_WRITTEN_OUT = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
+)
 _BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 
 
@@ -174,40 +179,25 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
         name = _DATA_ATTRIBUTE.sub("", _LOGICAL_NODE.sub(r"\1", name))
     plain, stated, known = _unit_apart(name, unit)
     words = words_of(plain)
+    unknown = NamedColumn(words, known, stated, "", "", "", 0.0, "no signal of this name")
     if re.search(_STATISTIC, words):
-        return NamedColumn(words, known, stated, "", "", "", 0.0, "a statistic other than the mean")
+        return replace(unknown, why="a statistic other than the mean")
     bare = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words)).strip()
     whole = re.sub(r"\s+", " ", re.sub(_MEAN, " ", words_of(name))).strip()
     for own, signal, make in OWN_NAMES:
-        if own == whole != bare:
-            return NamedColumn(words, None, "", "", "", signal, 1.0, f"a name of {make}")
-        if own == bare and (known is None or known in fitting_units(signal)):
-            return NamedColumn(words, known, stated, "", "", signal, 1.0, f"a name of {make}")
-    quantity = _quantity(words)
-    if not quantity and known in ("Pa", "hPa", "kPa"):
-        quantity = "pressure"
-    if not quantity and known == "m/s" and " wind " in words:
-        quantity = "wind_speed"
-    if not quantity and known == "rpm":
-        machine = re.search(r" (rotor|generator) ", words)
-        quantity = "" if machine is None else f"{machine[1]}_speed"
-    if not quantity and known in ("degC", "degF", "K"):
-        quantity = "temperature"
-    if not quantity and known == "%" and re.search(r"rf|rh", stated.lower()):
-        quantity = "relative_humidity"
+        with_unit = own == whole != bare
+        if with_unit or (own == bare and (known is None or known in fitting_units(signal))):
+            of_make = replace(unknown, signal=signal, score=1.0, why=f"a name of {make}")
+            return replace(of_make, unit=None, stated="") if with_unit else of_make
+    quantity = _quantity(words) or _quantity_by_unit(known, stated, words)
     if re.search(NOT_MEANT, words) or not quantity:
-        return NamedColumn(words, known, stated, "", "", "", 0.0, "no signal of this name")
+        return unknown
     place, score = place_of(words)
     part = re.search(PARTS, words) is not None
     signal = _signal(quantity, place, words)
-    if (
-        quantity in ("temperature", "relative_humidity")
-        and part
-        and place not in ("cabinet", "ambient", "coolant")
-    ):
-        return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
-    if part and quantity == "power":
-        return NamedColumn(words, known, stated, "", place, "", 0.0, "a part that is no signal")
+    of_part = quantity in ("temperature", "relative_humidity") and place not in OF_AIR
+    if part and (of_part or quantity == "power"):
+        return replace(unknown, place=place, why="a part that is no signal")
     if not place and signal:
         score = 0.85 if quantity != "power" else 0.9
     if place == "cabinet":
@@ -217,16 +207,7 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
 
 def words_of(text: str) -> str:
     """The words of a name in lower case, between blanks; camel case and digits apart, umlauts written out."""
-    for mark, written in (
-        ("ä", "ae"),
-        ("ö", "oe"),
-        ("ü", "ue"),
-        ("Ä", "Ae"),
-        ("Ö", "Oe"),
-        ("Ü", "Ue"),
-        ("ß", "ss"),
-    ):
-        text = text.replace(mark, written)
+    text = text.translate(_WRITTEN_OUT)
     text = re.sub(r"(?<![A-Za-z])(T|RH)_?(cab|amb|nac|out|ext)(?![a-z])", r"\1 \2", text)
     text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
     text = re.sub(r"(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", text)
@@ -254,6 +235,19 @@ def _cabinet_score(words: str) -> float:
 
 def _quantity(words: str) -> str:
     return next((quantity for quantity, pattern in QUANTITIES if re.search(pattern, words)), "")
+
+
+def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
+    """The quantity of a unit, where the words name none."""
+    if unit == "m/s":
+        return "wind_speed" if " wind " in words else ""
+    if unit == "rpm":
+        machine = re.search(r" (rotor|generator) ", words)
+        return "" if machine is None else f"{machine[1]}_speed"
+    if unit == "%":
+        return "relative_humidity" if re.search(r"rf|rh", stated.lower()) else ""
+    dimension = UNITS[unit].dimension if unit is not None else ""
+    return dimension if dimension in ("pressure", "temperature") else ""
 
 
 def _signal(quantity: str, place: str, words: str) -> str:

@@ -12,10 +12,10 @@ import io
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.table_readers import file_bytes
@@ -30,17 +30,19 @@ RATIO_FROM = 2**20
 MOST_MEMBERS = 400
 """Most files in an archive: a year of daily files."""
 _PIECE = 2**20
+FORMATS_OF_KINDS = {"netcdf4": "era5", "netcdf3": "era5", "epw": "epw", "json": "open_meteo"}
+"""Kind of a file that has one format of weather files alone, and this format."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Content:
     """One file, or one member of an archive.
 
-    name: of the file, with that of the member in brackets. kind: as in `kind_of`.
-    data: all of its bytes.
+    member: its name in the archive, "" for the file itself. kind: as in `kind_of`. data: all of its bytes.
     """
 
-    name: str
+    member: str
     kind: str
     data: bytes
 
@@ -54,9 +56,38 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
     packed = _packed(path)
     digest = hashlib.sha256(packed).hexdigest()
     if packed[:4] in (b"PK\x03\x04", b"PK\x05\x06"):
-        return _members(path.name, packed), digest
+        return _members(packed), digest
     data = _gunzipped(packed) if packed[:2] == b"\x1f\x8b" else packed
-    return (Content(path.name, kind_of(data), data),), digest
+    return (Content("", kind_of(data), data),), digest
+
+
+def read_each(found: Sequence[Content], read: Callable[[Content], T]) -> list[T]:
+    """What is read from each content.  Raises TableFault with the faults of all, those of members named."""
+    made, faults = [], []
+    for one in found:
+        try:
+            made.append(read(one))
+        except TableFault as broken:
+            faults += [f"{one.member}: {fault}" if one.member else fault for fault in broken.faults]
+    if faults:
+        raise TableFault(*faults)
+    return made
+
+
+def only_content(path: Path, kinds: Sequence[str], what: str) -> tuple[Content, str]:
+    """The content of some kinds, which may stand beside others in an archive, and the SHA-256 of the file.
+
+    what: such a file in words.  Raises TableFault where there is none, or several.
+    """
+    found, digest = contents(path)
+    own = [one for one in found if one.kind in kinds]
+    if not own:
+        form = FORMATS_OF_KINDS.get(found[0].kind)
+        remedy = f'; state format = "{form}"' if form else ""
+        raise TableFault(f"expected {what}, found {found[0].kind}{remedy}")
+    if len(own) > 1:
+        raise TableFault(f"holds {len(own)} such files; expected one: unpack that of the site")
+    return own[0], digest
 
 
 def kind_of(data: bytes) -> str:
@@ -127,7 +158,7 @@ def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int
     return b"".join(pieces)
 
 
-def _members(name: str, packed: bytes) -> tuple[Content, ...]:
+def _members(packed: bytes) -> tuple[Content, ...]:
     """Members of a ZIP archive that hold data."""
     try:
         archive = zipfile.ZipFile(io.BytesIO(packed))
@@ -141,7 +172,7 @@ def _members(name: str, packed: bytes) -> tuple[Content, ...]:
         for one in inside:
             try:
                 data = _member(archive, one, left)
-                found.append(Content(f"{name} ({one.filename})", kind_of(data), data))
+                found.append(Content(one.filename, kind_of(data), data))
                 left -= len(data)
             except TableFault as broken:
                 faults += [f"{one.filename}: {fault}" for fault in broken.faults]

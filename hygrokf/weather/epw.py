@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import signal_named, to_si
+from hygrokf.data.record import Record, Site
+from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, dew_point, vapour_pressure
-from hygrokf.weather.archive import contents
-from hygrokf.weather.fields import saturation_doubt
-from hygrokf.weather.typical_year import expect_hour, hourly_series, local_seconds, placed_in_year
+from hygrokf.weather.archive import only_content
+from hygrokf.weather.site_weather import SiteWeather, dew_point_of, place_text
+from hygrokf.weather.typical_year import (
+    SHIFTED,
+    WIND_HEIGHT_M,
+    WIND_WARNING,
+    hours_table,
+    local_seconds,
+    placed_in_year,
+)
 
 _HEADER = 8
 _COLUMNS = {
@@ -41,18 +45,6 @@ _FEWEST_COLUMNS = 22
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """The hours of the file.
-
-    calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`,
-        NaN = missing.
-    """
-
-    calendar: np.ndarray
-    value: dict[str, np.ndarray]
-
-
 def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
@@ -69,62 +61,44 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     without `year`.
     """
     file = Path(path)
-    found, digest = contents(file)
     # archives of weather services hold statistics and design days beside the EPW file
-    own = [one for one in found if one.kind == "epw"]
-    if not own:
-        remedy = '; state format = "era5"' if found[0].kind.startswith("netcdf") else ""
-        raise TableFault(f"expected an EPW file, whose first line begins with LOCATION{remedy}")
-    if len(own) > 1:
-        raise TableFault(f"holds {len(own)} EPW files; expected one: unpack the one of the site")
-    rows = list(csv.reader(io.StringIO(own[0].data.decode("utf-8-sig", "replace"))))
+    content, digest = only_content(file, ("epw",), "an EPW file, whose first line begins with LOCATION")
+    rows = list(csv.reader(io.StringIO(content.data.decode("utf-8-sig", "replace"))))
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
-    lines = _lines(rows, faults)
+    calendar, value = _hours(rows, faults)
     if faults:
         raise TableFault(*faults)
-    years = sorted({int(one) for one in lines.calendar[:, 0]})
-    warnings = []
+    years = np.unique(calendar[:, 0])
+    warnings: list[str] = []
     if year is None and len(years) > 1:
         raise TableFault(
             f"is a typical year composed of months from {years[0]} … {years[-1]}; state the calendar year "
             "to assign to it, such as year = 2019"
         )
     if year is not None:
-        lines, said = _placed(lines, year)
-        warnings += said
-    time = local_seconds(lines.calendar) - zone_h * HOUR_S
+        own = "" if list(years) == [year] else f"{years[0]} … {years[-1]}"
+        calendar, value, warnings = placed_in_year(calendar, value, year, own)
+    time = local_seconds(calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault(f"line {repeated + _HEADER + 1}: the hours must be consecutive, this hour is not")
-    value = dict(lines.value)
-    warnings += _dew_point_completed(value, faults)
-    warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])
-    series = _series(value, time, file.name, place, faults)
-    if "ambient_temperature" not in {one.signal for one in series} and not faults:
-        faults.append("no dry-bulb temperature: all values of column 7 are missing")
-    if faults:
-        raise TableFault(*faults)
-    if "wind_speed" in {one.signal for one in series}:
-        warnings.append("wind_speed is measured at 10 m, not at hub height")
-    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
+    weather = SiteWeather(file.name, time, place, SHIFTED, warnings=warnings)
+    _add_columns(weather, value)
+    return weather.record(site, digest, "no dry-bulb temperature: all values of column 7 are missing")
 
 
-def _series(
-    value: dict[str, np.ndarray], time: np.ndarray, file: str, place: str, faults: list[str]
-) -> list[Series]:
-    """Series in SI units from values (T,) in the file's units; impossible values are added to `faults`.
-
-    time: (T,) [s] ends of the hours.  file: its name.  place: in words, for the sources of the series.
-    """
-    found = []
-    for signal, (column, unit, _, kind) in _COLUMNS.items():
-        if signal != "ambient_relative_humidity" and signal in value:
-            number = to_si(value[signal], unit, signal_named(signal))
-            source = f"{file}, column {column + 1} at {place}"
-            mean = kind != "instant"
-            found.append(hourly_series(signal, time, number, mean, str(column + 1), source, faults))
-    return [one for one in found if one is not None]
+def _add_columns(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
+    """Add the series of values (T,) in the file's units."""
+    si = {one: to_si(number, _COLUMNS[one][1], one) for one, number in value.items()}
+    si["ambient_dew_point_temperature"] = _dew_point(si, weather)
+    for signal, number in si.items():
+        if signal != "ambient_relative_humidity" and np.isfinite(number).any():
+            column, _, _, kind = _COLUMNS[signal]
+            height_m = WIND_HEIGHT_M if signal.startswith("wind_") else None
+            weather.add(signal, number, f"column {column + 1}", mean=kind != "instant", height_m=height_m)
+    if np.isfinite(si["wind_speed"]).any():
+        weather.warnings.append(WIND_WARNING)
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:
@@ -146,14 +120,13 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
     except ValueError as outside:
         faults.append(f"line 1: {outside}")
         return None, zone, ""
-    north, east = "N" if latitude >= 0 else "S", "E" if longitude >= 0 else "W"
-    place = f"{abs(latitude):.2f}° {north} {abs(longitude):.2f}° {east} {altitude:g} m"
-    return site, zone, place
+    return site, zone, f"{place_text(latitude, longitude)} {altitude:g} m"
 
 
-def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
-    """The hours of the file; their faults are added to `faults`."""
-    nothing = _Lines(np.zeros((0, 4), dtype=int), {})
+def _hours(rows: list[list[str]], faults: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Year, month, day, hour 1…24 (T, 4) as written, and signal -> (T,) in the unit of `_COLUMNS`, NaN =
+    missing; the faults of the lines are added to `faults`."""
+    nothing = np.zeros((0, 4), dtype=int), dict[str, np.ndarray]()
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
         faults.append(
@@ -166,26 +139,11 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
         faults.append(f"line {_HEADER}: expected 1 record an hour, found {hourly or 'none'}")
         return nothing
     body = [row for row in rows[_HEADER:] if any(cell.strip() for cell in row)]
-    stamps, wrong = np.zeros((len(body), 4), dtype=int), []
-    width = max((len(row) for row in body), default=0)
-    table = np.full((len(body), max(width, _FEWEST_COLUMNS)), np.nan)
-    used = sorted({column for column, *_ in _COLUMNS.values()})
-    for place, row in enumerate(body):
-        try:
-            if len(row) < _FEWEST_COLUMNS:
-                raise ValueError(f"expected at least {_FEWEST_COLUMNS} cells, found {len(row)}")
-            stamps[place] = [int(float(cell)) for cell in row[:4]]
-            expect_hour(*stamps[place])
-            for column in used:
-                if column < len(row) and row[column].strip():
-                    table[place, column] = float(row[column])
-                    if math.isinf(table[place, column]):
-                        raise ValueError(f"cell {column + 1}: expected a number, found {row[column]}")
-        except ValueError as reason:
-            wrong.append(f"line {place + _HEADER + 1}: {reason}")
-    if wrong:
-        more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
-        faults += [*wrong[:2], wrong[2] + more] if len(wrong) > 2 else wrong
+    used = sorted({0, 1, 2, 3, *(column for column, *_ in _COLUMNS.values())})
+    before = len(faults)
+    numbered = list(enumerate(body, _HEADER + 1))
+    table = hours_table(numbered, _FEWEST_COLUMNS, used, lambda row: row[:4], faults)
+    if len(faults) > before:
         return nothing
     expected = _expected_hours(periods)
     if expected is not None and len(body) not in (expected, expected + 24):
@@ -200,53 +158,33 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
             absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
             scale = 10.0 if signal == "cloud_cover" else 1.0
             value[signal] = np.where(absent, np.nan, raw) / scale
-    return _Lines(stamps, value)
+    return table[:, :4].astype(int), value
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
     """Hours of the header's period without 29 February; None where it states no period."""
-    days = []
-    for cell in periods[5:7]:
-        parts = [part.strip() for part in cell.split("/")]
-        try:
-            days.append(
-                datetime(2019, int(parts[0]), min(int(parts[1]), 28 if parts[0] == "2" else 31), tzinfo=UTC)
-            )
-        except (ValueError, IndexError):
-            return None
-    if len(days) != 2 or days[1] < days[0]:
+    try:
+        dates = [[int(part) for part in cell.split("/")[:2]] for cell in periods[5:7]]
+        first, last = (datetime(2019, m, min(d, 28 if m == 2 else 31), tzinfo=UTC) for m, d in dates)
+    except ValueError:
         return None
-    return 24 * ((days[1] - days[0]).days + 1)
+    return 24 * ((last - first).days + 1) if last >= first else None
 
 
-def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
-    """The hours moved to one calendar year, with warnings; 29 February is added or left out as it needs."""
-    stamps, keep, said = placed_in_year(lines.calendar, year)
-    own = sorted({int(one) for one in lines.calendar[:, 0]})
-    if own != [year]:
-        said.append(
-            f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}"
-        )
-    return _Lines(stamps, {signal: one[keep] for signal, one in lines.value.items()}), said
-
-
-def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:
-    """Fill missing dew points from relative humidity; warnings."""
-    own = value.get("ambient_dew_point_temperature", np.full(len(value["ambient_temperature"]), math.nan))
-    kelvin = value["ambient_temperature"] + ZERO_CELSIUS_K
-    # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it
-    share = np.where(value["ambient_relative_humidity"] > 0.0, value["ambient_relative_humidity"], np.nan)
-    made = dew_point(vapour_pressure(np.minimum(0.01 * share, 1.0), kelvin)) - ZERO_CELSIUS_K
+def _dew_point(si: Mapping[str, np.ndarray], weather: SiteWeather) -> np.ndarray:
+    """Dew points (T,) [K], missing ones from relative humidity."""
+    share, own = si["ambient_relative_humidity"], si["ambient_dew_point_temperature"]
+    made = dew_point_of(share, si["ambient_temperature"])
     lacking = np.isnan(own) & np.isfinite(made)
-    value["ambient_dew_point_temperature"] = np.where(lacking, made, own)
     if not lacking.any():
-        return []
-    highest = float(np.nanmax(value["ambient_relative_humidity"]))
+        return own
+    highest = 100.0 * float(np.nanmax(share))
     if highest <= 1.5:
-        faults.append(
+        weather.faults.append(
             f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look "
             "like fractions"
         )
-    return [
+    weather.warnings.append(
         f"{int(lacking.sum())} dew points are missing; they were computed from relative humidity over water"
-    ]
+    )
+    return np.where(lacking, made, own)

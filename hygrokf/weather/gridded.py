@@ -19,13 +19,11 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.weather.archive import MOST_BYTES
 from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
+from hygrokf.weather.site_weather import place_text
 
 if TYPE_CHECKING:
     import xarray
 
-EARTH_RADIUS_KM = 6371.0
-FAR_KM = 50.0
-"""[km] distance between the site and the point of the weather above which there is a warning."""
 _TIMES = ("valid_time", "time", "datetime", "date")
 _LATITUDES = ("latitude", "lat")
 _LONGITUDES = ("longitude", "lon")
@@ -65,26 +63,6 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
         ) from None
 
 
-def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
-    """Distance on the sphere from a point [deg] to a site [km], by the haversine formula."""
-    one, other = math.radians(latitude_deg), math.radians(site.latitude_deg)
-    across = math.radians(site.longitude_deg - longitude_deg)
-    half = math.sin(0.5 * (other - one)) ** 2 + math.cos(one) * math.cos(other) * math.sin(0.5 * across) ** 2
-    return 2.0 * EARTH_RADIUS_KM * math.asin(min(1.0, math.sqrt(half)))
-
-
-def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> str:
-    """A point in words with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
-    east = (longitude_deg + 180.0) % 360.0 - 180.0
-    text = (
-        f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "
-        f"{'E' if east >= 0 else 'W'}"
-    )
-    if site is None:
-        return text
-    return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
-
-
 def point_fields(
     dataset: xarray.Dataset,
     file: str,
@@ -121,10 +99,8 @@ def point_fields(
     place = ""
     at: tuple[float, float] | None = None
     if latitude is not None and longitude is not None:
-        dataset, at = _nearest(dataset, time_name, latitude, longitude, site, used)
+        dataset, at = _nearest(dataset, latitude, longitude, site, used)
         place = place_text(*at, site)
-        if site is not None and distance_km(*at, site) > FAR_KM:
-            warnings.append(f"its point lies at {place}: is it the weather of this site?")
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
     for name, short in used.items():
@@ -227,12 +203,7 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
 
 
 def _nearest(
-    dataset: xarray.Dataset,
-    time_name: str,
-    latitude: str,
-    longitude: str,
-    site: Site | None,
-    used: dict[str, str],
+    dataset: xarray.Dataset, latitude: str, longitude: str, site: Site | None, used: dict[str, str]
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
     """The data set at the nearest cell with a temperature, and its latitude and longitude [deg]."""
     rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
@@ -256,12 +227,12 @@ def _nearest(
                 outside.append(f"{name} {values.min():g} … {values.max():g}")
         if outside:
             raise TableFault(
-                f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
+                f"the site at {place_text(site.latitude_deg, site.longitude_deg)} lies outside of "
                 f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
             )
         narrowing = math.cos(math.radians(site.latitude_deg))
         away = np.hypot(north[:, None], narrowing * east[None, :])
-        filled = _filled(dataset, time_name, latitude, longitude, used, away.shape)
+        filled = _filled(dataset, latitude, longitude, used, away.shape)
         nearest = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
         row, column = (int(place) for place in nearest)
     chosen = {
@@ -271,12 +242,7 @@ def _nearest(
 
 
 def _filled(
-    dataset: xarray.Dataset,
-    time_name: str,
-    latitude: str,
-    longitude: str,
-    used: dict[str, str],
-    shape: tuple[int, int],
+    dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
     """Cells (rows, columns) that have a temperature: land reanalyses have none over the sea."""
     name = next((name for name, short in used.items() if short == "t2m"), None)

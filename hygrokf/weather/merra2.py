@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,25 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import signal_named
+from hygrokf.data.record import Record, Site
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure_from_specific_humidity
-from hygrokf.weather.archive import Content, contents
-from hygrokf.weather.fields import PointFields, impossible_range, saturation_doubt
+from hygrokf.weather.archive import Content, contents, read_each
 from hygrokf.weather.gridded import open_dataset, point_fields
 from hygrokf.weather.joining import joined
+from hygrokf.weather.site_weather import SiteWeather, converted
 
-UNITS = {
-    # field: units in use, all of them the SI unit
-    "T2M": ("K",), "T2MDEW": ("K",), "QV2M": ("kg kg-1", "kg/kg", "1"), "PS": ("Pa",),
-    "U50M": ("m s-1", "m/s"), "V50M": ("m s-1", "m/s"), "U10M": ("m s-1", "m/s"), "V10M": ("m s-1", "m/s"),
-    "U2M": ("m s-1", "m/s"), "V2M": ("m s-1", "m/s"), "SWGDN": ("W m-2", "W/m^2", "W/m2"),
-    "PRECTOTCORR": ("kg m-2 s-1",), "PRECTOT": ("kg m-2 s-1",), "CLDTOT": ("1",),
+_FIELDS = {
+    # field: a signal in its unit, the unit where the file states none
+    "T2M": ("ambient_temperature", "K"), "T2MDEW": ("ambient_dew_point_temperature", "K"),
+    "PS": ("ambient_pressure", "Pa"), "SWGDN": ("global_horizontal_irradiance", "W/m2"),
+    "CLDTOT": ("cloud_cover", "1"), **dict.fromkeys(("PRECTOTCORR", "PRECTOT"), ("rain", "kg m-2 s-1")),
+    **dict.fromkeys(("U50M", "V50M", "U10M", "V10M", "U2M", "V2M"), ("wind_speed", "m/s")),
 }  # fmt: skip
-"""Fields of MERRA-2 that are used: single levels, radiation, precipitation."""
-GROUND = {"PHIS": "z"}
-"""Geopotential of the ground, of the constant fields const_2d_asm_Nx [m²/s²]."""
+"""Fields of MERRA-2 that are used besides QV2M: single levels, radiation, precipitation."""
+_BY_MASS = (None, "kg kg-1", "kg/kg", "1")
+_SHORT_NAMES = {"PHIS": "z", "QV2M": "QV2M", **{name: name for name in _FIELDS}}
+"""Used fields; the geopotential of the ground is one of the constant fields const_2d_asm_Nx [m²/s²]."""
 WIND_HEIGHTS_M = (50, 10, 2)
 """[m] heights of the wind, the preferred one first."""
 
@@ -48,17 +47,9 @@ def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Recor
     """
     file = Path(path)
     found, digest = contents(file)
-    records: list[Record] = []
-    faults: list[str] = []
-    for one in found:
-        try:
-            records.append(_content_record(one, file.name, site, digest))
-        except TableFault as broken:
-            faults += [fault if len(found) == 1 else f"{one.name}: {fault}" for fault in broken.faults]
-    if not faults and not any("ambient_temperature" in one for one in records):
-        faults.append("no temperature T2M in any of its files: ask for the collection M2T1NXSLV")
-    if faults:
-        raise TableFault(*faults)
+    records = read_each(found, lambda one: _content_record(one, file.name, site, digest))
+    if not any("ambient_temperature" in one for one in records):
+        raise TableFault("no temperature T2M in any of its files: ask for the collection M2T1NXSLV")
     return joined(records, file.name)
 
 
@@ -66,39 +57,23 @@ def _content_record(one: Content, file: str, site: Site | None, digest: str) -> 
     """The record of one file."""
     if not one.kind.startswith("netcdf"):
         raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
-    points = point_fields(
-        open_dataset(one.data, one.kind),
-        file,
-        site,
-        lambda name: GROUND.get(name, name if name in UNITS else None),
-    )
-    faults = _time_faults(points.time) + _unit_faults(points)
-    value = {name: np.asarray(field.value, dtype=float) for name, field in points.fields.items()}
-    warnings = list(points.warnings)
-    made = _values(value, warnings, faults)
+    points = point_fields(open_dataset(one.data, one.kind), file, site, _SHORT_NAMES.get)
     # a stamp is the middle of its hour; a record has ends
     order = np.argsort(points.time, kind="stable")
-    time = points.time[order] + 30.0 * MINUTE_S
-    series = []
-    for signal, (names, number, height_m) in made.items():
-        row = signal_named(signal)
-        finite = number[np.isfinite(number)]
-        if not len(finite):
-            warnings.append(f"{names}: no value at this point, {signal} is left out")
-            continue
-        if beyond := impossible_range(finite, row):
-            faults.append(f"{names}: {beyond}: fetch the file again")
-            continue
-        source = f'{file}, column "{names}"' + (f" at {points.place}" if points.place else "")
-        series.append(
-            Series(signal, time, number[order], interval_s=HOUR_S, source=source, height_m=height_m)
-        )
-    if faults:
-        raise TableFault(*faults)
-    place = None
-    if points.latitude_deg is not None and points.longitude_deg is not None:
-        place = Site(points.latitude_deg, points.longitude_deg, points.altitude_m)
-    return Record(file, tuple(series), place, warnings=tuple(warnings), provenance=((file, digest),))
+    weather = SiteWeather(file, points.time[order] + 30.0 * MINUTE_S, points.place)
+    weather.warnings += points.warnings
+    weather.faults += _time_faults(points.time)
+    value: dict[str, np.ndarray] = {}
+    for name, field in points.fields.items():
+        raw = np.asarray(field.value, dtype=float)[order]
+        if name in _FIELDS:
+            signal, own = _FIELDS[name]
+            raw = converted(name, raw, own if field.unit is None else field.unit, signal, weather.faults)
+        elif field.unit not in _BY_MASS:
+            weather.faults.append(f'{name}: unknown unit "{field.unit}"; expected kg kg-1')
+        value[name] = raw
+    _add_fields(weather, value)
+    return weather.record(points.site, digest)
 
 
 def _time_faults(time: np.ndarray) -> list[str]:
@@ -117,50 +92,30 @@ def _time_faults(time: np.ndarray) -> list[str]:
     return faults
 
 
-def _unit_faults(points: PointFields) -> list[str]:
-    return [
-        f'{name}: unknown unit "{field.unit}"; expected {UNITS[name][0]}, as in the files of MERRA-2'
-        for name, field in points.fields.items()
-        if field.unit is not None and field.unit.strip() not in UNITS[name]
-    ]
-
-
-def _values(
-    value: Mapping[str, np.ndarray], warnings: list[str], faults: list[str]
-) -> dict[str, tuple[str, np.ndarray, float | None]]:
-    """Signal -> its fields, values (T,) in SI units, and height of a wind [m]."""
-    made: dict[str, tuple[str, np.ndarray, float | None]] = {}
-    if "T2M" in value:
-        made["ambient_temperature"] = ("T2M", value["T2M"], None)
+def _add_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
+    """Add the series, means over the hour, from values (T,) of the fields in SI units."""
+    names: dict[str, np.ndarray] = {}
     if "QV2M" in value and "PS" in value:
         vapour = vapour_pressure_from_specific_humidity(value["QV2M"], value["PS"])
-        made["ambient_dew_point_temperature"] = ("QV2M and PS", np.asarray(dew_point(vapour)), None)
+        weather.add("ambient_dew_point_temperature", np.asarray(dew_point(vapour)), "QV2M and PS", mean=True)
     elif "T2MDEW" in value:
-        made["ambient_dew_point_temperature"] = ("T2MDEW", value["T2MDEW"], None)
+        names["T2MDEW"] = value["T2MDEW"]
     elif "QV2M" in value:
-        faults.append("QV2M is a humidity by mass and needs the pressure PS: ask for it in the request")
+        weather.faults.append("QV2M is a humidity by mass and needs the pressure PS: ask for it too")
     elif "T2M" in value:
-        warnings.append("no QV2M and no T2MDEW: this weather has no humidity; ask for QV2M and PS")
-    if {"ambient_temperature", "ambient_dew_point_temperature"} <= set(made):
-        warnings += saturation_doubt(made["ambient_temperature"][1], made["ambient_dew_point_temperature"][1])
-    if "PS" in value:
-        made["ambient_pressure"] = ("PS", value["PS"], None)
-    if "SWGDN" in value:
-        made["global_horizontal_irradiance"] = ("SWGDN", np.maximum(value["SWGDN"], 0.0), None)
-    if "CLDTOT" in value:
-        made["cloud_cover"] = ("CLDTOT", value["CLDTOT"], None)
-    rain = next((name for name in ("PRECTOTCORR", "PRECTOT") if name in value), None)
-    if rain is not None:  # kg/m² is a depth in mm
-        made["rain"] = (rain, np.maximum(HOUR_S * value[rain], 0.0), None)
+        weather.warnings.append("no QV2M and no T2MDEW: this weather has no humidity; ask for QV2M and PS")
+    rain = next((name for name in ("PRECTOTCORR", "PRECTOT") if name in value), "")
+    for name in ("T2M", "PS", "SWGDN", "CLDTOT", rain):
+        if name in value:
+            names[name] = np.maximum(value[name], 0.0) if name in ("SWGDN", rain) else value[name]
+    for name, number in names.items():
+        weather.add(_FIELDS[name][0], number, name, mean=True)
     for height in WIND_HEIGHTS_M:
         east, north = value.get(f"U{height}M"), value.get(f"V{height}M")
         if east is None or north is None:
             continue
-        names = f"U{height}M and V{height}M"
-        made["wind_speed"] = (names, np.hypot(east, north), float(height))
-        made["wind_direction"] = (names, np.mod(np.arctan2(-east, -north), 2.0 * math.pi), float(height))
-        warnings.append(
+        weather.add_wind(east, north, f"U{height}M and V{height}M", float(height), mean=True)
+        weather.warnings.append(
             f"wind_speed is measured at {height} m, not at hub height; speed of the hour's mean wind"
         )
         break
-    return made

@@ -14,23 +14,26 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.readings import mask_out_of_range
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
+from hygrokf.weather.archive import kind_of
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
-from hygrokf.weather.gridded import FAR_KM, distance_km
 from hygrokf.weather.joining import joined
 from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reference_year import is_try, read_try
+from hygrokf.weather.site_weather import distance_km, place_text
 
 FORMATS = ("era5", "epw", "merra2", "open_meteo", "try")
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
 SHOWN_GAPS = 3
+FAR_KM = 50.0
+"""[km] distance between the site and the point of the weather above which there is a warning."""
 _HEAD = 2**14
 """Bytes of a file by which its format is known."""
 
@@ -60,7 +63,8 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    record = _within_range(_read(file, kind, site, year))
+    # such as codes of missing values
+    record = mask(_warned_of_distance(_read(file, kind, site, year), site), within_range=True)
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m
@@ -95,18 +99,24 @@ def _read(file: Path, kind: str, site: Site | None, year: int | None) -> Record:
     """The record of a file of one of the `FORMATS`, as its reader makes it."""
     match kind:
         case "epw":
-            return _warned_of_distance(read_epw(file, year), site)
+            return read_epw(file, year)
         case "try":
-            return _warned_of_distance(read_try(file, year), site)
+            return read_try(file, year)
         case "open_meteo":
-            return _warned_of_distance(read_open_meteo(file), site)
+            return read_open_meteo(file)
         case "merra2":
             return read_merra2(file, site)
     return read_era5(file, site)
 
 
 def form_of(path: Path) -> str:
-    """The format of a file, one of `FORMATS`, by its name, its first bytes, or the names in a ZIP archive."""
+    """The format of a weather file, one of `FORMATS`; "era5" where nothing tells it: its reader says so."""
+    return weather_form(path) or "era5"
+
+
+def weather_form(path: Path) -> str | None:
+    """The format of a weather file by its name, its first bytes, or the names in a ZIP archive; None for a
+    table and for what cannot be read."""
     name = path.name.lower()
     if name.endswith((".epw", ".epw.gz")):
         return "epw"
@@ -120,30 +130,28 @@ def form_of(path: Path) -> str:
                 head = stream.read(_HEAD)
         if head[:4] == b"PK\x03\x04":
             with zipfile.ZipFile(path) as archive:
-                names = [name.lower().rpartition("/")[2] for name in archive.namelist()]
-            if any(name.startswith("merra2") for name in names):
-                return "merra2"
-            if any(name.endswith(".epw") for name in names):
-                return "epw"
-            return "try" if names and all(name.startswith("try") for name in names) else "era5"
-    except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile):  # the reader reports the fault
-        return "era5"
-    return _form_by_head(path, head)
-
-
-def _form_by_head(path: Path, head: bytes) -> str:
-    """The format by the first bytes of an unpacked file."""
-    if head[:8] == b"\x89HDF\r\n\x1a\n":
+                return _form_of_members([name.lower().rpartition("/")[2] for name in archive.namelist()])
+        kind = kind_of(head)
+    except (OSError, EOFError, ValueError, zlib.error, zipfile.BadZipFile, TableFault):
+        return None
+    if kind == "netcdf4":
         return "merra2" if _has_merra2(path) else "era5"
-    if head[:3] == b"CDF":  # the header names the fields
+    if kind == "netcdf3":  # the header names the fields
         return "merra2" if b"T2M" in head else "era5"
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if text.upper().startswith(b"LOCATION,"):
-        return "epw"
-    first = text.partition(b"\n")[0]
-    if b"utc_offset_seconds" in (head if text[:1] in (b"{", b"[") else first):
+    if kind == "json" or b"utc_offset_seconds" in head.partition(b"\n")[0]:
         return "open_meteo"
-    return "try" if is_try(head.decode("latin-1")) else "era5"
+    return "epw" if kind == "epw" else "try" if is_try(head.decode("latin-1")) else None
+
+
+def _form_of_members(names: Sequence[str]) -> str | None:
+    """The format by the names of an archive's files."""
+    if any(name.startswith("merra2") for name in names):
+        return "merra2"
+    if any(name.endswith(".epw") for name in names):
+        return "epw"
+    if names and all(name.startswith("try") for name in names):
+        return "try"
+    return "era5" if any(name.endswith((".nc", ".nc4")) for name in names) else None
 
 
 def _has_merra2(path: Path) -> bool:
@@ -157,23 +165,14 @@ def _has_merra2(path: Path) -> bool:
         return False
 
 
-def _within_range(record: Record) -> Record:
-    """The record without readings out of range, such as codes of missing values, with a warning for each."""
-    series, warnings = [], list(record.warnings)
-    for one in record.series:
-        kept, said = mask_out_of_range(one)
-        series.append(kept)
-        warnings += said
-    return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
-
-
 def _warned_of_distance(record: Record, site: Site | None) -> Record:
+    """The record with a warning where the weather is from far away."""
     if site is None or record.site is None:
         return record
-    away = distance_km(record.site.latitude_deg, record.site.longitude_deg, site)
-    if away <= FAR_KM:
+    at = record.site.latitude_deg, record.site.longitude_deg
+    if distance_km(*at, site) <= FAR_KM:
         return record
-    said = f"its station lies {away:.0f} km from the site: is it the weather of this site?"
+    said = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
     return dataclasses.replace(record, warnings=(*record.warnings, said))
 
 
@@ -249,10 +248,8 @@ def gaps_text(series: Series) -> list[str]:
     """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
     time, _ = series.known
     step, _ = modal_step(series.time)
-    if len(time) < 2 or not np.isfinite(step):
-        return []
     length = np.diff(time)
-    wide = np.flatnonzero(length > 3.01 * step)
+    wide = np.flatnonzero(length > 3.01 * step)  # none where the step is unknown
     if not len(wide):
         return []
     longest = wide[np.argsort(length[wide])[::-1][:SHOWN_GAPS]]

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import signal_named, to_si
+from hygrokf.data.record import Record, Site
+from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import (
     ZERO_CELSIUS_K,
@@ -20,9 +20,16 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure,
     vapour_pressure_from_humidity_ratio,
 )
-from hygrokf.weather.archive import contents
-from hygrokf.weather.fields import saturation_doubt
-from hygrokf.weather.typical_year import expect_hour, hourly_series, local_seconds, placed_in_year
+from hygrokf.weather.archive import only_content
+from hygrokf.weather.site_weather import SiteWeather
+from hygrokf.weather.typical_year import (
+    SHIFTED,
+    WIND_HEIGHT_M,
+    WIND_WARNING,
+    hours_table,
+    local_seconds,
+    placed_in_year,
+)
 
 ZONE_H = 1.0
 """[h] Central European Time against UTC, in summer too."""
@@ -64,11 +71,7 @@ def read_try(path: str | os.PathLike[str], year: int | None = None) -> Record:
     Raises TableFault with every fault.
     """
     file = Path(path)
-    (one, *others), digest = contents(file)
-    if others:
-        raise TableFault(f"holds {len(others) + 1} files; expected one: unpack that of the wanted year")
-    if one.kind != "csv":
-        raise TableFault(f"expected a test reference year as text (.dat), found {one.kind}")
+    one, digest = only_content(file, ("csv",), "a test reference year as text (.dat)")
     lines = one.data.decode("latin-1").splitlines()
     end = next((i for i, line in enumerate(lines) if line.strip().startswith(END_OF_HEADER)), 0)
     if end == 0:
@@ -91,21 +94,15 @@ def read_try(path: str | os.PathLike[str], year: int | None = None) -> Record:
     stamps = np.column_stack(
         [np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))]
     ).astype(int)
-    stamps, keep, said = placed_in_year(stamps, year)
-    warnings += [
-        *said,
-        f"hours of a test reference year stand in {year}: a typical year, not the weather of {year}",
-    ]
-    column = {name: values[keep] for name, values in column.items()}
+    stamps, column, said = placed_in_year(stamps, column, year, "a test reference year")
+    warnings += said
     time = local_seconds(stamps) - ZONE_H * HOUR_S
     if (np.abs(np.diff(time) - HOUR_S) > 1.0).any():
         place = int(np.argmax(np.abs(np.diff(time) - HOUR_S) > 1.0))
         raise TableFault(f"hour {place + 2} of the year: the hours must be consecutive, this one is not")
-    series = _series(column, time, file.name, faults, warnings)
-    if faults:
-        raise TableFault(*faults)
-    warnings.append("wind_speed is measured at 10 m, not at hub height")
-    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
+    weather = SiteWeather(file.name, time, remedy=SHIFTED, warnings=warnings)
+    _add_columns(weather, column)
+    return weather.record(site, digest)
 
 
 def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> np.ndarray:
@@ -116,46 +113,27 @@ def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> n
             f"expected {HOURS} hours after its header, found {len(body)}: cut short? fetch it again"
         )
         return np.zeros((0, len(names)))
-    table, wrong = np.full((len(body), len(names)), math.nan), []
-    places = [names.index(name) for name in ("MM", "DD", "HH")]
-    for row, (number, cells) in enumerate(body):
-        try:
-            if len(cells) != len(names):
-                raise ValueError(f"expected {len(names)} cells, found {len(cells)}")
-            table[row] = [float(cell) for cell in cells]
-            if not np.isfinite(table[row]).all():
-                raise ValueError("expected numbers")
-            expect_hour(2020, *(int(table[row, place]) for place in places))
-        except ValueError as reason:
-            wrong.append(f"line {number}: {reason}")
-    if wrong:
-        more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
-        faults += [*wrong[:2], wrong[2] + more] if len(wrong) > 2 else wrong
-    return table
-
-
-def _series(
-    column: Mapping[str, np.ndarray], time: np.ndarray, file: str, faults: list[str], warnings: list[str]
-) -> list[Series]:
-    """Series in SI units from columns (T,); impossible values are added to `faults`."""
-    values: dict[str, tuple[str, np.ndarray, bool]] = {}
-    for signal, (name, unit, held) in _SIGNALS.items():
-        if name in column:
-            raw = np.where(column[name] == _MISSING.get(name, math.inf), math.nan, column[name])
-            values[signal] = (
-                name,
-                to_si(raw / (8.0 if name == "N" else 1.0), unit, signal_named(signal)),
-                held,
-            )
-    if {"B", "D"} <= set(column):
-        values["global_horizontal_irradiance"] = "B and D", np.maximum(column["B"] + column["D"], 0.0), True
-    values["ambient_dew_point_temperature"] = "x, RF, p and t", _dew_point(column, warnings), False
-    warnings += saturation_doubt(values["ambient_temperature"][1], values["ambient_dew_point_temperature"][1])
-    found = (
-        hourly_series(signal, time, number, mean, f'"{name}"', f'{file}, column "{name}"', faults)
-        for signal, (name, number, mean) in values.items()
+    month, day, hour = (names.index(name) for name in ("MM", "DD", "HH"))
+    used = range(len(names))
+    return hours_table(
+        body, len(names), used, lambda row: (2020, row[month], row[day], row[hour]), faults, exact=True
     )
-    return [one for one in found if one is not None]
+
+
+def _add_columns(weather: SiteWeather, column: Mapping[str, np.ndarray]) -> None:
+    """Add the series of columns (T,)."""
+    for signal, (name, unit, held) in _SIGNALS.items():
+        raw = column.get(name, np.full(len(weather.time), math.nan))
+        raw = np.where(raw == _MISSING.get(name, math.inf), math.nan, raw) / (8.0 if name == "N" else 1.0)
+        if np.isfinite(raw).any():
+            height_m = WIND_HEIGHT_M if signal.startswith("wind_") else None
+            weather.add(signal, to_si(raw, unit, signal), f'column "{name}"', mean=held, height_m=height_m)
+    if {"B", "D"} <= set(column):
+        sun = np.maximum(column["B"] + column["D"], 0.0)
+        weather.add("global_horizontal_irradiance", sun, 'column "B and D"', mean=True)
+    humid = _dew_point(column, weather.warnings)
+    weather.add("ambient_dew_point_temperature", humid, 'column "x, RF, p and t"')
+    weather.warnings.append(WIND_WARNING)
 
 
 def _dew_point(column: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import calendar
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.record import Series
-from hygrokf.data.signals import signal_named
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.weather.fields import impossible_range
 
 WIND_HEIGHT_M = 10.0
 """[m] height of the wind in files of typical years."""
+SHIFTED = "the columns are shifted, or in other units"
+"""What impossible values mean in files of typical years."""
+WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
 
 
-def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Hours moved to one calendar year: their stamps, the rows that they come from, and warnings.
+def placed_in_year(
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, own: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Hours moved to one calendar year: their stamps, their columns, and warnings.
 
-    stamps: (T, 4) year, month, day, hour 1…24 as written. year: 1900 … 2200.
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: 1900 … 2200.
+    own: the years of the file in words, "" where it is that year.
 
     29 February is a repetition of the 28th where the year needs it and the file has none; it is left out
     where the year has none.  Raises TableFault for a year out of range.
@@ -41,7 +45,9 @@ def placed_in_year(stamps: np.ndarray, year: int) -> tuple[np.ndarray, np.ndarra
         keep = np.flatnonzero(~leap_day)
         placed = placed[keep]
         said.append(f"{year} is not a leap year: 29 February is left out")
-    return placed, keep, said
+    if own:
+        said.append(f"hours of {own} stand in {year}: a typical year, not the weather of {year}")
+    return placed, {name: one[keep] for name, one in columns.items()}, said
 
 
 def expect_hour(year: int, month: int, day: int, hour: int) -> None:
@@ -61,25 +67,33 @@ def local_seconds(stamps: np.ndarray) -> np.ndarray:
     return days * DAY_S + stamps[:, 3] * HOUR_S
 
 
-def hourly_series(
-    signal: str, time: np.ndarray, value: np.ndarray, mean: bool, column: str, source: str, faults: list[str]
-) -> Series | None:
-    """A series of hours; None without values, and for impossible values, which are added to `faults`.
+def hours_table(
+    lines: Sequence[tuple[int, Sequence[str]]],
+    width: int,
+    used: Sequence[int],
+    date: Callable[[np.ndarray], Iterable[float]],
+    faults: list[str],
+    exact: bool = False,
+) -> np.ndarray:
+    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
 
-    time: (T,) [s] ends of the hours.  value: (T,) [SI unit].  mean: whether it is the hour's mean or sum.
-    column: its name in faults.  source: its name in the record.
+    lines: number and cells. width: of a line at least, or with `exact` of every line.
+    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
     """
-    known = value[~np.isnan(value)]
-    if not len(known):
-        return None
-    if beyond := impossible_range(known, signal_named(signal)):
-        faults.append(f"column {column}: {beyond}: the columns are shifted, or in other units")
-        return None
-    return Series(
-        signal,
-        time,
-        value,
-        interval_s=HOUR_S if mean else 0.0,
-        source=source,
-        height_m=WIND_HEIGHT_M if signal.startswith("wind_") else None,
-    )
+    table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
+    wrong = []
+    for row, (number, cells) in zip(table, lines, strict=True):
+        try:
+            if len(cells) < width or (exact and len(cells) > width):
+                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
+            for column in used:
+                if column < len(cells) and cells[column].strip():
+                    row[column] = float(cells[column])
+                    if not np.isfinite(row[column]):
+                        raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
+            expect_hour(*(int(one) for one in date(row)))
+        except ValueError as reason:
+            wrong.append(f"line {number}: {reason}")
+    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
+    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
+    return table

@@ -6,10 +6,11 @@ import tomllib
 
 import pytest
 
-from hygrokf.cases.form import stated_case
-from hygrokf.cases.places import CaseLines
+from hygrokf.cases.form import CasePlace, stated_case
+from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import StatedQuality
+from hygrokf.data.toml_lines import lines_of
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0
@@ -38,7 +39,7 @@ until = 2020-12-01T00:00:00Z
 
 
 def state(text: str):
-    return stated_case(tomllib.loads(text), CaseLines("case.toml", text), "case")
+    return stated_case(tomllib.loads(text), CasePlace(file="case.toml", lines=lines_of(text)), "case")
 
 
 def faults(*changes: tuple[str, str]) -> list[str]:
@@ -65,18 +66,14 @@ def test_the_form_is_read():
     assert (column.column, column.unit) == ("T", "degC")
     assert column.settings == {"accuracy": 0.5, "resolution": 0.1}
     assert (scada.stamp, scada.interval_s, scada.clock_uncertainty_s) == ("start", 600.0, 120.0)
-    assert scada.reading == {
-        "timezone": "+01:00",
-        "separator": ";",
-        "decimal": ",",
-        "thousands": None,
-        "meanings": {"P": Meaning("active_power", "kW")},
-        "comment": None,
-        "missing": ("bad",),
-        "time_format": None,
-        "ignore_offset": False,
-        "quality": StatedQuality({"P": None}),
-    }
+    assert scada.notation == Notation(
+        timezone="+01:00",
+        separator=";",
+        decimal=",",
+        missing=("bad",),
+        meanings={"P": Meaning("active_power", "kW")},
+        quality=StatedQuality({"P": None}),
+    )
 
 
 def test_the_name_defaults_to_that_of_the_file():

@@ -13,11 +13,15 @@ from builders.faults import faults_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hygrokf.data.columns import TableFault
+from hygrokf.data import table_readers
+from hygrokf.data.columns import Notation, Table, TableFault
 from hygrokf.data.numbers import Meaning
-from hygrokf.data.table_readers import read_table
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
+
+
+def read_table(path: Path, columns: list[str], time: str, **stated) -> Table:
+    return table_readers.read_table(path, columns, time, Notation(**stated))
 
 
 def stamps(count: int = 4) -> list[str]:
@@ -138,7 +142,7 @@ def test_text_in_a_number_column_names_lines_below_blanks_and_comments(write):
 
 def test_stated_words_mean_missing(write):
     path = write(GOOD.replace("21.5", "Bad Input").replace("52", "Bad Input"))
-    read = read_table(path, ["T", "RH"], "time", missing=["Bad Input"])
+    read = read_table(path, ["T", "RH"], "time", missing=("Bad Input",))
     assert np.isnan(read.values["T"]).tolist() == [False, True, False, False]
     assert np.isnan(read.values["RH"]).tolist() == [False, False, True, False]
 
@@ -323,13 +327,13 @@ def test_rows_without_stamp_are_left_out_and_said(write):
     [
         (b"", "a.csv", "empty"),
         (gzip.compress(b"", mtime=0), "a.csv.gz", "empty"),
-        (b"\n\n\n", "a.csv", "header"),
+        (b"\n\n\n", "a.csv", "empty"),
         (b"time,T,RH\n", "a.csv", "no row"),
         (b"PK\x03\x04rest", "a.csv", "Excel"),
         (b"PAR1rest", "a.csv", "Parquet"),
         (GOOD.encode() + b"\x00\x00", "a.csv", "line 6: is not text"),
         (gzip.compress(GOOD.encode(), mtime=0)[:40], "a.csv.gz", "decompressed"),
-        (b"not gzip", "a.csv.gz", "decompressed"),
+        (b"not gzip", "a.csv.gz", 'no column "time"'),
         (GOOD.replace("20.5", '"20.5').encode(), "a.csv", "line 2: a quotation mark"),
         (b"PAR1 no", "a.parquet", "Parquet"),
         (GOOD.encode(), "a.dat", "expected a file of the kind"),

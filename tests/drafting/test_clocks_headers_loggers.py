@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import builders.weather_services as services
 import numpy as np
 import pytest
 from builders.command_line import run
@@ -107,6 +109,17 @@ def test_a_weather_file_of_dwd_is_read(tmp_path):
     assert len(record["ambient_temperature"].value) == ROWS
 
 
+def test_files_of_weather_services_are_named_with_their_formats(tmp_path):
+    scada = written(tmp_path / "s.csv", "time (UTC),Cabinet Temp (degC)", ["cabinet_temperature"])
+    answer = services.open_meteo_json(tmp_path / "a.json", services.open_meteo())
+    days = services.merra2_file(tmp_path)
+    draft_case([scada, answer, days, services.try_file(tmp_path / "TRY.dat")], tmp_path / "case.toml")
+    text = (tmp_path / "case.toml").read_text()
+    for file, form in (("a.json", "open_meteo"), (days.name, "merra2"), ("TRY.dat", "try")):
+        assert f'file = "{file}"\nformat = "{form}"\n' in text
+    assert text.count("year = ") == 1  # of the typical year alone
+
+
 def test_what_a_fit_would_miss_is_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written(tmp_path / "o.csv", "time (UTC),Nacelle (degC)", ["nacelle_temperature"])
@@ -114,6 +127,20 @@ def test_what_a_fit_would_miss_is_told(tmp_path, monkeypatch):
     assert len(draft.lacks) == 3  # outside, cabinet, power
     said = run("init o.csv --out other.toml")
     assert all(lack.split(":")[0] in said.out for lack in draft.lacks)
+
+
+def test_init_names_the_readings_that_depart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    export = written(tmp_path / "s.csv", "time (UTC),Cabinet Temp (degC)", ["cabinet_temperature"])
+    lines = export.read_text().splitlines()
+    stamp, _ = lines[1000].split(",")
+    lines[1000] = f"{stamp},85.0"
+    export.write_text("\n".join(lines))
+    at = f"{stamp.replace(' ', 'T')}Z"
+    said = f"1 reading that leaves its course and returns within 30 min masked: 85 degC at {at}"
+    assert said in run("init s.csv").out
+    doubts = json.loads(run("init s.csv --out other.toml --json").out)["doubts"]
+    assert [said in one for one in doubts].count(True) == 1
 
 
 @pytest.mark.parametrize("names", ["cabinet/174.csv outside/174.csv", "cabinet_174.csv outside_174.csv"])

@@ -148,7 +148,7 @@ def test_archives_of_weather_services(tmp_path: Path) -> None:
         {"site.epw": text, "site.stat": b"statistics of the file", "site.ddy": b"! days"},
     )
     assert len(read_epw(path)["ambient_temperature"]) == 8760
-    assert "holds 2 EPW files" in faults(made.zipped(path, {"a.epw": text, "b.epw": text}))
+    assert "holds 2 such files" in faults(made.zipped(path, {"a.epw": text, "b.epw": text}))
     assert 'state format = "era5"' in faults(made.new_file(tmp_path / "era5.nc"))
 
 

@@ -19,6 +19,7 @@ from hygrokf.weather import archive
 from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.fields import point_record
 from hygrokf.weather.gridded import point_fields
+from hygrokf.weather.reading import read_weather_file
 
 if TYPE_CHECKING:
     import xarray
@@ -200,7 +201,7 @@ def test_a_site_outside_of_the_grid_is_refused(tmp_path: Path) -> None:
 def test_a_point_from_afar_is_said(tmp_path: Path) -> None:
     path = tmp_path / "point.csv"
     path.write_bytes(made.point_csv())
-    record = read_era5(path, Site(52.4, -0.95))
+    record = read_weather_file(path, "era5", site=Site(52.4, -0.95))
     assert any("is it the weather of this site?" in said for said in record.warnings)
 
 
@@ -298,7 +299,7 @@ def test_csv_cut_short(tmp_path: Path) -> None:
     path = tmp_path / "point.csv"
     path.write_bytes(made.point_csv()[:-30])
     said = faults(path)
-    assert said.startswith("line 97: no latitude and longitude") and "fetch it again" in said
+    assert said.startswith("no latitude and longitude at 2021-03-04T23:00Z") and "fetch it again" in said
 
 
 @pytest.mark.parametrize(
@@ -502,7 +503,7 @@ def test_damaged_stamps_and_numbers(tmp_path: Path) -> None:
     assert record.warnings[0].startswith("96 hours are preliminary")
     table = tmp_path / "point.csv"
     table.write_text("valid_time,t2m,latitude,longitude\n")
-    assert "no hour below it" in faults(table)
+    assert "no row below the header" in faults(table)
     table.write_text("valid_time,t2m,latitude,longitude\n2021-03-01 00:00:00,280,95.0,5.5\n")
     assert "latitude_deg must lie within" in faults(table, None)
 
