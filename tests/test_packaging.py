@@ -305,6 +305,7 @@ NEEDS = {
     "mqtt": "cryptography paho.mqtt.client hygrokf.live.sources.mqtt",
     "opcua": "asyncua cryptography hygrokf.live.sources.opcua",
     "parquet": "pyarrow.parquet",
+    "pdf": "weasyprint hygrokf.report.summary.writing",
     "postgres": "psycopg hygrokf.live.storage.postgres hygrokf.live.sources.postgres",
     "weather": "xarray h5netcdf h5py hygrokf.weather",
 }

@@ -21,27 +21,30 @@ def _arguments(parser: ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="DIR",
-        help="directory for summary.html, .pdf and .png (default: beside each result)",
+        help="directory for summary.html (default: beside each result)",
+    )
+    parser.add_argument(
+        "--pdf", action="store_true", help="also write summary.pdf: what the page prints (extra pdf)"
     )
     add_json(parser)
 
 
 def _run(options: Namespace) -> int:
-    from hygrokf.report.summary.writing import planned, written
+    from hygrokf.report.summary.writing import planned, written, written_pdf
 
     if options.out is not None:
         expect_directory(options.out)
     plans = planned(options.results, options.out)
-    files: list[str] = []
+    pages = []
     with Progress(len(plans) + 1) as progress:
         summaries = [make() for make, _, _ in plans]
         for summary, (_, folder, stem) in zip(summaries, plans, strict=True):
             progress(f"draw the summary of {summary.name}")
-            files += map(str, written(summary, folder, stem))
+            pages.append(written(summary, folder, stem))
+        printed = [written_pdf(page) for page in pages] if options.pdf else []
+    files = [str(file) for file in (*pages, *printed)]
     show({"summaries": files}, "\n".join(files), options.json)
     return 0
 
 
-VERB = Verb(
-    "summary", "write one page of a fit, a discovery or a climate: HTML, PDF and PNG", _arguments, _run
-)
+VERB = Verb("summary", "write one page of a fit, a discovery or a climate: HTML, PDF", _arguments, _run)

@@ -16,7 +16,7 @@ BESIDE_DISCOVERY = "fit_report.html"
 """The fit's own page where report.html is that of a discovery."""
 SUMMARY, BESIDE_SUMMARY = "summary", "fit_summary"
 """The files of a summary without their endings; the second is that of a discovery's own fit."""
-SUMMARIES = tuple(f"{name}.{end}" for name in (SUMMARY, BESIDE_SUMMARY) for end in ("html", "pdf", "png"))
+SUMMARIES = tuple(f"{name}.{end}" for name in (SUMMARY, BESIDE_SUMMARY) for end in ("html", "pdf"))
 FIT = "fit.json"
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"

@@ -189,7 +189,7 @@ class Page:
     `kind` says what sort of result it is, `name` whose, `about` the lines below the name.  `lead` is the
     first screen: warnings, the answer with its verdict, and the picture that shows it.  `body` holds the
     rest, `foot` how it was computed.  `brief` is what a terminal prints.  `sheet` above 0: it prints on one
-    page, smaller by this factor [1].
+    page, in letters of this size [pt].
     """
 
     kind: str

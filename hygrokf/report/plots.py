@@ -57,7 +57,7 @@ def _plotted(made: Callable[[], Lead], name: str, axes: Axes | Sequence[Axes] | 
 
         with styled():
             figure = pyplot.figure(figsize=(WIDTH_IN, panels.height_in))
-            return tuple(panels.on_figure(figure, (0.0, 0.0, 1.0, 1.0)))
+            return tuple(panels.on_figure(figure))
     given = tuple(axes) if isinstance(axes, Iterable) else (axes,)
     if not 1 <= len(given) <= len(panels.draw):
         raise ValueError(

@@ -6,14 +6,14 @@ import json
 
 from builders.command_line import run
 
-FILES = [f"summary.{end}" for end in ("html", "pdf", "png")]
+FILES = ["summary.html", "summary.pdf"]
 
 
 def test_a_fit_is_summarised_beside_its_files_and_elsewhere(folder):
     said = run("summary result")
-    assert (said.status, said.out.splitlines(), said.err) == (0, [f"result/{name}" for name in FILES], "")
+    assert (said.status, said.out.splitlines(), said.err) == (0, ["result/summary.html"], "")
     page = (folder / "result/summary.html").read_bytes()
-    said = run("summary result/fit.json --out page --json")
+    said = run("summary result/fit.json --out page --pdf --json")
     assert json.loads(said.out) == {"summaries": [f"page/{name}" for name in FILES]}
     assert (folder / "page/summary.html").read_bytes() == page
 

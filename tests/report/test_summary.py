@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import shutil
-import struct
+import subprocess
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -17,26 +19,19 @@ from builders.climate_case import study_of
 from builders.discovery_case import discovery_case, empty_case, residuals_case, typed, unexplained_case
 from builders.documents import document
 from builders.report_case import report_case, results, write_case
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from matplotlib.figure import Figure
-from matplotlib.text import Text
-from matplotlib.transforms import Bbox
 from playwright.sync_api import Browser, sync_playwright
 
 from hygrokf.climate.limits import Exceedance, Limit
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
 from hygrokf.report.page import page_html
-from hygrokf.report.summary import sheet
 from hygrokf.report.summary.climate import summary_of_climate
 from hygrokf.report.summary.content import MOST_ACTIONS, MOST_ROWS, Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
 from hygrokf.report.summary.page import summary_blocks
 from hygrokf.report.summary.remedies import LONGER, ORDER, REMEDIES
-from hygrokf.report.summary.sheet import HEIGHT, LEFT, WIDTH, lines_of, summary_bytes, summary_sheet
-from hygrokf.report.summary.writing import SummaryFault, planned, written
+from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (
@@ -205,51 +200,108 @@ def test_every_reason_against_a_time_constant_has_a_remedy() -> None:
     assert sorted(REMEDIES) == sorted(codes) and set(REMEDIES.values()) == set(ORDER)
 
 
-# --- the sheet -------------------------------------------------------------------------------
+# --- on paper --------------------------------------------------------------------------------
 
 
-@settings(max_examples=40)
-@given(st.text(st.sampled_from("iWm .-ü"), max_size=120), st.floats(0.5, 6.0), st.floats(5.0, 20.0))
-def test_lines_keep_every_letter_and_fit(text: str, width_in: float, size: float) -> None:
-    lines = lines_of(text, width_in, size)
-    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
-    wide = sheet._width_of(size, False)
-    assert all(wide(line) <= width_in or len(line) == 1 for line in lines)
+def crowded() -> Summary:
+    """As many limits as the page lists, each with a long sentence, and more that it counts."""
+    kept, broken = study().regions[0].limits
+    named = replace(broken, name=LONG[:70])
+    return summary_of_climate(with_region(limits=(kept,) * MOST_ROWS + (named,) * MOST_ROWS))
 
 
-@every
-def test_all_texts_stand_on_the_sheet_one_below_the_other(make) -> None:
-    with sheet._lettered():
-        figure: Figure = summary_sheet(make())
-        figure.draw_without_rendering()
-    dots = figure.dpi
-    texts = [one for one in figure.get_children() if isinstance(one, Text) and one.get_text()]
-    boxes = [one.get_window_extent() for one in texts]
-    assert all(box.x0 >= LEFT * dots - 2 and box.x1 <= (WIDTH - LEFT) * dots + 3 for box in boxes)
-    assert all(0.3 * dots < box.y0 and box.y1 < (HEIGHT - 0.3) * dots for box in boxes)
-    pictures = [one.get_tightbbox() for one in figure.get_axes()]
-    assert all(box is not None and box.height > 20 and box.x0 > 0.7 * LEFT * dots for box in pictures)
-    for one, other in (*itertools.combinations(boxes, 2), *itertools.product(boxes, pictures)):
-        assert not _overlap(one, other), (one, other)
+def few_regions() -> Summary:
+    return of_regions(3)
 
 
-def _overlap(one: Bbox, other: Bbox) -> bool:
-    """Whether two boxes have more in common than the rounding of their letters."""
-    common = Bbox.intersection(one, other)
-    return common is not None and common.width > 3.0 and common.height > 4.5
+def bare() -> Summary:
+    return replace(caused(), bounds=replace(caused().bounds, rows=()), picture=None, reasons=())
 
 
-def test_the_files_are_one_page_of_a4_and_the_same_every_time() -> None:
-    pdf, png = summary_bytes(caused())
-    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1 and pdf == summary_bytes(caused())[0]
-    (box,) = re.findall(rb"/MediaBox \[ ?([\d. ]+)\]", pdf)
-    assert [float(one) for one in box.split()] == pytest.approx([0, 0, 595.4, 841.7], abs=0.5)
-    assert struct.unpack(">II", png[16:24]) == (1240, 1753)
+PRINTED = (*MADE, crowded, few_regions, bare)
+on_paper = pytest.mark.parametrize("make", PRINTED, ids=lambda make: make.__name__)
 
 
-def test_a_name_in_other_letters_or_signs_is_drawn_as_it_is() -> None:
-    pdf, png = summary_bytes(replace(caused(), name="风电场 <b> $x_1$ {0} \\alpha"))
-    assert pdf.startswith(b"%PDF") and png.startswith(b"\x89PNG")
+def write_page(folder: Path, directory: Path | None = None) -> Path:
+    ((make, place, stem),) = planned([folder], directory)
+    return written(make(), place, stem)
+
+
+@pytest.fixture
+def printed(tmp_path) -> Callable[[Summary], tuple[Path, str]]:
+    """Writes a summary as PDF; returns its path and the text on it."""
+
+    def made(summary: Summary) -> tuple[Path, str]:
+        file = written_pdf(written(summary, tmp_path, "summary"))
+        return file, _said("pdftotext", "-layout", file, "-")
+
+    return made
+
+
+def _said(*command: str | Path) -> str:
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+class _Texts(HTMLParser):
+    """Collects the letters of a page's body."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.letters: Counter[str] = Counter()
+        self.inside = False
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.inside |= tag == "body"
+
+    def handle_data(self, data: str) -> None:
+        if self.inside:
+            self.letters.update("".join(data.split()))
+
+
+@on_paper
+def test_the_pdf_is_one_page_with_every_letter_of_the_html(make, printed) -> None:
+    file, text = printed(make())
+    about = _said("pdfinfo", file)
+    assert re.search(r"Pages: +1\n", about) and re.search(r"Page size: +59\d.* x 84\d.* \(A4\)", about)
+    page = _Texts()
+    page.feed(file.with_suffix(".html").read_text(encoding="utf-8"))
+    shown = Counter("".join(text.replace("•", "").split()))
+    assert shown == page.letters
+
+
+def test_the_same_result_gives_the_same_bytes(tmp_path) -> None:
+    folder = write_case(tmp_path / "made", *report_case())
+    pages = [write_page(folder), write_page(folder, tmp_path / "again")]
+    file, again = map(written_pdf, pages)
+    assert pages[0].read_bytes() == pages[1].read_bytes() and file.read_bytes() == again.read_bytes()
+    assert "Date" not in _said("pdfinfo", file)
+    fonts = _said("pdffonts", file).splitlines()[2:]
+    assert fonts and all(font.split()[-5:-2] == ["yes", "yes", "yes"] for font in fonts)  # embedded
+
+
+def test_a_name_in_signs_of_markup_is_printed_as_it_is(printed) -> None:
+    assert "<b> $x_1$ {0} \\alpha" in printed(replace(caused(), name="<b> $x_1$ {0} \\alpha"))[1]
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["raise ImportError(\"No module named 'weasyprint'\")",
+     "print('advice')\nraise OSError(\"cannot load library 'libpango-1.0-0': no such file\")"],
+)  # fmt: skip
+def test_without_the_extra_or_its_library_only_the_page_is_written(
+    module, tmp_path, monkeypatch, capsys
+) -> None:
+    for name in [one for one in sys.modules if one.partition(".")[0] == "weasyprint"]:
+        monkeypatch.delitem(sys.modules, name)
+    (tmp_path / "weasyprint.py").write_text(module)
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = write_case(tmp_path / "made", *report_case())
+    (folder / "summary.pdf").write_bytes(b"of another result")
+    before = {*folder.iterdir()} - {folder / "summary.pdf"}
+    with pytest.raises(SummaryFault, match=r"hygrokf\[pdf\].*libpango-1\.0-0 libpangoft2") as told:
+        written_pdf(write_page(folder))
+    assert module.rpartition('("')[2].split(":")[0].rstrip('")') in str(told.value)
+    assert {*folder.iterdir()} == before | {folder / "summary.html"} and capsys.readouterr().out == ""
 
 
 # --- the page --------------------------------------------------------------------------------
@@ -265,7 +317,7 @@ def browser() -> Iterator[Browser]:
         started.close()
 
 
-@every
+@on_paper
 def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_path) -> None:
     file = tmp_path / "summary.html"
     file.write_text(page_html(summary_blocks(make())), encoding="utf-8")
@@ -281,10 +333,8 @@ def test_the_page_prints_on_one_sheet_and_fits_a_telephone(make, browser, tmp_pa
 
 def test_a_summary_stands_beside_its_result(tmp_path) -> None:
     folder = write_case(tmp_path / "made", *report_case())
-    ((make, place, stem),) = planned([folder], None)
-    files = written(make(), place, stem)
-    assert [file.name for file in files] == ["summary.html", "summary.pdf", "summary.png"]
-    assert {file.parent for file in files} == {folder}
+    page = write_page(folder)
+    assert (page, written_pdf(page)) == (folder / "summary.html", folder / "summary.pdf")
 
 
 def test_the_kind_is_told_from_the_file_and_each_result_has_its_place(tmp_path) -> None:

@@ -101,23 +101,16 @@ class NothingToShow(ValueError):
 
 
 @contextmanager
-def styled(larger: float = 1.0) -> Iterator[None]:
-    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards.
-
-    larger: [1] factor on the size of all letters.
-    """
+def styled() -> Iterator[None]:
+    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
     import matplotlib
 
     plain = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
-    letters = {name: larger * _STYLE[name] for name in _STYLE if name.endswith(_LETTERS)}
-    style: Any = {**plain, **_STYLE, **letters}
+    style: Any = {**plain, **_STYLE}
     with matplotlib.rc_context(style):
         yield
-
-
-_LETTERS = ("font.size", "titlesize", "labelsize", "fontsize")
 
 
 def expect_matplotlib() -> None:

@@ -49,13 +49,13 @@ class Lead:
     caption: str
     panels: Panels
 
-    def figure(self) -> Figure:
-        """The picture on a figure of a page's width."""
+    def figure(self, height_in: float = 0.0) -> Figure:
+        """The picture on a figure of a page's width; of its own height unless one [in] is given."""
         from matplotlib.figure import Figure
 
         with styled():
-            made = Figure(figsize=(WIDTH_IN, self.panels.height_in))
-            self.panels.on_figure(made, (0.0, 0.0, 1.0, 1.0))
+            made = Figure(figsize=(WIDTH_IN, height_in or self.panels.height_in))
+            self.panels.on_figure(made)
         return made
 
 

@@ -47,25 +47,22 @@ class Panels:
         if self.handles is not None:
             axes[0].legend(handles=self.handles(), loc="best")
 
-    def on_figure(self, figure: Figure, within: tuple[float, float, float, float]) -> list[Axes]:
-        """Draw all panels on new axes within a part of a figure; returns the axes.
-
-        within: [1] left, bottom, width and height of the part, as shares of the figure.
-        """
-        left, bottom, width, height = within
+    def on_figure(self, figure: Figure) -> list[Axes]:
+        """Draw all panels on new axes, below their key; returns the axes."""
         grid = figure.add_gridspec(self.rows, self.columns)
         axes = [figure.add_subplot(grid[divmod(i, self.columns)]) for i in range(len(self.draw))]
         self.without_key(axes)
+        key = 0.0
         if self.handles is not None:
             handles, inches = self.handles(), figure.get_size_inches()
-            columns = _columns(width * inches[0], [str(one.get_label()) for one in handles])
+            columns = _columns(inches[0], [str(one.get_label()) for one in handles])
             legend = figure.legend(
-                handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(left, bottom + height)
+                handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0)
             )
             legend.set_in_layout(False)
             lines = -(-len(handles) // columns)
-            height -= lines * LINE_EM * _letters() * POINT_IN / inches[1]
-        figure.set_layout_engine("constrained", rect=(left, bottom, width, height))
+            key = lines * LINE_EM * _letters() * POINT_IN / inches[1]
+        figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - key))
         return axes
 
     def without_key(self, axes: Sequence[Axes]) -> None:

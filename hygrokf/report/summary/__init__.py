@@ -1,1 +1,1 @@
-"""Results on one page: what stands on it, and how it is drawn as HTML, PDF and PNG."""
+"""Results on one page: what stands on it, and how it is drawn as HTML and PDF."""

@@ -1,8 +1,10 @@
-"""Summaries on disk: the kind of a result from its file, and the three files of its summary."""
+"""Summaries on disk: the kind of a result from its file, and the files of its summary."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 from hygrokf.climate.study import read_climate
@@ -17,7 +19,7 @@ from hygrokf.data.files import (
 )
 from hygrokf.discovery.results import read_discovery
 from hygrokf.errors import HygrokfError
-from hygrokf.report.figures.drawing import expect_matplotlib
+from hygrokf.report.figures.drawing import FONTS, expect_matplotlib
 from hygrokf.report.fit_page import read_results
 from hygrokf.report.page import page_html
 from hygrokf.report.summary.climate import summary_of_climate
@@ -25,7 +27,6 @@ from hygrokf.report.summary.content import Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
 from hygrokf.report.summary.page import summary_blocks
-from hygrokf.report.summary.sheet import summary_bytes
 
 
 class SummaryFault(HygrokfError):
@@ -64,12 +65,48 @@ def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
     return plans
 
 
-def written(summary: Summary, directory: Path, stem: str) -> tuple[Path, ...]:
-    """The three files of a summary."""
-    pdf, png = summary_bytes(summary)
-    files = {"html": page_html(summary_blocks(summary)).encode(), "pdf": pdf, "png": png}
+def written(summary: Summary, directory: Path, stem: str) -> Path:
+    """The page of a summary, in the place of an earlier one and of its PDF."""
+    content = page_html(summary_blocks(summary)).encode()
     directory.mkdir(parents=True, exist_ok=True)
-    return tuple(write_bytes_whole(directory / f"{stem}.{end}", content) for end, content in files.items())
+    (directory / f"{stem}.pdf").unlink(missing_ok=True)
+    return write_bytes_whole(directory / f"{stem}.html", content)
+
+
+def written_pdf(page: Path) -> Path:
+    """What a page in HTML prints, as PDF beside it; the same page gives the same bytes.
+
+    Letters are those of DejaVu Sans, which matplotlib brings; of signs that it lacks, those of the system.
+    Raises SummaryFault without WeasyPrint or the libraries that it needs.
+    """
+    try:
+        with redirect_stdout(io.StringIO()):  # where it prints advice of its own
+            from weasyprint import CSS, HTML
+            from weasyprint.text.fonts import FontConfiguration
+    except (ImportError, OSError) as lacking:
+        raise SummaryFault(
+            f"{page} is written, its PDF is not: expected WeasyPrint and the system's library Pango, found: "
+            f"{str(lacking).partition(':')[0]}; "
+            'pip install "hygrokf[pdf]", and on Debian apt-get install libpango-1.0-0 libpangoft2-1.0-0 '
+            "libharfbuzz-subset0"
+        ) from None
+    fonts = FontConfiguration()
+    letters = CSS(string=_faces(), font_config=fonts)
+    content = HTML(filename=page).write_pdf(stylesheets=[letters], font_config=fonts)
+    return write_bytes_whole(page.with_suffix(".pdf"), content)
+
+
+def _faces() -> str:
+    """The first font of the pages, as files."""
+    import matplotlib
+
+    family = FONTS.split(",")[0]
+    folder = Path(matplotlib.get_data_path()) / "fonts/ttf"
+    files = {"normal": folder / "DejaVuSans.ttf", "bold": folder / "DejaVuSans-Bold.ttf"}
+    return "".join(
+        f"@font-face {{ font-family: {family}; font-weight: {weight}; src: url({file.as_uri()}) }}"
+        for weight, file in files.items()
+    )
 
 
 def _fit(folder: Path) -> Summary:
