@@ -36,6 +36,10 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
         version = data.get("version") if isinstance(data, dict) else None
         found = f"; the file was written by hygrokf {version}" if isinstance(version, str) else ""
         reason = f"{fault}{found}"
+    except FileNotFoundError:
+        raise ResultFault(
+            f"{path}: no such file; run `{command}` with --out on this directory first"
+        ) from None
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
     raise ResultFault(f"{path}: expected the results of `{command}`, found: {reason}; run it again")

@@ -86,8 +86,9 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
     series: dict[str, np.ndarray] = {}
     try:
         fit = with_verdicts(read_result(FitResults, folder / FIT, "hygrokf fit"))
-        if not (fit.version or fit.parameters or fit.time_constants):
-            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`; name the directory of one")
+        if lacking := [one for one in ("name", "version", "parameters") if not getattr(fit, one)]:
+            lacks = f"it lacks {', '.join(lacking)}"
+            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`: {lacks}; name the directory of one")
     except ResultFault as fault:
         faults.append(str(fault))
     try:
