@@ -87,8 +87,8 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
     try:
         fit = with_verdicts(read_result(FitResults, folder / FIT, "hygrokf fit"))
         if lacking := [one for one in ("name", "version", "parameters") if not getattr(fit, one)]:
-            lacks = f"it lacks {', '.join(lacking)}"
-            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`: {lacks}; name the directory of one")
+            lacks = f"it lacks {', '.join(lacking)}; name the directory of one"
+            faults.append(f"{folder / FIT}: not a result of `hygrokf fit`: {lacks}")
     except ResultFault as fault:
         faults.append(str(fault))
     try:
