@@ -150,9 +150,10 @@ def one(
         for channels in (make_sisters(seed) if sisters else ())
     ]
     fit = fitted(seed, damp, last_day + 1.0)
-    said = track(made, fit, min(last_day, FAULT_DAY + within + 0.5), beside)
+    tracked_day = min(last_day, FAULT_DAY + within + 0.5)
+    said = track(made, fit, tracked_day, beside)
     begin = START_S + (TRACKED_DAY + 5.0 if fault == "healthy" else FAULT_DAY) * DAY_S
-    later = (made.time >= begin) & (made.time <= START_S + last_day * DAY_S - 3600.0)
+    later = (made.time >= begin) & (made.time <= START_S + tracked_day * DAY_S - 3600.0)
     rows = np.array([said.estimates.get(at, (np.nan,) * 5) for at in made.time.tolist()])
     told, raw = rows[:, 0], raw_margin(made)
     wet, dry = later & (made.margin_K < 0.0), later & (made.margin_K > HOLDS_K)
