@@ -145,7 +145,7 @@ def table(path: Path, folder: Path) -> dict:
         rows = list(csv.reader(line for line in file if not line.startswith("#")))
     head, body = rows[0], rows[1:]
     found: dict = {"rows": len(body)}
-    for name, column in zip(head, zip(*body, strict=True), strict=True):
+    for name, column in zip(head, zip(*body, strict=True) if body else [()] * len(head), strict=True):
         try:
             numbers = np.array([float(text) if text else np.nan for text in column])
         except ValueError:
