@@ -7,8 +7,8 @@ import json
 import math
 import queue
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
@@ -30,8 +30,12 @@ from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery, Threaded
 from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.web.application import Page
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.server import Hub, PageServer, serve
 
 HOUR_S = 3600.0
+LOCAL = PageSettings(port=0)
 
 
 def recent_record(folder: Path, seed: int, days: float, end_s: float) -> Record:
@@ -158,6 +162,16 @@ class Fed(Threaded):
             with suppress(queue.Empty):
                 at, content = self._given.get(timeout=0.05)
                 put(Delivery(content, at))
+
+
+@contextmanager
+def served(service: Service, settings: PageSettings = LOCAL) -> Iterator[tuple[Page, PageServer]]:
+    """A page of a service, and its server, which runs as long as the block."""
+    hub = Hub()
+    page = Page(service, hub, settings)
+    with serve(page.app(), settings, hub) as server:
+        yield page, server
+    page.close()
 
 
 def write_certificate(certificate: Path, key: Path) -> None:

@@ -1,13 +1,15 @@
 """Ports of the loopback for servers that tests start: nobody else is given one, also while its server is
-away."""
+away.  Room for many connections."""
 
 from __future__ import annotations
 
 import os
 import random
 import re
+import resource
 import socket
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 FIRST = 20_000
@@ -50,3 +52,12 @@ def _is_free(port: int) -> bool:
         except OSError:
             return False
     return True
+
+
+@contextmanager
+def open_files(most: int) -> Iterator[None]:
+    """As many files and connections as a test needs may be open in this process."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(max(soft, most), hard), hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -161,23 +162,18 @@ def contents(folder: Path) -> dict[str, tuple[bytes, int]]:
 
 # -- all is well ---------------------------------------------------------------------------------------------
 def test_a_sound_set_up_is_called_sound_and_left_as_it_is(folder: Path) -> None:
-    certificate, key = authority(folder).issue("page", "127.0.0.1", days=400)
     (folder / "token").write_text("a-token-of-enough-characters")
     (folder / "token").chmod(0o600)
     changed(
         folder,
-        (
-            'page = "127.0.0.1:0"',
-            f'page = {{ address = "127.0.0.1:0", certificate = "{certificate.name}", key = "{key.name}", '
-            'token_file = "token" }',
-        ),
+        ('page = "127.0.0.1:0"', 'page = { address = "127.0.0.1:0", token_file = "token" }'),
     )
     before = contents(folder)
     with growing(folder / "live.csv"):
         found = looked(folder, wait_s=5.0, with_page=True)
     assert troubles(found) == [] and worst(found) == "ok"
     for words in (
-        "clock: it is synchronised", "certificate: ", "is valid for 400 d", "other users cannot read",
+        "clock: it is synchronised", "other users cannot read",
         "it grows: ", "last rows gave readings", "is reached and intact", "free on its disk",
         "no process tracks these turbines now", "newest estimates: T07 ",
         "turbines: 1 have a model that can run", "the address is free",
@@ -358,11 +354,10 @@ def test_the_validity_of_each_certificate_of_a_file(tmp_path: Path) -> None:
 def test_without_cryptography_certificates_are_in_doubt(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    authority(folder).issue("page", "127.0.0.1")
-    text = 'page = { address = "127.0.0.1:0", certificate = "page.crt", key = "page.key" }'
-    file = changed(folder, ('page = "127.0.0.1:0"', text))
+    authority(folder).issue("mine")
+    file = changed(folder, (FILE, FILE + 'certificate = "mine.crt"\n'))
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    said(list(doctor_machine.file_checks(file)), "doubt", "page.crt was not examined", "cryptography")
+    said(list(doctor_machine.file_checks(file)), "doubt", "mine.crt was not examined", "cryptography")
 
 
 def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
@@ -371,9 +366,8 @@ def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
     key.chmod(0o644)
     past, _ = made.issue("past", "127.0.0.1", days=-1)
     shutil.copy(key, folder / "past.key")
-    text = 'page = {{ address = "127.0.0.1:0", certificate = "{}", key = "{}" }}'
-    file = changed(folder, ('page = "127.0.0.1:0"', text.format("soon.crt", "soon.key")))
-    found = looked(folder)
+    file = changed(folder, (FILE, FILE + 'certificate = "soon.crt"\nkey = "soon.key"\n'))
+    found = list(doctor_machine.file_checks(file))
     said(found, "doubt", "soon.crt is valid for 10 d", "order a new certificate")
     said(found, "doubt", "every user of this machine can read", f"chmod o-rwx {key}")
     file.write_text(file.read_text().replace("soon.crt", "past.crt"))
@@ -544,18 +538,20 @@ def test_the_page_s_address(folder: Path) -> None:
     said(list(page_checks(PageSettings("192.0.2.1", 8080))), "fault", "does not have this address")
 
 
-def test_a_tracker_s_own_page_is_told_from_a_stranger(folder: Path) -> None:
+@pytest.mark.parametrize("unix", ["", "page.sock"])
+def test_a_tracker_s_own_page_is_told_from_a_stranger(folder: Path, unix: str) -> None:
     from hygrokf.live.web.application import Page
     from hygrokf.live.web.server import Hub, serve
 
-    certificate, key = authority(folder).issue("page", "127.0.0.1")
     config = read_config(folder / "track.toml")
     service, hub = Service(config.turbines, (), config.store), Hub()
-    settings = PageSettings("127.0.0.1", 0, token="x" * 20, certificate=str(certificate), key=str(key))
+    at = f"{folder}/{unix}" if unix else ""
+    settings = PageSettings("127.0.0.1", 0, token="x" * 20, behind_proxy=True, unix=at)
+    if unix:
+        said(list(page_checks(settings)), "ok", "the address is free")
+        assert not (folder / unix).exists()
     with serve(Page(service, hub, settings).app(), settings, hub) as server:
-        there = PageSettings(
-            "127.0.0.1", server.port, token="x" * 20, certificate=str(certificate), key=str(key)
-        )
+        there = replace(settings, port=server.port)
         said(list(page_checks(there)), "doubt", "has not opened its store yet", "that tracker's log")
         service.store = open_store(config.store)
         said(list(page_checks(there)), "ok", "is healthy")

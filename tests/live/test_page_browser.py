@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 import pytest
 from builders.live_case import live_turbine
-from builders.page_case import Case, Fed, add_forecast, filled, opened, recent_record
+from builders.page_case import Case, Fed, add_forecast, filled, opened, recent_record, served
 from builders.ports import free_port
 from builders.service_case import running
 from builders.waiting import eventually
@@ -31,7 +31,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.web.application import Page as LivePage
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.live.web.server import Hub, PageServer, serve
+from hygrokf.live.web.server import Hub, serve
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
@@ -99,24 +99,8 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def live(service: Service) -> Iterator[tuple[str, Hub]]:
-    with served(service) as (server, hub):
-        yield server.url, hub
-
-
-class served:
-    """A page of a service that runs on a port."""
-
-    def __init__(self, service: Service, settings: PageSettings | None = None) -> None:
-        self.hub, self.settings = Hub(), settings or PageSettings(port=0)
-        self.page = LivePage(service, self.hub, self.settings)
-
-    def __enter__(self) -> tuple[PageServer, Hub]:
-        self.server = serve(self.page.app(), self.settings, self.hub)
-        return self.server, self.hub
-
-    def __exit__(self, *fault: object) -> None:
-        self.server.stop()
-        self.page.close()
+    with served(service) as (page, server):
+        yield server.url, page.hub
 
 
 class Tab:
@@ -217,7 +201,7 @@ def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
     reasons = (Reason("at_limit", REJECT, f"it ended at its limit {EVIL}"),)
     known = {"thermal": Inherited(1.5, 1.4, 1.6, REJECT, reasons), "hygric": Inherited(1.5, 1.4, 1.6)}
     monkeypatch.setitem(service.turbines, "T2", replace(service.turbines["T2"], verdicts=known))
-    with served(service) as (server, _):
+    with served(service) as (_, server):
         page = tab.open(server.url)
         doubtful, fine = row_of(page, "T2"), row_of(page, "T1")
         expect(doubtful.locator(".badge")).not_to_have_text("ok")
@@ -314,7 +298,7 @@ def test_a_playback_is_marked_and_its_dates_have_a_year(tab: Tab, service: Servi
     )
     played = Service({"T1": live_turbine(record)}, [source], f"sqlite:{tmp_path / 'live.db'}")
     played.run(until_ended=True)
-    with served(played) as (server, _):
+    with served(played) as (_, server):
         page = tab.open(f"{server.url}#/turbine/T1")
         expect(page.locator("#label")).to_have_text("Demo: old")
         expect(page.locator(".as-of")).to_contain_text("2020")
@@ -599,7 +583,7 @@ def test_a_cause_a_shelf_and_a_change_are_stated(tab: Tab, live: tuple[str, Hub]
 # -- being connected -----------------------------------------------------------------------------------------
 def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> None:
     port = free_port()
-    with served(service, PageSettings(port=port)) as (server, _):
+    with served(service, PageSettings(port=port)) as (_, server):
         page = tab.open(server.url)
         expect(page.locator("#lost")).to_be_hidden()
     expect(page.locator("#lost")).to_contain_text("Connection lost since")
@@ -610,10 +594,11 @@ def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> 
     expect(page.locator("#lost")).to_contain_text("2\u00a0h")
     expect(row_of(page, "T2")).to_have_class("stale")
     expect(row_of(page, "T2").locator("td.heard")).to_contain_text("2\u00a0h")
-    with served(service, PageSettings(port=port)) as (_, hub):
+    with served(service, PageSettings(port=port)) as (server_page, _):
         expect(page.locator("#lost")).to_be_hidden()
         expect(page.locator("#live-words")).to_have_text("page connected")
         expect(row_of(page, "T2")).not_to_have_class("stale")
+        hub = server_page.hub
         eventually(lambda: len(hub) == 1)
         stale = Alarm("late", "T2", "data stale", "notice", time.time(), "silent", "look")
         store = opened(service)
@@ -628,7 +613,7 @@ def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> 
 
 # -- access --------------------------------------------------------------------------------------------------
 def test_logging_in_and_out(tab: Tab, service: Service) -> None:
-    with served(service, PageSettings(port=0, token=TOKEN)) as (server, _):
+    with served(service, PageSettings(port=0, token=TOKEN)) as (_, server):
         page = tab.page
         page.goto(server.url)
         expect(page.locator("#login")).to_be_visible()

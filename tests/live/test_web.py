@@ -8,7 +8,6 @@ import platform
 import re
 import shutil
 import socket
-import ssl
 import subprocess
 import time
 from collections.abc import Iterator
@@ -17,14 +16,14 @@ from pathlib import Path
 
 import httpx
 import pytest
-from builders.page_case import Case, add_forecast, filled, opened, write_certificate
+from builders.page_case import Case, add_forecast, filled, opened, served
 from builders.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.web import access as web_access
-from hygrokf.live.web.access import Attempts, Sessions, host_name
+from hygrokf.live.web.access import Sessions, host_name
 from hygrokf.live.web.application import STATIC, Page
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
@@ -47,29 +46,24 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
 
 
 @contextmanager
-def served(
-    service: Service, settings: PageSettings = LOCAL
-) -> Iterator[tuple[httpx.Client, Hub, PageServer]]:
+def asked(service: Service, settings: PageSettings = LOCAL) -> Iterator[tuple[httpx.Client, Hub, PageServer]]:
     """A client of a page that runs, its hub, its server."""
-    hub = Hub()
-    page = Page(service, hub, settings)
     with (
-        serve(page.app(), settings, hub) as server,
-        httpx.Client(base_url=server.url, timeout=60.0) as client,
+        served(service, settings) as (page, server),
+        httpx.Client(base_url="" if settings.unix else server.url, timeout=60.0) as client,
     ):
-        yield client, hub, server
-    page.close()
+        yield client, page.hub, server
 
 
 @pytest.fixture(scope="module")
 def client(service: Service) -> Iterator[httpx.Client]:
-    with served(service) as (client, _, _):
+    with asked(service) as (client, _, _):
         yield client
 
 
 @pytest.fixture(scope="module")
 def locked(service: Service) -> Iterator[httpx.Client]:
-    with served(service, LOCKED) as (client, _, _):
+    with asked(service, LOCKED) as (client, _, _):
         yield client
 
 
@@ -271,7 +265,7 @@ def test_a_name_that_was_bent_to_the_page_is_refused(client: httpx.Client, servi
         assert "turbines" not in answer.text
     for host in ("localhost", "LOCALHOST:1", "127.0.0.1"):
         assert client.get("/api/fleet", headers={"Host": host}).status_code == 200
-    with served(service, PageSettings(port=0, hosts=("Farm.Example",))) as (other, _, _):
+    with asked(service, PageSettings(port=0, hosts=("Farm.Example",))) as (other, _, _):
         assert other.get("/api/fleet", headers={"Host": "farm.example:443"}).status_code == 200
 
 
@@ -292,7 +286,7 @@ def test_metrics_are_the_stores(service: Service) -> None:
     raised(service, "five")
     # a page of its own: the others' keeps the fleet's rows for some seconds, and this alarm comes past the
     # tracker
-    with served(service) as (client, _, _):
+    with asked(service) as (client, _, _):
         began = time.time()
         found = measured(client)
         ended = time.time()
@@ -345,7 +339,7 @@ def test_promtool_has_nothing_to_say_of_the_metrics(client: httpx.Client) -> Non
 def test_a_store_that_is_not_reached_is_told_and_comes_back(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with served(service) as (client, _, _):
+    with asked(service) as (client, _, _):
         with monkeypatch.context() as patched:
             patched.setattr(service, "store_url", "sqlite:/nowhere/at/all.db")
             answer = client.get("/api/alarms")
@@ -359,7 +353,7 @@ def test_a_store_that_is_not_reached_is_told_and_comes_back(
 
 def test_before_the_tracker_has_a_store_nothing_is_read(tmp_path: Path, service: Service) -> None:
     waiting = Service(service.turbines, [], f"sqlite:{tmp_path / 'live.db'}")
-    with served(waiting) as (client, _, _):
+    with asked(waiting) as (client, _, _):
         assert "has not opened its store yet" in client.get("/api/fleet").json()["fault"]
         assert not (tmp_path / "live.db").exists()
         waiting.run(until_ended=True)
@@ -391,10 +385,10 @@ def test_a_browser_logs_in_and_out(service: Service, locked: httpx.Client) -> No
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
     assert TOKEN not in cookie and "Secure" not in cookie
     session = cookie.partition(";")[0]
-    with served(service, LOCKED) as (other, _, _):  # also of the page after a restart
+    with asked(service, LOCKED) as (other, _, _):  # also of the page after a restart
         assert other.get("/api/fleet", headers={"Cookie": f"more=1; {session}"}).status_code == 200
         assert other.get("/api/fleet", headers={"Cookie": session[:-1] + "x"}).status_code == 401
-    with served(service, PageSettings(port=0, token=TOKEN + "-another")) as (other, _, _):
+    with asked(service, PageSettings(port=0, token=TOKEN + "-another")) as (other, _, _):
         assert other.get("/api/fleet", headers={"Cookie": session}).status_code == 401
     assert (
         "Max-Age=0" in locked.post("/api/logout", json={}, headers={"Cookie": session}).headers["set-cookie"]
@@ -413,58 +407,56 @@ def test_a_session_ends() -> None:
         assert not sessions.valid(cookies)
 
 
-def test_attempts_are_forgotten_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_access, "ADDRESSES", 3)
-    now = [0.0]
-    attempts = Attempts(lambda: now[0])
-    for _ in range(web_access.GUESSES):
-        assert attempts.wait_s("a") == 0.0
-        attempts.note("a")
-    assert attempts.wait_s("a") == web_access.GUESSES_S and attempts.wait_s("b") == 0.0
-    now[0] = web_access.GUESSES_S
-    assert attempts.wait_s("a") == 0.0
-    for address in "bcd":
-        attempts.note(address)
-    assert len(attempts._wrong) == 3
+BEHIND = PageSettings(port=0, token=TOKEN, behind_proxy=True)
+
+
+@pytest.mark.parametrize("forwarded", [{}, {"X-Forwarded-Proto": "http"}, {"X-Forwarded-Proto": "x"}])
+def test_behind_a_proxy_nothing_is_told_without_tls(service: Service, forwarded: dict) -> None:
+    bearer = {"Authorization": f"Bearer {TOKEN}"}
+    with asked(service, BEHIND) as (client, _, _):
+        for path in ("/", "/static/page.js", "/api/fleet", "/events"):
+            answer = client.get(path, headers={**bearer, **forwarded})
+            assert answer.status_code == 403 and "X-Forwarded-Proto" in answer.json()["fault"]
+        assert client.post("/api/login", json={"token": TOKEN}, headers=forwarded).status_code == 403
+        for path in ("/healthz", "/readyz", "/metrics"):
+            assert client.get(path, headers={**bearer, **forwarded}).status_code == 200
+        assert client.get("/metrics", headers=forwarded).status_code == 401
 
 
 # -- the server ----------------------------------------------------------------------------------------------
-def test_tls(service: Service, tmp_path: Path) -> None:
-    certificate, key = tmp_path / "page.pem", tmp_path / "page.key"
-    write_certificate(certificate, key)
-    settings = PageSettings(port=0, token=TOKEN, certificate=str(certificate), key=str(key))
-    with served(service, settings) as (_, _, server):
-        trusted = ssl.create_default_context(cafile=str(certificate))
-        assert server.url.startswith("https://127.0.0.1:")
-        with httpx.Client(base_url=server.url, verify=trusted, timeout=60.0) as client:
-            cookie = client.post("/api/login", json={"token": TOKEN}).headers["set-cookie"]
-            assert cookie.startswith("__Host-hygrokf_") and "; Secure" in cookie
-            assert client.get("/api/fleet", headers={"Cookie": cookie.partition(";")[0]}).status_code == 200
+def test_a_unix_socket(service: Service, tmp_path: Path) -> None:
+    settings = PageSettings("localhost", 0, unix=str(tmp_path / "page.sock"))
+    for _ in range(2):  # the second time in place of what the first has left behind
+        with asked(service, settings) as (_, hub, server):
+            assert server.url == f"unix:{tmp_path}/page.sock"
+            transport = httpx.HTTPTransport(uds=settings.unix)
+            with httpx.Client(base_url="http://localhost", transport=transport) as client:
+                assert len(client.get("/api/fleet").json()["turbines"]) == 2
+            with pytest.raises(PageFault, match=r"page\.sock: Address already in use"):
+                serve(Page(service, hub, settings).app(), settings, hub).__enter__()
+    (tmp_path / "other").write_text("kept")
+    taken = PageSettings("localhost", 0, unix=str(tmp_path / "other"))
+    with pytest.raises(PageFault, match="Address already in use"):
+        serve(Page(service, hub, taken).app(), taken, hub).__enter__()
+    assert (tmp_path / "other").read_text() == "kept"
 
 
 def test_an_address_in_use_is_said(service: Service) -> None:
-    with served(service) as (_, hub, server):
+    with asked(service) as (_, hub, server):
         settings = PageSettings(port=server.port)
         with pytest.raises(PageFault, match=f"127.0.0.1:{server.port}: the port is in use"):
-            serve(Page(service, hub, settings).app(), settings, hub)
+            serve(Page(service, hub, settings).app(), settings, hub).__enter__()
     with pytest.raises(PageFault, match="does not have this address"):
         away = PageSettings("203.0.113.7", 0, token=TOKEN, behind_proxy=True)
-        serve(Page(service, hub, LOCAL).app(), away, hub)
-
-
-def test_a_certificate_that_is_none_is_said(service: Service, tmp_path: Path) -> None:
-    (tmp_path / "x.pem").write_text("no certificate")
-    settings = PageSettings(port=0, certificate=str(tmp_path / "x.pem"), key=str(tmp_path / "x.pem"))
-    with pytest.raises(PageFault, match="certificate cannot be used"):
-        serve(Page(service, Hub(), settings).app(), settings, Hub())
+        serve(Page(service, hub, LOCAL).app(), away, hub).__enter__()
 
 
 def test_it_listens_on_loopback_alone_and_is_gone_after_its_end(service: Service) -> None:
-    with served(service, PageSettings(port=free_port())) as (_, _, server):
+    with asked(service, PageSettings(port=free_port())) as (_, _, server):
         port = server.port
-        assert server.url == f"http://127.0.0.1:{port}/" and server.running
+        assert server.url == f"http://127.0.0.1:{port}/" and server.thread.is_alive()
         with pytest.raises(OSError):
             socket.create_connection(("127.0.0.2", port), timeout=1.0)
-    assert not server.running
+    assert not server.thread.is_alive()
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.1", port), timeout=1.0)

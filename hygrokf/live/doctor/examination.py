@@ -6,7 +6,7 @@ import http.client
 import importlib.util
 import json
 import math
-import ssl
+import socket
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -73,12 +73,14 @@ def examine(
 
 def page_checks(settings: PageSettings) -> Iterator[Check]:
     """Whether the page can be served, or a running tracker already serves it."""
-    about = f"page {settings.host}:{settings.port}"
+    about = f"page {settings.place}"
     if None in map(importlib.util.find_spec, ("starlette", "uvicorn", "prometheus_client")):
         yield fault(about, "its packages are missing", "pip install 'hygrokf[live]', or start with --no-page")
         return
     try:
         listening_socket(settings).close()
+        if settings.unix:
+            Path(settings.unix).unlink()
         yield ok(about, "the address is free")
     except PageFault as error:
         said = _page_says(settings)
@@ -97,15 +99,12 @@ def _page_says(settings: PageSettings) -> str | None:
     """The fault that a tracker's page at the address reports, empty for none; None if there is no such
     page."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.host, settings.host)
-    connection: http.client.HTTPConnection
+    connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
     try:
-        if settings.certificate:
-            # the request contains no secret, so the certificate need not be verified
-            context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-            connection = http.client.HTTPSConnection(host, settings.port, timeout=ANSWER_S, context=context)
-        else:
-            connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
+        if settings.unix:
+            connection.sock = socket.socket(socket.AF_UNIX)
+            connection.sock.settimeout(ANSWER_S)
+            connection.sock.connect(settings.unix)
         try:
             connection.request("GET", "/healthz")
             found = json.loads(connection.getresponse().read(10_000))

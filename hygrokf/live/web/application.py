@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import time
 from collections import Counter
 from dataclasses import asdict
@@ -19,7 +18,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import Store, StoreFault
-from hygrokf.live.web.access import Access, client_of, guard
+from hygrokf.live.web.access import Access, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
 from hygrokf.live.web.margins import MarginsKept
 from hygrokf.live.web.metrics import Snapshot, exposition
@@ -40,7 +39,7 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.types import ASGIApp, Scope
+    from starlette.types import ASGIApp
 
 LOG = logging.getLogger("hygrokf.page")
 STATIC = Path(__file__).parent / "static"
@@ -77,25 +76,11 @@ class Page:
         from starlette.staticfiles import StaticFiles
 
         def index(request: Request) -> Response:
-            return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
-
-        class Files(StaticFiles):
-            def file_response(
-                self,
-                full_path: str | os.PathLike[str],
-                stat_result: os.stat_result,
-                scope: Scope,
-                status_code: int = 200,
-            ) -> Response:
-                made = super().file_response(full_path, stat_result, scope, status_code)
-                made.headers["Cache-Control"] = (
-                    "no-cache"  # browsers revalidate, and unchanged files are not sent again
-                )
-                return made
+            return FileResponse(STATIC / "index.html")
 
         routes = [
             Route("/", index),
-            Mount("/static", Files(directory=STATIC)),
+            Mount("/static", StaticFiles(directory=STATIC)),
             Route("/api/fleet", self.fleet),
             Route("/api/margins", self.margins),
             Route("/api/turbine/{name:path}", self.turbine),
@@ -189,11 +174,9 @@ class Page:
         token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
             return reply({})
-        refused = self.access.check_token(client_of(request.scope), token if isinstance(token, str) else "")
-        if refused is not None:
-            status, words, headers = refused
-            # with a "Bearer" challenge the browser would show its own login prompt
-            return refusal(status, words, {k: v for k, v in headers.items() if k != "WWW-Authenticate"})
+        if not self.access.is_token(token if isinstance(token, str) else ""):
+            # without a "Bearer" challenge, for which the browser would show its own login prompt
+            return refusal(401, "wrong token")
         return reply({}, {"Set-Cookie": self.access.sessions.opening_header()})
 
     async def logout(self, request: Request) -> Response:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -16,23 +15,20 @@ if TYPE_CHECKING:
 
 LARGEST = 4096
 """Largest body of a request [bytes]."""
-BODY_S = 10.0
-"""[s] a body may take to arrive."""
 
 
 async def posted_json(request: Request) -> JsonObject:
-    """The posted JSON object; empty if the body is no object, too large or takes too long."""
+    """The posted JSON object; empty if the body is no object or too large."""
     from starlette.requests import ClientDisconnect
 
     body = b""
     try:
-        async with asyncio.timeout(BODY_S):
-            async for part in request.stream():
-                body += part
-                if len(body) > LARGEST:
-                    return {}
+        async for part in request.stream():
+            body += part
+            if len(body) > LARGEST:
+                return {}
         found = json.loads(body)
-    except (TimeoutError, ClientDisconnect, ValueError, RecursionError):
+    except (ClientDisconnect, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 
