@@ -126,6 +126,15 @@ def like_cabinet(column: Hourly, ambient: Hourly | None, power: Hourly | None) -
     return score
 
 
+def follows_rather(column: Hourly, one: Hourly, other: Hourly) -> bool:
+    """Whether differences from one series vary less than those from another, over a day or more."""
+    spreads = []
+    for series in (one, other):
+        mine, its = column.beside(series)
+        spreads.append(float(np.std(mine - its)) if len(mine) >= 24 else math.nan)
+    return spreads[0] < spreads[1]
+
+
 def daily_share(column: Hourly) -> float:
     """Share of the variance within days that the mean course of the day explains, 0 to 1."""
     day = np.floor(column.hour / 24.0)

@@ -15,6 +15,7 @@ from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.drafting.behaviour import (
     Hourly,
+    follows_rather,
     hourly,
     impossible,
     like_ambient,
@@ -189,6 +190,9 @@ def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str
         air = 0.04 if " air " in sources[number].named[column].words else 0.0
         score = round(0.2 + 0.4 * likeness + air, 3)
         guesses.append(_candidate(sources, "cabinet_temperature", number, column, score, "by its readings"))
+    inside = _best(sure, "cabinet_temperature")
+    if inside is not None and outside is not None:
+        guesses += _of_the_cabinet(sources, sources[inside.source].hourly(inside.column), outside)
     guesses += _companions(sources, _chosen([*sure, *guesses]))
     found = _paired(sources, _checked([*sure, *guesses], sources))
     return _settled(sources, _of_their_own(sources, found))
@@ -254,6 +258,19 @@ def _ambient_by_values(
         score = round(0.2 + 0.4 * like_ambient(all_of[one], others), 3)
         if score >= OUTSIDE:
             found.append(_candidate(sources, "ambient_temperature", *one, score, "by its readings"))
+    return found
+
+
+def _of_the_cabinet(sources: list[Source], inside: Hourly, outside: Hourly) -> list[Candidate]:
+    """Humidities without a place whose probe's temperature follows that of the cabinet, which another file
+    names, rather than that outside."""
+    found = []
+    for number, column in _unplaced(sources, "relative_humidity"):
+        source = sources[number]
+        own = temperatures_of(column, source.values)
+        if len(own) == 1 and follows_rather(source.hourly(own[0]), inside, outside):
+            signal, why = "cabinet_relative_humidity", f'"{own[0]}" follows the cabinet temperature'
+            found.append(_candidate(sources, signal, number, column, 0.6, why))
     return found
 
 

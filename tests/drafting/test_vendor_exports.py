@@ -82,6 +82,25 @@ def test_a_signal_of_two_files_is_compared(tmp_path):
     assert read_case(tmp_path / "case.toml").compared[0].signal == "ambient_temperature"
 
 
+@pytest.mark.parametrize("place", ["cabinet", "ambient"])
+def test_a_logger_without_a_name_is_paired_where_its_temperature_follows_the_cabinet(tmp_path, place):
+    """Beside an export that names a temperature of the cabinet: humidity and temperature of one probe."""
+    random = np.random.default_rng(8)
+    warm = TRUTH[f"{place}_temperature"] + random.normal(0.4, 0.3, len(TIMES))
+    rows = "".join(
+        f"{moment:%Y-%m-%dT%H:%M:%SZ},{warm[row]:.2f},{55 + row % 9}\n" for row, moment in enumerate(TIMES)
+    )
+    (tmp_path / "logger.csv").write_text("Date,Temp (°C),RH (%)\n" + rows)
+    draft = draft_case([*greenbyte().write(tmp_path), tmp_path / "logger.csv"], tmp_path / "case.toml")
+    found = {one.signal: (one.file, one.column) for one in draft.signals if not one.compare}
+    if place == "cabinet":
+        assert found["cabinet_temperature"] == ("logger.csv", "Temp (°C)")
+        assert found["cabinet_relative_humidity"] == ("logger.csv", "RH (%)")
+    else:
+        assert found["cabinet_temperature"][0] != "logger.csv"
+        assert "cabinet_relative_humidity" not in found
+
+
 def test_turbines_of_one_file_are_told_apart(tmp_path):
     rows = [
         f"{name},{moment:%d.%m.%Y %H:%M},{TRUTH['cabinet_temperature'][row] + extra:.1f},{row % 50}"
