@@ -277,9 +277,10 @@ class Fleet:
     def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
         tracker, point = self.trackers[name], self.trackers[name].point
+        final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
+        # also where none is kept: the provisional ones of this stretch are not any more
+        batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
         if len(found.time_s):
-            final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
-            batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
             self.states.note_estimate(name, found)
             if found.excess_g_m3 is not None:
                 tracker.excess = float(found.excess_g_m3[-1])

@@ -260,9 +260,9 @@ def test_report_is_written_again_from_the_two_files(folder):
 
 
 def test_report_as_json_names_the_page(folder, monkeypatch):
-    monkeypatch.setattr("hygrokf.report.fit_page.report_page", lambda fit, series: fit.name)
+    monkeypatch.setattr("hygrokf.report.fit_page.page_html", lambda page: "a page")
     assert json.loads(run("report result --json").out) == {"report": "result/report.html"}
-    assert (folder / "result/report.html").read_text() == "synthetic-turbine-3"
+    assert (folder / "result/report.html").read_text() == "a page"
 
 
 # --- what is masked, and said ----------------------------------------------------------------

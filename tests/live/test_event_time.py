@@ -4,6 +4,7 @@ when these came or in which portions."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -206,3 +207,25 @@ def test_a_source_that_is_not_reached_is_one_alarm_after_its_limit(cold: Turbine
                 begun[alarm.id] = (alarm.turbine, alarm.began - begin, alarm.statement)
     assert [(turbine, after) for turbine, after, _ in begun.values()] == [("", 60.0), ("", 10800.0)]
     assert all("not been reached since 2020-09-13T12:26:40Z: no answer" in one[2] for one in begun.values())
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_every_estimate_up_to_the_point_is_final(tmp_path: Path, seed: int) -> None:
+    """Readings a little out of order, in rounds of any size: a provisional estimate at an instant of the
+    ambient alone goes when the final ones have passed it."""
+    record = live_record(tmp_path / "turbine", seed=7, days=2.0)
+    mapping, random = record_mapping(record, "T1"), np.random.default_rng(seed)
+    single = [
+        Delivery({"turbine": "T1", "time": content["time"], name: content[name]}, at)
+        for at, content in record_messages(record, "T1")
+        for name in content.keys() - {"turbine", "time"}
+    ]
+    order = np.argsort(np.arange(len(single)) + random.uniform(0.0, 15.0, len(single)))
+    cuts = np.cumsum(random.choice([1, 2, 3, 5, 10, 30], len(single)))
+    with closing(open_store(f"sqlite:{tmp_path / 'live.db'}")) as store:
+        fleet = Fleet.from_store({"T1": live_turbine(record)}, store)
+        for part in np.split(order, cuts[cuts < len(order)]):
+            store.commit(fleet.round([single[place] for place in part], mapping, "replay:"))
+        point, rows = store.point("T1"), store.rows("SELECT time, final FROM estimate WHERE turbine = 'T1'")
+    assert point is not None and len(rows) > 100
+    assert [final for at, final in rows] == [int(at <= point.time) for at, _ in rows]

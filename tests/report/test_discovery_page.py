@@ -467,7 +467,7 @@ def test_a_fit_in_the_same_directory_takes_the_discovery_away(tmp_path: Path) ->
 def test_missing_files_are_listed_together(tmp_path: Path) -> None:
     with pytest.raises(ResultFault) as fault:
         read_discovery(tmp_path)
-    assert "discovery.json: expected the results of `hygrokf discover`" in str(fault.value)
+    assert "discovery.json: no such file; run `hygrokf discover`" in str(fault.value)
     assert "discovery.npz: no such file" in str(fault.value) and "hygrokf discover" in str(fault.value)
 
 

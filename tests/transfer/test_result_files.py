@@ -66,7 +66,7 @@ def test_a_damaged_file_is_refused_with_every_fault_and_its_place(
 @pytest.mark.parametrize("content", ["{}", "[1]", "not JSON", ""])
 def test_other_files_are_refused(kept: tuple[type, dict, Path], content: str) -> None:
     kind, _, path = kept
-    with pytest.raises(ResultFault, match="No such file"):
+    with pytest.raises(ResultFault, match="no such file"):
         read_result(kind, path, "command")
     path.write_text(content)
     with pytest.raises(ResultFault, match="run it again"):

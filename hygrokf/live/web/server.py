@@ -93,7 +93,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
             proxy_headers=settings.behind_proxy,
             forwarded_allow_ips="*",  # who reaches the page past the proxy can only cheat itself
             backlog=BACKLOG,
-            timeout_graceful_shutdown=GRACE_S,
+            timeout_graceful_shutdown=GRACE_S + 1,
         )
     )
     thread = threading.Thread(target=server.run, args=([listening],), name="page", daemon=True)
@@ -129,6 +129,11 @@ def bounded_protocol() -> type[asyncio.Protocol]:
         def connection_lost(self, exc: Exception | None) -> None:
             super().connection_lost(exc)
             self._silence.cancel()
+
+        def shutdown(self) -> None:
+            super().shutdown()
+            # a client that takes nothing would keep its end open for ever
+            self.loop.call_later(GRACE_S, self.transport.abort)
 
         def _end_if_silent(self) -> None:
             if self.cycle is None:
