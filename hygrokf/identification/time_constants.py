@@ -253,8 +253,9 @@ def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
         return None
     place = found.names.index(name)
     variance = float(found.covariance[place, place])
-    wide = 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) > math.log(OPEN)
-    return None if wide else Alternative("free run", math.log(found.values[name]), variance)
+    # a singular information matrix leaves a variance of any sign
+    told = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
+    return Alternative("free run", math.log(found.values[name]), variance) if told else None
 
 
 def _simulation(
