@@ -16,6 +16,8 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import AT_LIMIT
 from hygrokf.physics.parameters import Coordinates
 
+LEAST_DAMPING = 1e-12
+"""Share of the scaled Gauss–Newton matrix that keeps it regular where parameters act alike."""
 TRANSIENT_H = 24.0
 """[h] residuals at the start that are left out, because the initial state is a guess."""
 FEWEST_BLOCKS = 40
@@ -98,7 +100,8 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
                 z, e, slopes = new, trial, trial_slopes
             converged = True
             break
-        z, e, slopes, value, damping = new, trial, trial_slopes, trial_value, damping / 8.0
+        z, e, slopes, value = new, trial, trial_slopes, trial_value
+        damping = max(damping / 8.0, LEAST_DAMPING)
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
     # two days exceed the memory of the disturbances; short records need shorter blocks, to leave enough of
