@@ -216,9 +216,9 @@ class Service:
                 continue
 
     def _sources_ended(self) -> bool:
-        return self._waiting.empty() and all(
-            s.state.word in ("ended", "lost", "stopped") for s in self.streams.values()
-        )
+        # in this order: what a source delivered before it ended waits when the queue is asked
+        words = [one.state.word for one in self.streams.values()]
+        return all(word in ("ended", "lost", "stopped") for word in words) and self._waiting.empty()
 
     def _busy(self) -> bool:
         """Whether fault isolation or a forecast is still due."""
