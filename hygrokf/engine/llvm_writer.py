@@ -45,11 +45,21 @@ def _suffix(kind: str) -> str:
 
 
 class Writer:
-    """Text of one LLVM function `void name(arguments)` with vectors of `lanes` lanes."""
+    """Text of one LLVM function `void name(arguments)` with vectors of `lanes` lanes.
 
-    def __init__(self, name: str, arguments: Sequence[tuple[str, str]], lanes: int = LANES) -> None:
+    functions: operation → function of the module that computes it for vectors (see `vector_math`).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[tuple[str, str]],
+        lanes: int = LANES,
+        functions: Mapping[str, str] | None = None,
+    ) -> None:
         self._name = name
         self.lanes = lanes
+        self._functions = functions or {}
         self.vector = vector(lanes)
         self.truths = vector(lanes, TRUTH)
         self._arguments = arguments
@@ -188,7 +198,10 @@ class Writer:
                     truth = kinds[node[1]]
                     names[i] = self.value(f"select {truth} {a[0]}, {kind} {a[1]}, {kind} {a[2]}")
                 case _:
-                    names[i] = self.value(f"call {kind} @llvm.{operation}.{_suffix(kind)}({kind} {a[0]})")
+                    called = f"llvm.{operation}.{_suffix(kind)}"
+                    if kind == self.vector:
+                        called = self._functions.get(operation, called)
+                    names[i] = self.value(f"call {kind} @{called}({kind} {a[0]})")
         return [(kinds[e.index], names[e.index]) for e in outputs]
 
     def _fma(self, kind: str, a: Sequence[str]) -> str:

@@ -176,9 +176,11 @@ def heating(
     return _switched(record, time, SWITCHES["heating"](reads, on, off, idle))
 
 
-def throttled(record: Record, time: np.ndarray, reads: str, start: float, full: float) -> np.ndarray:
+def throttled(
+    record: Record, time: np.ndarray, reads: str, start: float, full: float, idle: bool = False
+) -> np.ndarray:
     """Position of a proportional controller that follows the signal `reads`; see `physics.switches`."""
-    return _switched(record, time, Throttle(reads, start, full))
+    return _switched(record, time, Throttle(reads, start, full, idle))
 
 
 def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
@@ -203,6 +205,7 @@ FEATURES: dict[str, Feature] = {
     "heating": (heating, MEAN),
     "throttled_heating": (throttled, MEAN),
     "venting": (throttled, MEAN),
+    "throttled_drying": (throttled, MEAN),
     "scheduled": (scheduled, MEAN),
     "open_hours": (scheduled, MEAN),
     "drying": (drying, MEAN),

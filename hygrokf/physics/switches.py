@@ -7,8 +7,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.physics.expression import Value, maximum, minimum, where
+
 TEMPERATURE = "cabinet_temperature"
 HUMIDITY = "cabinet_relative_humidity"
+
+
+def position(value: Value, before: Value, first: Value, second: Value, two_point: Value) -> Value:
+    """Position of a controller, 0 to 1, that follows a `value` and had the position `before`.
+
+    With `two_point` 1 it is on from where the value passes `first` to where it passes `second`, upward where
+    `first` is the higher level, else downward.  With `two_point` 0 it opens in proportion: 0 at `first`, 1 at
+    `second`.
+    """
+    sign = where(first < second, -1.0, 1.0)
+    away = sign * value
+    switched = where(away < sign * second, 0.0, where(sign * first < away, 1.0, before))
+    share = minimum(maximum((value - first) / (second - first), 0.0), 1.0)
+    return where(two_point > 0.5, switched, share)
 
 
 @dataclass(frozen=True)
@@ -61,11 +77,12 @@ def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.
 @dataclass(frozen=True)
 class Throttle:
     """A proportional controller that follows a reading of the cabinet, `reads` [K] or [1]: 0 at `start`, 1
-    from `full` on."""
+    from `full` on; with `idle` at standstill only."""
 
     reads: str
     start: float
     full: float
+    idle: bool = False
 
     @property
     def levels(self) -> tuple[float, float]:
@@ -80,7 +97,8 @@ class Throttle:
         self, before: np.ndarray | float, value: np.ndarray | float, idle: np.ndarray | bool
     ) -> np.ndarray | float:
         """Position after one reading, of one controller or of N such controllers (N,)."""
-        return np.clip((value - self.start) / (self.full - self.start), 0.0, 1.0)[()]
+        share = np.clip((value - self.start) / (self.full - self.start), 0.0, 1.0)
+        return (np.where(idle, share, 0.0) if self.idle else share)[()]
 
 
 def cooling_stage(on_K: float, off_K: float) -> Switch:
@@ -109,6 +127,7 @@ SWITCHES: Mapping[str, Callable[..., Switch | Throttle]] = {
     "heating": heater,
     "throttled_heating": Throttle,
     "venting": Throttle,
+    "throttled_drying": Throttle,
     "drying": drier,
 }
 """Controllers by the name of the feature, and input, that they provide."""

@@ -263,6 +263,29 @@ def cooling_loss() -> Mechanism:
     )  # fmt: skip
 
 
+def throttled_cooling_loss() -> Mechanism:
+    """Heat loss through cooling that opens in proportion to the temperature (input `venting`), taken from the
+    converter: f −= g · venting · (T_a − T_amb)."""
+    return _converter_loss(
+        "throttled_cooling_loss", "throttled_conductance", "venting", "at full cooling",
+        "a cabinet that is too warm in the simulation above a threshold",
+    )  # fmt: skip
+
+
+def throttled_cooling() -> Mechanism:
+    """Cooling of constant capacity in proportion to the temperature above a threshold (input `venting`):
+    f −= a · venting [K]."""
+    return effect(
+        "throttled_cooling", "heat_release",
+        Parameter("cooling_capacity", "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE,
+                  meaning="heat that the cooling removes at full capacity"),
+        "venting", negative=True,
+        meaning="cooling of constant capacity above a threshold",
+        leaves="a cabinet that is too warm in the simulation above a threshold",
+        source="balance of heat",
+    )  # fmt: skip
+
+
 def vent_loss(flag: str = "venting") -> Mechanism:
     """Heat loss through a vent that opens in proportion to a reading (input `venting`) or on a schedule
     (`open_hours`)."""
@@ -310,6 +333,6 @@ def leading_ambient() -> Mechanism:
 LOGGED = (logged_heater, dehumidifier_heat, fan_loss, pump_loss, open_loss)
 FURTHER = (
     solar_gain, unreported_heater, drying_heat, scheduled_heat, release_drift, wind_loss, stepped_loss,
-    cooling_loss, vent_loss, lagged_ambient, leading_ambient,
+    cooling_loss, throttled_cooling_loss, throttled_cooling, vent_loss, lagged_ambient, leading_ambient,
 )
 # fmt: on

@@ -312,7 +312,7 @@ def dehumidifier() -> Mechanism:
     )  # fmt: skip
 
 
-def switched_drying(plate: bool = True) -> Mechanism:
+def switched_drying(plate: bool = True, flag: str = "drying") -> Mechanism:
     """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried per
     hour.
 
@@ -325,8 +325,8 @@ def switched_drying(plate: bool = True) -> Mechanism:
             "drying_rate", "1/h", 0.1, 1e-5, 50.0, positive=True, null=0.0,
             meaning="air dried each hour, per volume of cabinet air, while the drier runs",
         ),
-        "drying", _above_plate if plate else cabinet_vapour,
-        negative=True, inputs=("ambient_temperature", "drying"), settings={"plate": plate},
+        flag, _above_plate if plate else cabinet_vapour,
+        negative=True, inputs=("ambient_temperature", flag), settings={"plate": plate, "flag": flag},
         meaning="drying while the drier runs",
         leaves="simulated humidity too high above a set-point, with hysteresis",
         source=VAPOUR_BALANCE,

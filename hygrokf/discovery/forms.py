@@ -1,0 +1,362 @@
+"""What the causes are as models: forms, each with the mechanisms that it adds and the settings to try.
+
+A form is told with its cause.  What is a near image of another form, such as a heater by thermostat or by
+humidistat, is a form of one cause and not a cause of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hygrokf.data.ambient import at_times
+from hygrokf.data.clocks import sources
+from hygrokf.data.input_paths import input_path
+from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.discovery.discovery_results import Settings
+from hygrokf.modelling.derived_inputs import operating
+
+MechanismSettings = tuple[str, Settings]
+"""A mechanism's name and its settings."""
+SLOWEST_H = 2.0
+"""[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
+inputs."""
+DATES = 23
+SHIFTS_H = tuple(np.round(np.arange(-1.5, 1.51, 0.125), 4).tolist())
+FEWEST_IDLE = 200
+AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One point of a form's grid: settings of features, values of parameters, and a clock's shift [s]."""
+
+    features: Mapping[str, Settings] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+    shift_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Form:
+    """One form of a cause.
+
+    heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.
+    grid: what is tried; limits: of parameters, where they are narrower than the library's.
+    steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
+    """
+
+    cause: str
+    code: str
+    heat: tuple[MechanismSettings, ...] = ()
+    vapour: tuple[MechanismSettings, ...] = ()
+    grid: tuple[Setting, ...] = (Setting(),)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    steps: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    altered: Mapping[str, Settings] = field(default_factory=dict)
+    clock: str = ""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What forms are made from: the identification period, and whether it has humidity."""
+
+    record: Record
+    humid: bool
+    order: int
+    operation: bool
+
+    def quantiles(self, signal: str, shares: Iterable[float], idle: bool = False) -> list[float]:
+        series = self.record[signal]
+        value = series.value
+        if idle:
+            value = value[operating(self.record, series.time) < 0.5]
+        value = value[np.isfinite(value)]
+        return np.quantile(value, list(shares)).tolist() if len(value) >= FEWEST_IDLE else []
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        series = self.record["cabinet_temperature"]
+        return float(series.time[0]), float(series.time[-1])
+
+    def dates(self) -> list[float]:
+        first, last = self.span_s
+        return (first + (last - first) * np.arange(1, DATES + 1) / (DATES + 1)).tolist()
+
+
+def forms(ground: Ground, both: bool = True) -> list[Form]:
+    """All forms that a record can show."""
+    makers = [*HEAT, *(MOIST if ground.humid else ())]
+    return [form for make in makers for form in make(ground)]
+
+
+# -- heat and air exchange -----------------------------------------------------------------------------------
+def _joint(ground: Ground, vapour: MechanismSettings) -> tuple[MechanismSettings, ...]:
+    return (vapour,) if ground.humid else ()
+
+
+def wall(ground: Ground) -> list[Form]:
+    grid = tuple(
+        Setting(values={"wall_time_constant": h, "wall_position": at})
+        for h in (2.0, 7.0, 20.0, 60.0)
+        for at in (0.0, 0.5, 1.0)
+    )
+    limits = {"wall_time_constant": (SLOWEST_H, 500.0)}
+    return [Form("wall_thermal_mass", "second_mass", (("wall_thermal_mass", {}),), grid=grid, limits=limits)]
+
+
+def sun(ground: Ground) -> list[Form]:
+    record = ground.record
+    if "global_horizontal_irradiance" not in record and record.site is None:
+        return []
+    lags = (0.3, 1.0, 4.0)
+    roof = ("solar_gain", {"lagged": True})
+    found = [
+        Form("solar_gain", "roof", (roof,), grid=tuple(
+            Setting({"sunshine": {}}, {"solar_time": lag}) for lag in lags
+        ))
+    ]  # fmt: skip
+    if record.site is not None:
+        side = ("solar_gain", {"lagged": True, "flag": "sunlit_wall"})
+        grid = tuple(
+            Setting({"sunlit_wall": {"azimuth_deg": one}}, {"solar_time": lag})
+            for one in AZIMUTHS
+            for lag in lags
+        )
+        found.append(
+            Form("solar_gain", "wall", (side,), grid=grid, steps={("sunlit_wall", "azimuth_deg"): 22.5})
+        )
+    return found
+
+
+def wind(ground: Ground) -> list[Form]:
+    if "wind_speed" not in ground.record:
+        return []
+    return [
+        Form(
+            "wind_driven_exchange", code, (("wind_loss", {"flag": flag}),),
+            _joint(ground, ("wind_exchange", {"flag": flag})), (Setting({flag: {}}),),
+        )
+        for code, flag in (("linear", "wind_tenth"), ("square", "wind_square"))
+    ]  # fmt: skip
+
+
+def heater(ground: Ground) -> list[Form]:
+    found = []
+    idle = "active_power" in ground.record and bool(ground.quantiles("cabinet_temperature", (0.5,), True))
+    for still in (False, True) if idle else (False,):
+        where = "standstill" if still else "always"
+        for reads, code in (("cabinet_temperature", "thermostat"), ("cabinet_relative_humidity", "humidistat")):
+            if reads not in ground.record:
+                continue
+            warm = reads == "cabinet_temperature"
+            levels = ground.quantiles(reads, (0.1, 0.3, 0.5, 0.7, 0.85) if warm else (0.3, 0.5, 0.7, 0.85, 0.95), still)
+            widths = (1.5, 5.0) if warm else (0.04, 0.12)
+            grid = tuple(
+                Setting({"throttled_heating": {
+                    "reads": reads, "start": level, "full": level - width if warm else level + width, "idle": still,
+                }})
+                for level in levels
+                for width in widths
+            )  # fmt: skip
+            mechanism = ("unreported_heater", {"flag": "throttled_heating"})
+            found.append(Form("unlogged_heater", f"{code}_{where}", (mechanism,), grid=grid))
+    return found
+
+
+def cooling(ground: Ground) -> list[Form]:
+    shares = (0.3, 0.5, 0.65, 0.8, 0.9, 0.96)
+    found = []
+    levels = ground.quantiles("cabinet_temperature", shares)
+
+    def grid(feature: str, levels: Sequence[float], widths: Sequence[float], reads: str) -> tuple[Setting, ...]:
+        return tuple(
+            Setting({feature: {"reads": reads, "start": level, "full": level + width}})
+            for level in levels
+            for width in widths
+        )
+
+    warm = grid("venting", levels, (1.5, 5.0), "cabinet_temperature")
+    found.append(Form("cooling_switching", "stage", (("throttled_cooling_loss", {}),), grid=warm))
+    found.append(Form("cooling_switching", "capacity", (("throttled_cooling", {}),), grid=warm))
+    vents = (("vent_loss", {}),), _joint(ground, ("vent_exchange", {}))
+    found.append(Form("cooling_switching", "vent", *vents, grid=warm))
+    if ground.humid and "cabinet_relative_humidity" in ground.record:
+        levels = ground.quantiles("cabinet_relative_humidity", shares)
+        damp = grid("venting", levels, (0.04, 0.12), "cabinet_relative_humidity")
+        found.append(Form("cooling_switching", "vent_by_humidity", *vents, grid=damp))
+    return found
+
+
+def exchange_step(ground: Ground) -> list[Form]:
+    grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
+    return [
+        Form(
+            "exchange_step", "date", (("stepped_loss", {}),), _joint(ground, ("stepped_exchange", {})),
+            grid, steps={("after_step", "date_s"): _step_s(ground)},
+        )
+    ]  # fmt: skip
+
+
+def _step_s(ground: Ground) -> float:
+    first, last = ground.span_s
+    return 0.5 * (last - first) / (DATES + 1)
+
+
+def heat_drift(ground: Ground) -> list[Form]:
+    own = {"order": ground.order, "operation": True} if ground.operation else {}
+    first, last = ground.span_s
+    elapsed = {"elapsed": {"start_s": first, "end_s": last}}
+    return [Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),))]
+
+
+def by_the_clock(ground: Ground) -> list[Form]:
+    return [
+        Form("scheduled_heat", code, (("scheduled_heat", {}),), grid=_hours(workdays, "scheduled"),
+             steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0})
+        for code, workdays in (("daily", False), ("workdays", True))
+    ]  # fmt: skip
+
+
+def _hours(workdays: bool, feature: str) -> tuple[Setting, ...]:
+    return tuple(
+        Setting({feature: {"start_h": start, "hours": hours, "workdays": workdays}})
+        for start in range(0, 24, 2)
+        for hours in (2.0, 4.0, 8.0, 12.0)
+    )
+
+
+def clock(ground: Ground) -> list[Form]:
+    main = {"cabinet_temperature", "ambient_temperature", "active_power"}
+    names = [name for name, signals in sources(ground.record).items() if main & set(signals)]
+    if len(sources(ground.record)) == 2:
+        names = names[:1]
+    return [
+        Form(
+            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H if h),
+            steps={("clock", "shift_s"): 0.0625 * HOUR_S}, clock=name,
+        )
+        for name in names
+    ]  # fmt: skip
+
+
+def temperature_offset(ground: Ground) -> list[Form]:
+    grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
+    return [
+        Form("temperature_sensor_offset", "date", (("temperature_step", {}),), grid=grid,
+             steps={("after_step", "date_s"): _step_s(ground)})
+    ]  # fmt: skip
+
+
+def ambient(ground: Ground) -> list[Form]:
+    limits = {"ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0)}
+    lags = (2.0, 4.0, 12.0)
+    found = [
+        Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), limits=limits,
+             grid=tuple(Setting(values={"ambient_lag_time": h}) for h in lags)),
+    ]  # fmt: skip
+    leads = (("leading_ambient", {}),), _joint(ground, ("breathed_lead", {}))
+    found.append(Form("ambient_bias", "smoothed", *leads))
+    if ground.humid:
+        found.append(
+            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
+                 grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
+        )  # fmt: skip
+        found += [
+            Form("ambient_bias", code, vapour=(("breathed_air", {"form": form}),))
+            for code, form in (("offset", "vapour"), ("gain", "temperature"), ("humidity", "humidity"))
+        ]
+    return found
+
+
+# -- moisture ------------------------------------------------------------------------------------------------
+def sorption(ground: Ground) -> list[Form]:
+    grid = tuple(Setting(values={"sorption_time": h}) for h in (2.0, 8.0, 30.0, 120.0))
+    return [
+        Form("moisture_sorption", code, vapour=(("moisture_sorption", {"activated": activated}),), grid=grid,
+             limits={"sorption_time": (SLOWEST_H, 400.0)})
+        for code, activated in (("activated", True), ("thin", False))
+    ]  # fmt: skip
+
+
+def condensation(ground: Ground) -> list[Form]:
+    grid = tuple(
+        Setting(values={"surface_time": h, "surface_undercooling": below, "condensation_rate": rate})
+        for h in (1.0, 4.0, 12.0)
+        for below, rate in ((0.3, 0.3), (0.3, 2.0), (1.5, 0.3), (1.5, 2.0), (4.0, 1.0))
+    )
+    return [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+
+
+def rain(ground: Ground) -> list[Form]:
+    if "rain" not in ground.record:
+        return []
+    grid = tuple(Setting(values={"rain_drying_time": h}) for h in (0.5, 2.0, 8.0, 30.0))
+    return [Form("rain_ingress", "all_rain", vapour=(("rain_ingress", {}),), grid=grid)]
+
+
+def drier(ground: Ground) -> list[Form]:
+    if "cabinet_relative_humidity" not in ground.record:
+        return []
+    levels = ground.quantiles("cabinet_relative_humidity", (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
+    grid = tuple(
+        Setting({"throttled_drying": {"reads": "cabinet_relative_humidity", "start": at, "full": at + width}})
+        for at in levels
+        for width in (0.04, 0.15)
+    )
+    return [
+        Form("dehumidifier", code, vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),),
+             grid=grid)
+        for code, plate in (("plate", True), ("desiccant", False))
+    ]  # fmt: skip
+
+
+def source(ground: Ground) -> list[Form]:
+    def mechanism(when: str) -> tuple[MechanismSettings, ...]:
+        return (("internal_moisture_source", {"when": when}),)
+
+    name = "internal_moisture_source"
+    found = [
+        Form(name, "constant", vapour=mechanism("always")),
+        Form(name, "wet_surface", vapour=(("wet_surface", {}),)),
+    ]
+    if "active_power" in ground.record:
+        found.append(Form(name, "standstill", vapour=mechanism("standstill"), grid=(Setting({"standstill": {}}),)))
+    fading = tuple(
+        Setting({"fading": {"date_s": date, "days": days}}) for date in ground.dates() for days in (2.0, 8.0, 30.0)
+    )
+    found.append(
+        Form(name, "fading", vapour=mechanism("fading"), grid=fading,
+             steps={("fading", "date_s"): _step_s(ground), ("fading", "days"): 1.0})
+    )  # fmt: skip
+    found.append(
+        Form(name, "by_the_clock", vapour=mechanism("scheduled"), grid=_hours(False, "scheduled"),
+             steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0})
+    )  # fmt: skip
+    return found
+
+
+def humidity_sensor(ground: Ground) -> list[Form]:
+    if "cabinet_relative_humidity" not in ground.record:
+        return []
+    first, last = ground.span_s
+    elapsed = {"elapsed": {"start_s": first, "end_s": last}}
+    levels = ground.quantiles("cabinet_relative_humidity", (0.5, 0.8, 0.95))
+    name = "humidity_sensor_drift"
+    return [
+        Form(name, "drift", vapour=(("humidity_drift", {}),), grid=(Setting(elapsed),)),
+        Form(name, "scale_drifts", vapour=(("humidity_scale", {}),), grid=(Setting(elapsed),)),
+        Form(name, "scale", vapour=(("humidity_scale", {"flag": None}),)),
+        Form(name, "ceiling", vapour=(("humidity_ceiling", {}),),
+             grid=tuple(Setting(values={"humidity_ceiling": level}) for level in levels)),
+    ]  # fmt: skip
+
+
+HEAT: tuple[Callable[[Ground], list[Form]], ...] = (
+    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, clock, temperature_offset, ambient,
+)  # fmt: skip
+MOIST = (sorption, condensation, rain, drier, source, humidity_sensor)
+__all__ = ["DAY_S", "Form", "Ground", "Setting", "at_times", "forms", "input_path", "math"]

@@ -1,0 +1,240 @@
+"""A record as a simulation sees it: inputs over cells of equal length, and the readings to compare with.
+
+Every input is averaged over each cell along the same path that the filter takes (`modelling.inputs`), sampled
+at the edges of `PARTS` parts of a cell.  Readings keep their own times.
+
+Shapes: K cells, F = PARTS K + 1 edges of their parts, T readings of a quantity.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.clocks import source_of
+from hygrokf.data.input_paths import centred, input_path
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, Cells
+from hygrokf.modelling.derived_inputs import feature
+from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
+from hygrokf.modelling.inputs import (
+    _ambient_inputs,
+    _bridged,
+    _common_span,
+    _courses,
+    _further,
+    _power_inputs,
+)
+from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.psychrometrics import absolute_humidity
+
+PARTS = 4
+SHORTEST_S, LONGEST_S = 180.0, 1200.0
+"""[s] shortest and longest cell."""
+MOST_CELLS = 33_000
+SATURATED, DRY = 0.995, 0.005
+"""Relative humidities beyond which a reading is at the end of its sensor's range."""
+UNKNOWN_K = 25.0
+"""[K²] variance of the temperature's error where a run begins or goes on after a gap."""
+UNKNOWN_SHARE = 0.3
+"""The same standard deviation of the vapour, as a share of its mean."""
+QUANTITIES = ("temperature", "vapour")
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of a quantity: T instants.
+
+    time_s: (T,) [s] ends of the intervals of means; value: (T,) [K] or [g/m³], NaN where it is left out;
+    saturated: (T,) [g/m³] by which a simulated relative humidity becomes vapour, else 1; begin, end: (T,)
+    places [cells] of the interval, equal for an instant; identified: (T,) whether it may be used to choose;
+    added: (T,) variance of the error that begins anew.
+    """
+
+    time_s: np.ndarray
+    value: np.ndarray
+    saturated: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    identified: np.ndarray
+    added: np.ndarray
+
+    @property
+    def time_h(self) -> np.ndarray:
+        return (self.time_s - self.time_s[0]) / HOUR_S
+
+    def sampled(self, shown: np.ndarray) -> np.ndarray:
+        """(T, lanes) of what is shown at the ends of the cells (K, lanes)."""
+        if np.array_equal(self.begin, self.end):
+            return _between(shown, self.end) * self.saturated[:, None]
+        total = np.zeros((len(shown) + 1, shown.shape[1]))
+        np.cumsum(0.5 * (shown[1:] + shown[:-1]), axis=0, out=total[2:])
+        width = (self.end - self.begin)[:, None]
+        mean = (_between(total[1:], self.end) - _between(total[1:], self.begin)) / width
+        return mean * self.saturated[:, None]
+
+
+def _between(values: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Values (K, lanes) at the ends of cells, at places (T,) in cells from the first beginning."""
+    at = np.clip(place - 1.0, 0.0, len(values) - 1.0)
+    whole = np.minimum(at.astype(int), len(values) - 2)
+    share = (at - whole)[:, None]
+    if not share.any():
+        return values[whole]
+    return values[whole] * (1.0 - share) + values[whole + 1] * share
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A record on its cells.
+
+    first_s: [s] their beginning; cell_h: [h] their length; count: K.  heat, vapour: the base designs, by
+    whose rules the inputs are made; readings: by quantity; drive: (F,) [K] temperature on which the vapour
+    runs.
+    """
+
+    record: Record
+    first_s: float
+    cell_h: float
+    count: int
+    heat: Design
+    vapour: Design | None
+    readings: Mapping[str, Readings] = field(default_factory=dict)
+    drive: np.ndarray = field(default_factory=lambda: np.empty(0))
+    _cache: dict[str, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
+
+    @cached_property
+    def edges_s(self) -> np.ndarray:
+        """(F,) [s] edges of the parts of cells."""
+        return self.first_s + np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
+
+    @cached_property
+    def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Inputs of the base designs at the edges of parts, and where one is unknown."""
+        design = self.vapour or self.heat
+        time, wanted = self.edges_s, {"exchange_factor"}
+        found, unknown = _ambient_inputs(_courses(design, self.record), time, wanted)
+        power, operating, unknown_power = _power_inputs(self.heat, self.record, time)
+        found |= power
+        if "preheating" in self.record:
+            found["preheating"] = np.nan_to_num(_bridged(self.record, "preheating", time))
+        if "operating" not in found:
+            found["operating"] = operating.astype(float)
+        found[IDLE] = 1.0 - found["operating"]
+        return found, unknown | unknown_power
+
+    @property
+    def unknown(self) -> np.ndarray:
+        return self._base[1]
+
+    def at_edges(self, name: str, design: Design) -> np.ndarray:
+        """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
+        if name == TEMPERATURE:
+            return self.drive
+        if name in self._base[0]:
+            return self._base[0][name]
+        settings = design.features.get(name)
+        key = json.dumps([name, settings], default=float)
+        if key not in self._cache:
+            if settings is not None:
+                value = feature(self.record, name, settings, self.edges_s)
+            else:
+                mean = design.actuator_means.get(name)
+                value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
+            self._cache[key] = np.asarray(value, dtype=float)
+        return self._cache[key]
+
+    def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> Cells:
+        """The inputs of a model over the cells."""
+        means = np.empty((self.count, len(inputs)))
+        edges = np.empty((self.count + 1, len(inputs)))
+        for c, name in enumerate(inputs):
+            owner = next((one for one in designs if name in one.model.inputs), designs[0])
+            value = self.at_edges(name, owner)
+            straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
+            means[:, c], edges[:, c] = over_cells(value, straight)
+        return Cells(self.cell_h, means, edges)
+
+    def place(self, time_s: np.ndarray) -> np.ndarray:
+        """Times [s] in cells from the first one's beginning."""
+        return (time_s - self.first_s) / (HOUR_S * self.cell_h)
+
+
+def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Means (K,) over the cells and values (K+1,) at their edges, of values (F,) at the edges of parts."""
+    parts = 0.5 * (value[1:] + value[:-1]) if straight else value[1:]
+    means = parts.reshape(-1, PARTS).mean(axis=1)
+    return means, value[::PARTS] if straight else np.append(means[:1], means)
+
+
+def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
+    """The record on cells of half its readings' step, 180 s to 20 min."""
+    design = vapour or heat
+    first, last = _common_span(record, _courses(design, record), False)
+    step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
+    cell_s = min(max(0.5 * step_s, SHORTEST_S, (last - first) / MOST_CELLS), LONGEST_S)
+    count = max(int(math.ceil((last - first) / cell_s - 1e-9)), 2)
+    scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
+    warm_series = record[TEMPERATURE]
+    warm = at_times(centred(warm_series), scene.edges_s, math.inf)
+    scene = replace(scene, drive=_filled(warm))
+    readings = {"temperature": _readings(scene, warm_series, warm_series.value, np.ones(1))}
+    if vapour is not None and vapour.humidity is not None:
+        readings["vapour"] = _vapour(scene, record[vapour.humidity])
+    return replace(scene, readings=readings)
+
+
+def driven(scene: Scene, temperature: np.ndarray) -> Scene:
+    """The scene whose vapour runs on another temperature (F,) [K] at the edges of parts."""
+    made = replace(scene, drive=temperature)
+    humidity = scene.vapour.humidity if scene.vapour else None
+    if humidity is None:
+        return made
+    return replace(made, readings={**scene.readings, "vapour": _vapour(made, scene.record[humidity])})
+
+
+def _filled(value: np.ndarray) -> np.ndarray:
+    there = np.isfinite(value)
+    return np.interp(np.arange(len(value)), np.flatnonzero(there), value[there])
+
+
+def _vapour(scene: Scene, series: Series) -> Readings:
+    """Readings of the humidity as vapour [g/m³] at the temperature on which the vapour runs."""
+    if series.signal == "cabinet_absolute_humidity":
+        return _readings(scene, series, 1e3 * series.value, np.ones(1))
+    middle = series.time - 0.5 * series.interval_s
+    warm = np.interp(middle, scene.edges_s, scene.drive)
+    saturated = 1e3 * absolute_humidity(1.0, warm)
+    ends = (series.value >= SATURATED) | (series.value <= DRY)
+    value = np.where(ends, np.nan, series.value * saturated)
+    return _readings(scene, series, value, saturated)
+
+
+def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.ndarray) -> Readings:
+    """Readings within the cells whose inputs are known."""
+    end = scene.place(series.time)
+    begin = scene.place(series.time - series.interval_s)
+    inside = (begin >= -1e-9) & (end <= scene.count + 1e-9)
+    gone = np.append(0, np.cumsum(scene.unknown))
+    at = [np.clip((PARTS * one).astype(int), 0, len(gone) - 2) for one in (begin, end)]
+    known = gone[at[1] + 1] == gone[at[0]]
+    value = np.where(known, value, np.nan)
+    until = math.inf if scene.record.until_s is None else scene.record.until_s
+    spread = np.broadcast_to(saturated, len(value))[inside]
+    value, time = value[inside], series.time[inside]
+    # where inputs were unknown since the reading before, the error begins anew
+    there, anew = np.isfinite(value), np.zeros(len(value), bool)
+    since = gone[at[1][inside] + 1][there]
+    anew[there] = np.append(True, since[1:] > since[:-1])[: len(since)]
+    scale = UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
+    return Readings(
+        time, value, spread, begin[inside], end[inside], time <= until, np.where(anew, scale, 0.0)
+    )

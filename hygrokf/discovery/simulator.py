@@ -1,0 +1,209 @@
+"""Simulations of a model on a scene, many at a time: the readings that each set of parameters gives.
+
+The temperature follows from the model of heat alone, the vapour from the model of vapour on the temperature
+that drives the scene; a controller connects both.  `SIMULATIONS` counts runs: it is the measure of work.
+
+Shapes: T readings of a quantity, P parameters, n runs, F edges of parts of cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hygrokf.discovery.scene import Scene, over_cells
+from hygrokf.engine.cell_loop import CONTROL, SIMULATED, CellModel, Cells, run
+from hygrokf.engine.llvm_writer import LANES
+from hygrokf.modelling.design import Design
+from hygrokf.physics.model import Model, compose
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.switches import HUMIDITY, SWITCHES, TEMPERATURE, Switch
+
+OUTPUT = {
+    "temperature": ("cabinet_temperature",),
+    "vapour": ("cabinet_relative_humidity", "cabinet_absolute_humidity"),
+}
+
+
+@dataclass
+class Work:
+    """Simulations so far."""
+
+    simulations: int = 0
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """Models of heat and of vapour on a scene; own: inputs of which each run has a column of its own."""
+
+    scene: Scene
+    heat: Design
+    vapour: Design | None
+    own: tuple[str, ...] = ()
+    work: Work = field(default_factory=Work, compare=False)
+    _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
+    _models: dict[str, CellModel] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        return (self.heat,) if self.vapour is None else (self.heat, self.vapour)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters that a run depends on, the levels of controllers included."""
+        known = {p.name: p for one in self.designs for p in one.model.parameters if not p.noise}
+        return (*known.values(), *(p for name in self.controls for p in self._levels(name)))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def controls(self) -> tuple[str, ...]:
+        inputs = {name for one in self.designs for name in one.model.inputs}
+        return tuple(name for name in SWITCHES if name in inputs)
+
+    def _levels(self, name: str) -> tuple[Parameter, Parameter]:
+        settings = next(one.features[name] for one in self.designs if name in one.features)
+        switch = SWITCHES[name](**settings)
+        warm = switch.reads == TEMPERATURE
+        low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
+        return tuple(
+            Parameter(f"{name}_{word}", unit, level, low, high)
+            for word, level in zip(CONTROL, switch.levels, strict=False)
+        )  # type: ignore[return-value]
+
+    def _steering(self, name: str) -> tuple[float, float, float]:
+        """Whether a controller has two positions, follows the humidity, acts at standstill only."""
+        settings = next(one.features[name] for one in self.designs if name in one.features)
+        switch = SWITCHES[name](**settings)
+        two = isinstance(switch, Switch)
+        return float(two), float(switch.reads == HUMIDITY), float(two and switch.idle)
+
+    def affects(self, name: str) -> tuple[str, ...]:
+        """The quantities that a parameter acts on."""
+        by = {
+            "temperature": [p.name for p in self.heat.model.parameters],
+            "vapour": [] if self.vapour is None else [p.name for p in self.vapour.model.parameters],
+        }
+        found = [quantity for quantity, names in by.items() if name in names]
+        if not found:
+            control = name.rpartition("_")[0]
+            found = [q for q, one in zip(by, self.designs, strict=False) if control in one.model.inputs]
+        return tuple(found)
+
+    # -- runs ------------------------------------------------------------------------------------------------
+    def cell_model(self, quantity: str) -> CellModel:
+        """The models that a quantity needs."""
+        if quantity not in self._models:
+            heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
+            steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
+            damp = any(self._steering(c)[1] for c in self.controls)
+            if quantity == "temperature" and not damp:
+                vapour = None
+            made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
+            inputs = {name for one in made.models for name in one.inputs}
+            self._models[quantity] = replace(
+                made,
+                controls=tuple(name for name in self.controls if name in inputs),
+                own=tuple(name for name in self.own if name in inputs),
+            )
+        return self._models[quantity]
+
+    def cells(self, model: CellModel) -> Cells:
+        if model.inputs not in self._cells:
+            self._cells[model.inputs] = self.scene.cells(model.inputs, self.designs)
+        return self._cells[model.inputs]
+
+    def shown(
+        self,
+        theta: np.ndarray,
+        quantity: str,
+        columns: Mapping[str, Sequence[np.ndarray]] | None = None,
+        driven: bool = True,
+    ) -> np.ndarray:
+        """(K, n) of what the sensor of a quantity shows at the ends of cells, for parameters (P, n).
+
+        columns: own input → its (K,) means over the cells for each run.  driven: whether vapour runs on the
+        scene's temperature; else on the simulated one.
+        """
+        model = self.cell_model(quantity if driven else "both")
+        cells, count = self.cells(model), theta.shape[1]
+        place = {name: i for i, name in enumerate(self.names)}
+        result = np.empty((len(cells), count))
+        output = next(i for i, name in enumerate(model.outputs) if name in OUTPUT[quantity])
+        self.work.simulations += count
+        for first in range(0, count, LANES):
+            part = theta[:, first : first + LANES]
+            width = part.shape[1]
+            full = np.zeros((len(model.parameters), LANES))
+            for i, name in enumerate(model.parameters):
+                if name in place:
+                    full[i, :width], full[i, width:] = part[place[name]], part[place[name], -1]
+            for name in model.controls:
+                for word, value in zip(CONTROL[2:], self._steering(name), strict=True):
+                    full[model.parameters.index(f"{name}_{word}")] = value
+            free = quantity == "temperature" or not driven
+            full[model.parameters.index(SIMULATED)] = float(free)
+            own = [_lanes(columns or {}, name, first) for name in model.own]
+            out = run(model, cells, full, self._start(model, cells, full), own)
+            result[:, first : first + width] = out[:, output, :width]
+        return result
+
+    def simulated(
+        self,
+        theta: np.ndarray,
+        quantity: str,
+        columns: Mapping[str, Sequence[np.ndarray]] | None = None,
+    ) -> np.ndarray:
+        """(T, n) readings of a quantity [K] or [g/m³]."""
+        return self.scene.readings[quantity].sampled(self.shown(theta, quantity, columns))
+
+    def _start(self, model: CellModel, cells: Cells, theta: np.ndarray) -> np.ndarray:
+        """States (n, LANES) at the beginning."""
+        inputs: dict[str, Any] = {name: cells.edges[0, c] for c, name in enumerate(model.inputs)}
+        inputs |= dict.fromkeys((*model.own, *model.controls), 0.0)
+        values: dict[str, Any] = {name: theta[i] for i, name in enumerate(model.parameters)}
+        values |= {p.name: 0.0 for one in model.models for p in one.parameters if p.noise}
+        begun = [x for one in model.models for x in one.initial(values, inputs)[0]]
+        return np.stack([np.broadcast_to(np.asarray(x, float), LANES) for x in begun])
+
+    def vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """(P,) of values by name; a parameter without one has no effect, or its start."""
+        return np.array([values.get(p.name, p.start if p.null is None else p.null) for p in self.parameters])
+
+    def column(self, name: str, settings: Mapping[str, Any]) -> np.ndarray:
+        """(K,) means over the cells of an own input under some settings of its feature."""
+        owner = next(one for one in self.designs if name in one.model.inputs)
+        made = replace(owner, features={**owner.features, name: settings})
+        straight = owner.model.holds.get(name) == "linear"
+        return over_cells(self.scene.at_edges(name, made), straight)[0]
+
+
+def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -> np.ndarray:
+    """Own columns of a block of runs (K, LANES); zeros (1, LANES) where none is given."""
+    part = list(columns.get(name, ()))[first : first + LANES]
+    if not part:
+        return np.zeros((1, LANES))
+    return np.ascontiguousarray(np.stack([*part, *[part[-1]] * (LANES - len(part))], axis=1))
+
+
+def _silent(design: Design) -> Model:
+    """The model without what only disturbs it, read at instants."""
+    model = design.model
+    kept = [m for m in model.mechanisms if not _only_noise(m.parameters) or m.outputs or m.corrections]
+    return compose(kept, model.holds)
+
+
+def _only_noise(parameters: Sequence[Parameter]) -> bool:
+    return bool(parameters) and all(p.noise for p in parameters)
+
+
+def finite(values: np.ndarray) -> bool:
+    """Whether every number is finite; a run that diverges is none."""
+    return bool(np.isfinite(values).all()) and not math.isnan(float(values.sum()))

@@ -1,0 +1,250 @@
+"""The compiled simulation of a cabinet over cells of equal length, eight runs side by side.
+
+A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input is constant
+(its mean); what the model says at the end of a cell is evaluated with the inputs' values there.  Each state
+follows its own linearised equation exactly,
+
+    x ← x + h f φ(h ∂f/∂x),    φ(z) = (e^z − 1)/z,
+
+which is exact for a constant rate, and enters the equations of the states after it with the mean of its
+values before and after.  The vapour's model runs on the cabinet's temperature: that of the heat's model where
+`SIMULATED` is 1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings that the run
+itself gives at the start of each cell.
+
+The loop is emitted from the traced expressions of the mechanisms; no equation is written here.
+
+Shapes: K cells, m inputs, w inputs of which every run has its own, P parameters, LANES runs, k outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hygrokf.engine.jit import Code
+from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations
+from hygrokf.engine.vector_math import exponential, logarithm
+from hygrokf.physics.expression import Expression, Graph, Value, exp, jacobian, where
+from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.model import Model
+from hygrokf.physics.switches import position
+
+SIMULATED = "simulated_temperature"
+"""Parameter of every run: 1 where vapour runs on the simulated temperature."""
+TEMPERATURE = "cabinet_temperature"
+HUMIDITY = "cabinet_relative_humidity"
+CONTROL = ("first", "second", "two_point", "humidity", "idle")
+"""Parameters of a controller: its two levels [K] or [1]; 1 for two positions, for following the humidity, for
+standstill only."""
+IDLE = "standstill"
+
+
+@dataclass(frozen=True)
+class CellModel:
+    """A model of heat and one of vapour, of which `controls` set inputs; `own`: inputs that runs have of
+    their own."""
+
+    heat: Model | None
+    vapour: Model | None
+    controls: tuple[str, ...] = ()
+    own: tuple[str, ...] = ()
+
+    @property
+    def models(self) -> tuple[Model, ...]:
+        return tuple(one for one in (self.heat, self.vapour) if one is not None)
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        names = [p.name for model in self.models for p in model.parameters if not p.noise]
+        steered = [f"{control}_{word}" for control in self.controls for word in CONTROL]
+        return tuple(dict.fromkeys([*names, *steered, SIMULATED]))
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that all runs share."""
+        names = dict.fromkeys([*(name for one in self.models for name in one.inputs), TEMPERATURE, IDLE])
+        return tuple(name for name in names if name not in (*self.controls, *self.own))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        return tuple(name for one in self.models for name in one.states)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return tuple(name for one in self.models for name in one.outputs)
+
+    @cached_property
+    def traced(self) -> TracedCell:
+        return TracedCell(self)
+
+    @cached_property
+    def code(self) -> Code:
+        return Code(cell_text(self.traced), ["cells"])
+
+
+class TracedCell:
+    """One cell as expressions."""
+
+    def __init__(self, model: CellModel) -> None:
+        self.model = model
+        g = self.graph = Graph()
+        self.hours = g.symbol("hours")
+        self.parameters = {name: g.symbol(f"p:{name}") for name in model.parameters}
+        self.mean = {name: g.symbol(f"m:{name}") for name in model.inputs}
+        self.begin = {name: g.symbol(f"b:{name}") for name in model.inputs}
+        self.end = {name: g.symbol(f"e:{name}") for name in model.inputs}
+        self.own = {name: g.symbol(f"o:{name}") for name in model.own}
+        self.before = {name: g.symbol(f"before:{name}") for name in model.controls}
+        self.states = {name: g.symbol(f"x:{name}") for name in model.states}
+        noise = {p.name: 0.0 for one in model.models for p in one.parameters if p.noise}
+        self.values: dict[str, Value] = {**noise, **self.parameters}
+        self.positions = self._positions()
+        steered = {**self.own, **self.positions}
+        state, mean = dict(self.states), {**self.mean, **steered}
+        middle = self._air({} if model.heat is None else self._stage(model.heat, state, mean), mean)
+        if model.vapour is not None:
+            self._stage(model.vapour, state, {**mean, TEMPERATURE: middle})
+        self.after = [state[name] for name in model.states]
+        self.readings = self._readings(state, {**self.end, **steered})
+
+    def _positions(self) -> dict[str, Expression]:
+        """What the controllers do in the cell."""
+        nothing = dict.fromkeys(self.model.controls, 0.0)
+        shown = self._shown(self.states, {**self.begin, **self.own, **nothing}) if nothing else {}
+        found = {}
+        for name in self.model.controls:
+            first, second, two, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
+            value = shown[TEMPERATURE] + humid * (shown[HUMIDITY] - shown[TEMPERATURE])
+            allowed = 1.0 - idle * (1.0 - self.mean[IDLE])
+            found[name] = allowed * position(value, self.before[name], first, second, two)
+        return found
+
+    def _stage(
+        self, model: Model, state: dict[str, Expression], inputs: Mapping[str, Value]
+    ) -> dict[str, Value]:
+        """Move the states of a model in `state`, one after the other; returns them in the middle."""
+        now = {name: state[name] for name in model.states}
+        for name, floor in zip(model.states, model.amounts, strict=True):
+            rates = model.evaluate([now[one] for one in model.states], inputs, self.values).rates
+            rate = self.graph.lift(rates[model.states.index(name)])
+            begun = self.states[name]
+            (slope,), = jacobian([rate], [begun])
+            moved = begun + self.hours * rate * _phi(self.hours * slope)
+            state[name] = where(moved < 0.0, 0.0, moved) if floor else moved
+            now[name] = 0.5 * (begun + state[name])
+        return now
+
+    def _air(self, heat: Mapping[str, Value], inputs: Mapping[str, Value]) -> Value:
+        """The temperature on which vapour runs."""
+        model = self.model.heat
+        if model is None:
+            return inputs[TEMPERATURE]
+        air = model.quantities([heat[name] for name in model.states], inputs, self.values)
+        given = inputs[TEMPERATURE]
+        return given + self.values[SIMULATED] * (air["cabinet_air_temperature"] - given)
+
+    def _shown(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> dict[str, Value]:
+        """The readings at a state under inputs."""
+        warm = {TEMPERATURE: self._air(state, inputs)}
+        found = {}
+        for model in self.model.models:
+            given = inputs if model is self.model.heat else {**inputs, **warm}
+            made = model.evaluate([state[name] for name in model.states], given, self.values).outputs
+            found |= {name: value for name, (value, _) in made.items()}
+        return found
+
+    def _readings(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
+        shown = self._shown(state, inputs)
+        return [self.graph.lift(shown[name]) for name in self.model.outputs]
+
+
+def _phi(z: Value) -> Value:
+    """(e^z − 1)/z."""
+    if not isinstance(z, Expression):
+        return 1.0
+    small = z * z < 1e-12
+    return where(small, 1.0 + 0.5 * z, (exp(z) - 1.0) / where(small, 1.0, z))
+
+
+ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")
+
+
+def cell_text(t: TracedCell) -> str:
+    """LLVM text of a module with `cells(count, hours, means, edges, strides, theta, given, start, out, own…)`.
+
+    hours: (1,); means (K, m) and edges (K+1, m) of the inputs, in their order; strides: (w,) LANES for an
+    input of which every cell has values, 0 for a constant one; theta: (P, LANES); given: constants of the
+    models; start: (n, LANES); out: (K, k, LANES); own: (K, LANES) or (1, LANES) each.
+    """
+    model, g = t.model, t.graph
+    owned = [f"own{i}" for i in range(len(model.own))]
+    functions = {"exp": "exponential", "log": "logarithm"}
+    w = Writer(
+        "cells", [("i64", "count"), *(("ptr", one) for one in (*ARGUMENTS, *owned))], LANES, functions
+    )
+    fixed = {t.hours.index: w.load(SCALAR, "%hours")}
+    fixed |= {
+        one.index: w.load(w.vector, w.at(w.vector, "%theta", i)) for i, one in enumerate(t.parameters.values())
+    }
+    fixed |= {
+        g.symbol(f"c:{i}").index: w.load(SCALAR, w.at(SCALAR, "%given", i)) for i in range(len(g.given))
+    }
+    strides = [w.load("i64", w.at("i64", "%strides", i)) for i in range(len(model.own))]
+    slots = {
+        one.index: w.slot(w.vector, w.load(w.vector, w.at(w.vector, "%start", i)))
+        for i, one in enumerate(t.states.values())
+    }
+    slots |= {one.index: w.slot(w.vector, "zeroinitializer") for one in t.before.values()}
+    vectors = [one.index for one in (*t.parameters.values(), *t.own.values())] + list(slots)
+    width, shown = len(model.inputs), len(model.outputs)
+    with w.loop("%count") as k:
+        row = w.integer("mul", k, width)
+        after = w.integer("add", row, width)
+        leaves = fixed | {i: w.load(w.vector, slot) for i, slot in slots.items()}
+        for array, first, symbols in (("means", row, t.mean), ("edges", row, t.begin), ("edges", after, t.end)):
+            leaves |= {
+                one.index: w.load(SCALAR, w.at(SCALAR, f"%{array}", w.integer("add", first, c)))
+                for c, one in enumerate(symbols.values())
+            }
+        for name, stride, one in zip(owned, strides, t.own.values(), strict=True):
+            leaves[one.index] = w.load(w.vector, w.at(SCALAR, f"%{name}", w.integer("mul", k, stride)))
+        outputs = [*t.readings, *t.after, *(g.lift(one) for one in t.positions.values())]
+        made = [w.as_vector(kind, name) for kind, name in w.block(g, outputs, leaves, vectors)]
+        place = w.integer("mul", k, shown)
+        for c, value in enumerate(made[:shown]):
+            w.store(w.vector, value, w.at(w.vector, "%out", w.integer("add", place, c)))
+        for slot, value in zip(slots.values(), made[shown:], strict=True):
+            w.store(w.vector, value, slot)
+    return declarations() + exponential(LANES) + logarithm(LANES) + w.text()
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Inputs over cells of `hours` [h]: means (K, m), values at the edges (K+1, m), and own inputs, (K,
+    LANES) or (1, LANES) each."""
+
+    hours: float
+    means: np.ndarray
+    edges: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def run(
+    model: CellModel, cells: Cells, theta: np.ndarray, start: np.ndarray, own: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Readings (K, k, LANES) at the end of each cell, of runs with parameters (P, LANES) from states (n,
+    LANES)."""
+    out = np.empty((len(cells), len(model.outputs), LANES))
+    code = model.code
+    strides = np.array([LANES if len(one) > 1 else 0 for one in own] or [0], dtype=np.int64)
+    given = np.array([float(one) for one in model.traced.graph.given] or [0.0])
+    code(
+        "cells", len(cells), np.array([cells.hours]), cells.means, cells.edges, strides,
+        np.ascontiguousarray(theta), given, np.ascontiguousarray(start), out, *own,
+    )  # fmt: skip
+    return out
