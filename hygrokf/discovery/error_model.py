@@ -193,10 +193,11 @@ class _Emission:
 def _filter_text(name: str, wide: bool) -> str:
     """`name(count, key, table, variances, share, residual, seen, added, innovation, variance, gain)`.
 
-    Writes innovations and their variances (T, lanes), and without `wide` also P H' (T, n) and the predicted
-    error (T,) in place of the lanes.
+    Writes innovations and their variances (T, lanes), and without `wide` also P H' (T, n), the predicted
+    error (T,) and the state after each reading (T, n).
     """
-    outputs = ("innovation", "variance") if wide else ("innovation", "variance", "reach", "predicted")
+    outputs = ("innovation", "variance")
+    outputs += () if wide else ("reach", "predicted", "state")
     e = _Emission(name, (*_ARRAYS, *outputs), wide)
     t, w = e.traced, e.w
     known = {one.index: e.load("variances", i) for i, one in enumerate(t.variances)}
@@ -229,6 +230,8 @@ def _filter_text(name: str, wide: bool) -> str:
             for i in range(_STATES):
                 w.store(SCALAR, made[2 + i], w.at(SCALAR, "%reach", w.integer("add", row, i)))
             w.store(SCALAR, made[2 + _STATES], w.at(SCALAR, "%predicted", k))
+            for i in range(_STATES):
+                w.store(SCALAR, made[len(told) + i], w.at(SCALAR, "%state", w.integer("add", row, i)))
         kept = made[len(told) :]
         for slot, value in zip([*state.values(), *spread.values()], kept, strict=True):
             w.store(e.kind, value, slot)
@@ -299,7 +302,8 @@ class Filtered:
     """An error (T,) filtered under variances (7,) (R, s_w², s_1² …).
 
     innovation, variance: (T,), the innovation NaN where there is no reading; reach: (T, n) covariance of the
-    state with the error before each reading; predicted: (T,) the error before it.
+    state with the error before each reading; predicted: (T,) the error before it; state: (T, n) the state
+    after it.
     """
 
     course: Course
@@ -308,6 +312,7 @@ class Filtered:
     variance: np.ndarray
     reach: np.ndarray
     predicted: np.ndarray
+    state: np.ndarray
     bound: float = HUBER
 
     @property
@@ -365,17 +370,6 @@ class Filtered:
         )  # fmt: skip
         return result
 
-    def states(self) -> np.ndarray:
-        """(T, n) after each reading: what a forecast starts from."""
-        moved = np.empty((len(self.innovation), _STATES))
-        update = self.gain * np.nan_to_num(self.innovation)[:, None]
-        x, count = np.zeros(_STATES), len(TIMES_H)
-        for k, row in enumerate(self.course.table[self.course.key]):
-            x = np.append(row[:count] * x[:count], row[-1] * x[-1] + row[count:-1] @ x[:count])
-            x = x + update[k]
-            moved[k] = x
-        return moved
-
 
 def loss(e: np.ndarray, bound: float = HUBER) -> np.ndarray:
     """e² up to the bound, 2 b |e| − b² beyond."""
@@ -397,11 +391,11 @@ def filtered(
     """Filter an error (T,), NaN where there is no reading, under variances (7,)."""
     count = len(residual)
     innovation, variance, predicted = (np.empty(count) for _ in range(3))
-    reach = np.empty((count, _STATES))
+    reach, state = np.empty((count, _STATES)), np.empty((count, _STATES))
     given, seen = _given(course, variances, residual)
-    _code()("filter", count, *given, innovation, variance, reach, predicted)
+    _code()("filter", count, *given, innovation, variance, reach, predicted, state)
     innovation[~seen] = np.nan
-    return Filtered(course, variances, innovation, variance, reach, predicted, bound)
+    return Filtered(course, variances, innovation, variance, reach, predicted, state, bound)
 
 
 def _given(

@@ -142,9 +142,9 @@ def estimate_at(
     return made if variances else _with_variances(made)
 
 
-def _with_variances(one: Estimate) -> Estimate:
-    found = {}
-    for q in one.quantities:
+def _with_variances(one: Estimate, block: Sequence[str] | None = None) -> Estimate:
+    found = dict(one.variances)
+    for q in one.quantities if block is None else block:
         residual = one.residual(q)
         if one.plain:
             found[q] = np.zeros(VARIANCES)
@@ -158,29 +158,41 @@ def _with_variances(one: Estimate) -> Estimate:
 def fitted(
     one: Estimate, free: Collection[str] | None = None, effort: tuple[int, float] = POLISH
 ) -> Estimate:
-    """The estimate with the free parameters (all) and the variances at their maximum."""
-    rounds, tolerance = effort
-    free = set(one.simulator.names) if free is None else set(free)
-    for _ in range(rounds):
-        before = one.deviance
-        one = _stepped(one, free)
-        one = _with_variances(one)
-        if not one.deviance < before - tolerance:
-            break
+    """The estimate with the free parameters (all) and the variances at their maximum.
+
+    Quantities that share no parameter are fitted one after the other.
+    """
+    names = set(one.simulator.names) if free is None else set(free)
+    for block in _blocks(one, names):
+        rounds, tolerance = effort
+        for _ in range(rounds):
+            before = sum(one.deviances[q] for q in block)
+            one = _with_variances(_stepped(one, names, block), block)
+            if not sum(one.deviances[q] for q in block) < before - tolerance:
+                break
     return one
 
 
-def _stepped(one: Estimate, free: set[str]) -> Estimate:
+def _blocks(one: Estimate, free: set[str]) -> list[tuple[str, ...]]:
+    """The quantities that free parameters act on, together where one acts on several."""
+    acting = [set(one.simulator.affects(name)) & set(one.quantities) for name in free]
+    if any(len(group) > 1 for group in acting):
+        return [one.quantities]
+    return [(q,) for q in one.quantities if {q} in acting]
+
+
+def _stepped(one: Estimate, free: set[str], block: tuple[str, ...]) -> Estimate:
     """Up to `STEPS` Gauss–Newton steps under fixed variances."""
+    mine = {name for name in free if set(one.simulator.affects(name)) & set(block)}
     for _ in range(STEPS):
-        f = frame(one.simulator.parameters, free, one.linear)
-        matrix, gradient = _normal_equations(one, f)
+        f = frame(one.simulator.parameters, mine, one.linear)
+        matrix, gradient = _normal_equations(one, f, block)
         z = f.coordinates(one.theta)
         steps = [_step(matrix, gradient, z, f, damping) for damping in DAMPINGS]
         moved = np.column_stack([f.theta(one.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
-        trial = _trials(one, moved)
+        trial = _trials(one, moved, block)
         best = int(np.argmin(trial.deviance))
-        gained = one.deviance - trial.deviance[best]
+        gained = sum(one.deviances[q] for q in block) - trial.deviance[best]
         if not gained > 0.0:
             break
         simulated = {q: y[:, best] for q, y in trial.simulated.items()}
@@ -198,16 +210,14 @@ class Trials:
     simulated: Mapping[str, np.ndarray]
 
 
-def _trials(
-    one: Estimate, theta: np.ndarray, columns: Mapping[str, Sequence[np.ndarray]] | None = None
-) -> Trials:
+def _trials(one: Estimate, theta: np.ndarray, block: Sequence[str]) -> Trials:
     """Parameters (P, n) under the estimate's variances; runs that diverge have an infinite deviance."""
     total = np.zeros(theta.shape[1])
     simulated = {}
-    for q, known in one.filtered.items():
-        r = one.simulator.scene.readings[q]
+    for q in block:
+        known, r = one.filtered[q], one.simulator.scene.readings[q]
         with np.errstate(over="ignore", invalid="ignore"):
-            y = simulated[q] = one.simulator.simulated(theta, q, columns)
+            y = simulated[q] = one.simulator.simulated(theta, q)
             e = known.whitened(np.where(r.identified[:, None], r.value[:, None] - y, np.nan))
             total += loss(e, known.bound).sum(axis=0) + float(
                 np.log(known.variance[np.isfinite(known.innovation)]).sum()
@@ -218,12 +228,13 @@ def _trials(
     return Trials(np.where(np.isfinite(total), total, math.inf), simulated)
 
 
-def slopes(one: Estimate, f: Frame) -> dict[str, np.ndarray]:
-    """(T, d) slopes of the simulated readings in the coordinates, by quantity."""
+def slopes(one: Estimate, f: Frame, block: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """(T, d) slopes of the simulated readings in the coordinates, by quantity (all)."""
+    block = one.quantities if block is None else block
     z = f.coordinates(one.theta)
     names = [one.simulator.names[i] for i in f.place]
-    found = {q: np.zeros((len(one.simulated[q]), len(z))) for q in one.quantities}
-    for q in one.quantities:
+    found = {q: np.zeros((len(one.simulated[q]), len(z))) for q in block}
+    for q in block:
         there = [i for i, name in enumerate(names) if q in one.simulator.affects(name)]
         if not there:
             continue
@@ -234,11 +245,11 @@ def slopes(one: Estimate, f: Frame) -> dict[str, np.ndarray]:
     return found
 
 
-def _normal_equations(one: Estimate, f: Frame) -> tuple[np.ndarray, np.ndarray]:
+def _normal_equations(one: Estimate, f: Frame, block: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
     d = len(f.place)
     matrix, gradient = np.zeros((d, d)), np.zeros(d)
-    for q, columns in slopes(one, f).items():
+    for q, columns in slopes(one, f, block).items():
         known = one.filtered[q]
         there = np.flatnonzero(columns.any(axis=0))
         white = known.whitened(columns[:, there])

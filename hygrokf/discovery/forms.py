@@ -47,6 +47,7 @@ class Form:
     heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
     steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
+    freed: parameter of the base that loses its prior; together: whether every quantity must gain.
     """
 
     cause: str
@@ -58,6 +59,8 @@ class Form:
     steps: Mapping[tuple[str, str], float] = field(default_factory=dict)
     altered: Mapping[str, Settings] = field(default_factory=dict)
     clock: str = ""
+    freed: str = ""
+    together: bool = False
 
 
 @dataclass(frozen=True)
@@ -247,28 +250,35 @@ def temperature_offset(ground: Ground) -> list[Form]:
     grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
     return [
         Form("temperature_sensor_offset", "date", (("temperature_step", {}),), grid=grid,
-             steps={("after_step", "date_s"): _step_s(ground)})
+             steps={("after_step", "date_s"): _step_s(ground)}),
+        *([Form("temperature_sensor_offset", "constant", freed="cabinet_temperature_offset")] if ground.humid else []),
     ]  # fmt: skip
 
 
 def ambient(ground: Ground) -> list[Form]:
-    limits = {"ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0)}
+    # all of the air that surrounds the cabinet lags; a share of it is an outer wall
+    limits = {
+        "ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0),
+        "ambient_lag_share": (0.8, 1.2),
+    }  # fmt: skip
     lags = (2.0, 4.0, 12.0)
-    found = [
-        Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), limits=limits,
-             grid=tuple(Setting(values={"ambient_lag_time": h}) for h in lags)),
-    ]  # fmt: skip
     leads = (("leading_ambient", {}),), _joint(ground, ("breathed_lead", {}))
-    found.append(Form("ambient_bias", "smoothed", *leads))
+    found = [Form("ambient_bias", "smoothed", *leads, together=True)]
     if ground.humid:
+        # where the temperature alone lags, that is an outer wall
+        found.append(
+            Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), (("breathed_lag", {}),), limits=limits,
+                 together=True, grid=tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags))
+        )  # fmt: skip
         found.append(
             Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
                  grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
         )  # fmt: skip
         found += [
             Form("ambient_bias", code, vapour=(("breathed_air", {"form": form}),))
-            for code, form in (("offset", "vapour"), ("gain", "temperature"), ("humidity", "humidity"))
+            for code, form in (("offset", "vapour"), ("humidity", "humidity"))
         ]
+        found.append(Form("ambient_bias", "gain", freed="breathed_gain"))
     return found
 
 

@@ -47,6 +47,21 @@ UNKNOWN_K = 25.0
 UNKNOWN_SHARE = 0.3
 """The same standard deviation of the vapour, as a share of its mean."""
 QUANTITIES = ("temperature", "vapour")
+AMBIENT_HUMIDITIES = ("ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature")
+SIGNAL_OF = {
+    "exchange_factor": "ambient_temperature",
+    "ambient_temperature_rate": "ambient_temperature",
+    "ambient_vapour_rate": "ambient_temperature",
+    "operating": "active_power",
+    "standstill": "active_power",
+    "sunshine": "global_horizontal_irradiance",
+    "sunlit_wall": "global_horizontal_irradiance",
+    "night_sky": "global_horizontal_irradiance",
+    "wind_tenth": "wind_speed",
+    "wind_square": "wind_speed",
+    "heavy_rain": "rain",
+}
+"""Derived input → the signal whose clock it has."""
 
 
 @dataclass(frozen=True)
@@ -109,38 +124,55 @@ class Scene:
     vapour: Design | None
     readings: Mapping[str, Readings] = field(default_factory=dict)
     drive: np.ndarray = field(default_factory=lambda: np.empty(0))
-    _cache: dict[str, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
+    shifts: Mapping[str, float] = field(default_factory=dict)
+    _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def edges_s(self) -> np.ndarray:
         """(F,) [s] edges of the parts of cells."""
         return self.first_s + np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
 
-    @cached_property
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Inputs of the base designs at the edges of parts, and where one is unknown."""
-        design = self.vapour or self.heat
-        time, wanted = self.edges_s, {"exchange_factor"}
-        found, unknown = _ambient_inputs(_courses(design, self.record), time, wanted)
-        power, operating, unknown_power = _power_inputs(self.heat, self.record, time)
-        found |= power
-        if "preheating" in self.record:
-            found["preheating"] = np.nan_to_num(_bridged(self.record, "preheating", time))
-        if "operating" not in found:
-            found["operating"] = operating.astype(float)
-        found[IDLE] = 1.0 - found["operating"]
-        return found, unknown | unknown_power
+        if "" not in self._cache:
+            design = self.vapour or self.heat
+            time, wanted = self.edges_s, {"exchange_factor"}
+            found, unknown = _ambient_inputs(_courses(design, self.record), time, wanted)
+            power, operating, unknown_power = _power_inputs(self.heat, self.record, time)
+            found |= power
+            if "preheating" in self.record:
+                found["preheating"] = np.nan_to_num(_bridged(self.record, "preheating", time))
+            if "operating" not in found:
+                found["operating"] = operating.astype(float)
+            found[IDLE] = 1.0 - found["operating"]
+            self._cache[""] = found, unknown | unknown_power
+        return self._cache[""]
 
     @property
     def unknown(self) -> np.ndarray:
-        return self._base[1]
+        return self._base()[1]
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
         """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
+        value = self._unmoved(name, design)
+        seconds = self.shifts.get(self._source(name), 0.0)
+        if not seconds:
+            return value
+        return np.interp(self.edges_s - seconds, self.edges_s, value)
+
+    def _source(self, name: str) -> str:
+        """The source whose clock stamps an input; empty where there is none."""
+        signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
+        if name == "ambient_absolute_humidity":
+            humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
+            signal = humid[0] if humid else signal
+        return source_of(self.record[signal]) if signal in self.record else ""
+
+    def _unmoved(self, name: str, design: Design) -> np.ndarray:
         if name == TEMPERATURE:
             return self.drive
-        if name in self._base[0]:
-            return self._base[0][name]
+        if name in self._base()[0]:
+            return self._base()[0][name]
         settings = design.features.get(name)
         key = json.dumps([name, settings], default=float)
         if key not in self._cache:
@@ -158,10 +190,33 @@ class Scene:
         edges = np.empty((self.count + 1, len(inputs)))
         for c, name in enumerate(inputs):
             owner = next((one for one in designs if name in one.model.inputs), designs[0])
-            value = self.at_edges(name, owner)
             straight = name == TEMPERATURE or owner.model.holds.get(name) == LINEAR
-            means[:, c], edges[:, c] = over_cells(value, straight)
+            means[:, c], edges[:, c] = self._over_cells(name, owner, straight)
         return Cells(self.cell_h, means, edges)
+
+    def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
+        seconds = self.shifts.get(self._source(name), 0.0)
+        drive = id(self.drive) if name == TEMPERATURE else 0
+        key = json.dumps([name, design.features.get(name), seconds, drive, straight], default=float)
+        if key not in self._cache:
+            # the temperature is kept with its means, so that its identity stays its own
+            self._cache[key] = (*over_cells(self.at_edges(name, design), straight), self.drive if drive else None)
+        return self._cache[key][:2]
+
+    def column(self, name: str, design: Design) -> np.ndarray:
+        """(K,) means of an input over the cells."""
+        return self._over_cells(name, design, design.model.holds.get(name) == LINEAR)[0]
+
+    def moved(self, source: str, seconds: float) -> Scene:
+        """The scene with a source's stamps later by `seconds` [s]; the readings stay the same ones."""
+        shifts = {**self.shifts, source: self.shifts.get(source, 0.0) + seconds}
+        if source != source_of(self.record[TEMPERATURE]):
+            return replace(self, shifts=shifts)
+        cells = seconds / (HOUR_S * self.cell_h)
+        readings = {
+            q: replace(one, begin=one.begin + cells, end=one.end + cells) for q, one in self.readings.items()
+        }
+        return replace(self, shifts=shifts, readings=readings)
 
     def place(self, time_s: np.ndarray) -> np.ndarray:
         """Times [s] in cells from the first one's beginning."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.discovery.scene import Scene, over_cells
+from hygrokf.discovery.scene import Scene
 from hygrokf.engine.cell_loop import CONTROL, SIMULATED, CellModel, Cells, run
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
@@ -28,6 +28,10 @@ OUTPUT = {
     "temperature": ("cabinet_temperature",),
     "vapour": ("cabinet_relative_humidity", "cabinet_absolute_humidity"),
 }
+
+
+ACCURACY = 2.0
+"""Standard deviations of a prior within which an offset stays."""
 
 
 @dataclass
@@ -45,6 +49,7 @@ class Simulator:
     heat: Design
     vapour: Design | None
     own: tuple[str, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     work: Work = field(default_factory=Work, compare=False)
     _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
     _models: dict[str, CellModel] = field(default_factory=dict, compare=False, repr=False)
@@ -56,8 +61,20 @@ class Simulator:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters that a run depends on, the levels of controllers included."""
-        known = {p.name: p for one in self.designs for p in one.model.parameters if not p.noise}
+        known = {
+            p.name: self._limited(p) for one in self.designs for p in one.model.parameters if not p.noise
+        }
         return (*known.values(), *(p for name in self.controls for p in self._levels(name)))
+
+    def _limited(self, p: Parameter) -> Parameter:
+        low, high = self.limits.get(p.name, (p.lower, p.upper))
+        if p.prior is not None and not p.prior.logarithmic:
+            # a likelihood would stretch an offset beyond its accuracy to stand for something else
+            reach = ACCURACY * p.prior.sd
+            low, high = max(low, p.prior.mean - reach), min(high, p.prior.mean + reach)
+        if (low, high) == (p.lower, p.upper):
+            return p
+        return replace(p, lower=low, upper=high, start=min(max(p.start, low), high))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -83,7 +100,7 @@ class Simulator:
         settings = next(one.features[name] for one in self.designs if name in one.features)
         switch = SWITCHES[name](**settings)
         two = isinstance(switch, Switch)
-        return float(two), float(switch.reads == HUMIDITY), float(two and switch.idle)
+        return float(two), float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
         """The quantities that a parameter acts on."""
@@ -181,8 +198,7 @@ class Simulator:
         """(K,) means over the cells of an own input under some settings of its feature."""
         owner = next(one for one in self.designs if name in one.model.inputs)
         made = replace(owner, features={**owner.features, name: settings})
-        straight = owner.model.holds.get(name) == "linear"
-        return over_cells(self.scene.at_edges(name, made), straight)[0]
+        return self.scene.column(name, made)
 
 
 def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -> np.ndarray:

@@ -117,7 +117,8 @@ class TracedCell:
         found = {}
         for name in self.model.controls:
             first, second, two, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
-            value = shown[TEMPERATURE] + humid * (shown[HUMIDITY] - shown[TEMPERATURE])
+            warm = shown[TEMPERATURE]
+            value = warm + humid * (shown.get(HUMIDITY, warm) - warm)
             allowed = 1.0 - idle * (1.0 - self.mean[IDLE])
             found[name] = allowed * position(value, self.before[name], first, second, two)
         return found

@@ -450,6 +450,7 @@ def breathed_air(form: str = "vapour") -> Mechanism:
     the saturation concentration at ambient temperature.
     """
     unit, bound = ("g/m3", 10.0) if form == "vapour" else ("1", 0.6)
+    name = "breathed_gain" if form == "temperature" else "breathed_offset"
     meaning = {
         "vapour": "what the breathed air holds more than the ambient series says",
         "temperature": "share by which the ambient series understates the vapour of the breathed air",
@@ -463,7 +464,7 @@ def breathed_air(form: str = "vapour") -> Mechanism:
 
     return effect(
         "breathed_air", "ambient_vapour",
-        Parameter("breathed_offset", unit, 0.0, -bound, bound, null=0.0, meaning=meaning),
+        Parameter(name, unit, 0.0, -bound, bound, null=0.0, meaning=meaning),
         scale,
         inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
         settings={"form": form},

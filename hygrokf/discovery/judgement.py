@@ -1,0 +1,106 @@
+"""What the held-out readings say of a candidate: errors ahead and by days, of both quantities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.discovery.error_model import HUBER, ahead, filtered, loss
+from hygrokf.discovery.estimate import Estimate, fitted
+
+LEVELS = (
+    "heat_release_operation", "heat_release_standstill", "cabinet_temperature_bias",
+    "cabinet_relative_humidity_bias", "breathed_offset",
+)  # fmt: skip
+"""Parameters that are the constant part of a simulation."""
+HORIZONS_H = (3.0, 12.0, 48.0)
+WORSE_Z = 2.0
+WORSE_GROWTH = 0.1
+OLDEST = 1.5
+"""A forecast starts no earlier than this many horizons, and half an hour, before its reading."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Squared errors (T, 4) of a quantity on held-out readings, NaN elsewhere: 3, 12 and 48 h ahead, and of
+    the free run; deviance: −2 ln L of these readings."""
+
+    squares: np.ndarray
+    day: np.ndarray
+    deviance: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A child against its parent on held-out readings, by quantity: z of the daily differences, growth of
+    ln squared error, root mean square errors of the free runs."""
+
+    z: Mapping[str, float]
+    growth: Mapping[str, float]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    gain: float
+    reason: str
+
+
+def levelled(one: Estimate) -> Estimate:
+    """The estimate whose levels are those of the least free-run error in the identification period."""
+    names = set(LEVELS) & set(one.simulator.names)
+    plain = replace(one, plain=True)
+    return replace(fitted(plain, names, (2, 0.1)), plain=False, variances=one.variances)
+
+
+def scores(one: Estimate) -> dict[str, Scores]:
+    found = {}
+    for q in one.quantities:
+        r = one.simulator.scene.readings[q]
+        error = r.value - one.simulated[q]
+        run = filtered(one.errors.courses[q], one.variances[q], error)
+        known = np.flatnonzero(np.isfinite(error))
+        time = r.time_h[known]
+        squares = np.full((len(error), len(HORIZONS_H) + 1), np.nan)
+        for c, horizon in enumerate(HORIZONS_H):
+            last = np.searchsorted(time, time - horizon + 1e-6, side="right") - 1
+            fine = (last >= 0) & (time - time[np.maximum(last, 0)] <= OLDEST * horizon + 0.5)
+            at, from_ = known[fine], known[last[fine]]
+            lead = np.round(r.time_h[at] - r.time_h[from_], 4)
+            leads, which = np.unique(lead, return_inverse=True)
+            weights = ahead(one.errors.courses[q], leads)[which.reshape(-1)]
+            squares[at, c] = (error[at] - (weights * run.state[from_]).sum(axis=1)) ** 2
+        squares[:, -1] = error**2
+        squares[r.identified] = np.nan
+        e = run.standardised
+        held = np.isfinite(e) & ~r.identified
+        deviance = float((np.log(run.variance[held]) + loss(e[held], HUBER)).sum())
+        found[q] = Scores(squares, np.floor(r.time_h / 24.0).astype(int), deviance)
+    return found
+
+
+def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], price: float = 0.0) -> Judged:
+    z, growth, before, after = {}, {}, {}, {}
+    for q, old in parent.items():
+        new = child[q]
+        both = np.isfinite(old.squares) & np.isfinite(new.squares)
+        if not both.any():
+            continue
+        o, n = (np.where(both, s.squares, np.nan) for s in (old, new))
+        mean = np.nanmean(o, axis=0)
+        ratio = np.nanmean(n, axis=0) / mean
+        growth[q] = float(np.nanmean(np.log(np.maximum(ratio, 1e-12))))
+        before[q], after[q] = (float(math.sqrt(np.nanmean(s[:, -1]))) for s in (o, n))
+        difference = np.nansum((n - o)[:, :-1] / mean[:-1], axis=1)
+        there = both[:, -1]
+        days = np.unique(old.day[there])
+        daily = np.array([difference[there & (old.day == d)].mean() for d in days])
+        spread = daily.std(ddof=1) / math.sqrt(len(daily)) if len(daily) > 1 else math.inf
+        z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
+    gain = sum(parent[q].deviance - child[q].deviance for q in parent) - price
+    reason = ""
+    if any(v > WORSE_Z for v in z.values()) or any(v > WORSE_GROWTH for v in growth.values()):
+        reason = "worse"
+    elif z and not any(v <= -WORSE_Z for v in z.values()) and not gain > 0.0:
+        reason = "no gain"
+    return Judged(z, growth, before, after, gain, reason)

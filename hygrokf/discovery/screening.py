@@ -1,0 +1,236 @@
+"""Screening: what every setting of every form would gain at most, at first order and then by real runs.
+
+Of each setting one run with a small effect gives a column; whitened by the parent's filter and with the
+parent's own columns projected out, it tells the gain to first order.  Where an effect is large that ranks
+wrongly, so that the best settings of a form are run at several sizes.
+
+Shapes: T readings of a quantity, n settings, d parameters of the parent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.discovery.estimate import Errors, Estimate, frame, slopes
+from hygrokf.discovery.forms import Form, Setting
+from hygrokf.discovery.simulator import Simulator
+from hygrokf.modelling.design import Design, extended
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.switches import SWITCHES
+
+SMALL = 0.1
+"""Share of an effect's usual size at which its column is taken."""
+SIZES = (1.0, 2.5, 0.4, 6.0)
+FOLLOWED = 3
+"""Settings of a form that are run, and of a cause that are estimated."""
+LEAST = 6.0
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A setting of a form that may be worth an estimate: start (P,) of all parameters, gain in −2 ln L."""
+
+    form: Form
+    setting: Setting
+    theta: np.ndarray
+    gain: float
+
+
+@dataclass(frozen=True)
+class Parent:
+    """An estimate, and what its own parameters can imitate: an orthonormal basis (T, d) by quantity, of
+    whitened columns times the roots of their weights."""
+
+    estimate: Estimate
+    basis: Mapping[str, np.ndarray]
+    error: Mapping[str, np.ndarray]
+
+
+def parent_of(one: Estimate) -> Parent:
+    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
+    basis, error = {}, {}
+    for q, columns in slopes(one, f).items():
+        known = one.filtered[q]
+        there = columns.any(axis=0)
+        root = np.sqrt(known.weight)
+        white = known.whitened(columns[:, there]) * root[:, None]
+        scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
+        basis[q] = np.linalg.qr(white / scale)[0]
+        error[q] = np.nan_to_num(known.standardised) * root
+    return Parent(one, basis, error)
+
+
+def _free_of(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    return columns - basis @ (basis.T @ columns)
+
+
+def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...] = ()) -> Simulator:
+    """The simulator with a form of a cause."""
+    before = parent.simulator
+    heat = _wider(before.heat, form.heat, setting.features)
+    vapour = None if before.vapour is None else _wider(before.vapour, form.vapour, setting.features)
+    scene = before.scene.moved(form.clock, setting.shift_s) if form.clock else before.scene
+    limits = {**before.limits, **form.limits}
+    if form.freed and vapour is not None:
+        vapour = _without_prior(vapour, form.freed)
+    return Simulator(scene, heat, vapour, own, limits, before.work)
+
+
+def _wider(base: Design, additions: Sequence[tuple[str, Mapping]], features: Mapping[str, Mapping]) -> Design:
+    if not additions:
+        return base
+    made = extended(base, additions)
+    read = set(made.model.inputs)
+    return replace(made, features={**made.features, **{k: v for k, v in features.items() if k in read}})
+
+
+def _without_prior(design: Design, name: str) -> Design:
+    """The design in which a parameter has no prior: a wide one in its place."""
+    return replace(design, priors={**design.priors, name: (0.0, FREE[name], False)})
+
+
+FREE = {"breathed_gain": 0.3, "cabinet_temperature_offset": 5.0}
+"""Standard deviation of a freed parameter's prior, in its unit."""
+
+
+def _freed(parent: Parent, form: Form) -> list[Screened]:
+    one = parent.estimate
+    if form.freed not in one.simulator.names:
+        return []
+    p = one.simulator.parameters[one.simulator.names.index(form.freed)]
+    if p.prior is None or p.prior.sd >= FREE[form.freed]:
+        return []
+    gain = ((one.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
+    return [Screened(form, form.grid[0], one.theta, gain)] if gain > LEAST else []
+
+
+def added(parent: Estimate, wider: Simulator) -> tuple[Parameter, ...]:
+    known = set(parent.simulator.names)
+    return tuple(p for p in wider.parameters if p.name not in known)
+
+
+def amplitudes(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Those that are the size of an effect: they have a null."""
+    return tuple(p for p in parameters if p.null is not None)
+
+
+def size_of(p: Parameter) -> float:
+    """A usual size of an effect, in the parameter's unit."""
+    assert p.null is not None
+    return p.start - p.null if p.start != p.null else 0.01 * (p.upper - p.null)
+
+
+def start_values(parent: Estimate, wider: Simulator, setting: Setting) -> dict[str, float]:
+    """Values of all parameters at a setting, without an effect."""
+    values = {p.name: p.start for p in added(parent, wider)} | parent.values
+    values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
+    for name, settings in setting.features.items():
+        if name in SWITCHES and name in wider.controls:
+            first, second = SWITCHES[name](**settings).levels
+            values |= {f"{name}_first": first, f"{name}_second": second}
+    return values | dict(setting.values)
+
+
+def screened(parent: Parent, form: Form) -> list[Screened]:
+    """The settings of a form that gain most."""
+    one = parent.estimate
+    if form.clock:
+        return _clocks(parent, form)
+    if form.freed:
+        return _freed(parent, form)
+    varied = _varied(form)
+    wider = widened(one, form, form.grid[0], varied)
+    sizes = amplitudes(added(one, wider))
+    if not sizes:
+        return []
+    rows = [start_values(one, wider, setting) for setting in form.grid]
+    columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
+    given = {p.name: SMALL * size_of(p) for p in sizes}
+    theta = np.column_stack([wider.vector({**row, **_sized(row, sizes, given)}) for row in rows])
+    gain, found = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
+    for p in sizes:
+        for q in wider.affects(p.name):
+            y = wider.simulated(theta, q, columns)
+            x = _whitened(one, q, y - one.simulated[q][:, None])
+            free = _free_of(parent.basis[q], x)
+            square = np.maximum((free**2).sum(axis=0), 1e-300)
+            share = free.T @ parent.error[q] / square
+            share = np.where(np.isfinite(share), share, 0.0)
+            if p.lower >= (p.null or 0.0) or p.positive:
+                share = np.maximum(share, 0.0)
+            share = np.where(square > 1e-12, share, 0.0)
+            gain += share**2 * square
+            found[p.name] += share * given[p.name]
+    order = [i for i in np.argsort(-gain)[:FOLLOWED] if gain[i] >= LEAST]
+    return _run(parent, form, wider, sizes, order, rows, columns, found)
+
+
+def _varied(form: Form) -> tuple[str, ...]:
+    """Features whose settings differ within the grid and that no controller gives."""
+    names = {name for s in form.grid for name in s.features if name not in SWITCHES}
+    return tuple(sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid)))
+
+
+def _sized(row: Mapping[str, float], sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, float]:
+    return {p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper)) for p in sizes}
+
+
+def _whitened(one: Estimate, quantity: str, columns: np.ndarray) -> np.ndarray:
+    known = one.filtered[quantity]
+    with np.errstate(invalid="ignore", over="ignore"):
+        return known.whitened(np.nan_to_num(columns)) * np.sqrt(known.weight)[:, None]
+
+
+def _run(
+    parent: Parent, form: Form, wider: Simulator, sizes: Sequence[Parameter], order: Sequence[int],
+    rows: Sequence[Mapping[str, float]], columns: Mapping[str, Sequence[np.ndarray]],
+    found: Mapping[str, np.ndarray],
+) -> list[Screened]:  # fmt: skip
+    """Real runs of the best settings at several sizes; the parent follows by one chord step."""
+    if not order:
+        return []
+    one, made, owned = parent.estimate, [], []
+    for i in order:
+        for factor in SIZES:
+            size = {p.name: factor * float(found[p.name][i]) for p in sizes}
+            made.append(wider.vector({**rows[i], **_sized(rows[i], sizes, size)}))
+            owned.append(i)
+    theta = np.column_stack(made)
+    own = {name: [part[i] for i in owned] for name, part in columns.items()}
+    gain = _chord_gains(parent, wider, theta, own, {q for p in sizes for q in wider.affects(p.name)})
+    result = []
+    for place, i in enumerate(order):
+        part = slice(place * len(SIZES), (place + 1) * len(SIZES))
+        best = part.start + int(np.argmax(gain[part]))
+        result.append(Screened(form, form.grid[i], theta[:, best].copy(), float(gain[best])))
+    return sorted(result, key=lambda s: -s.gain)
+
+
+def _chord_gains(
+    parent: Parent, wider: Simulator, theta: np.ndarray, own: Mapping[str, Sequence[np.ndarray]],
+    quantities: set[str],
+) -> np.ndarray:  # fmt: skip
+    one, gain = parent.estimate, np.zeros(theta.shape[1])
+    for q in sorted(quantities):
+        y = wider.simulated(theta, q, own)
+        e = parent.error[q][:, None] - _whitened(one, q, y - one.simulated[q][:, None])
+        left = _free_of(parent.basis[q], e)
+        gain += (parent.error[q] ** 2).sum() - (left**2).sum(axis=0)
+    return np.where(np.isfinite(gain), gain, -np.inf)
+
+
+def _clocks(parent: Parent, form: Form) -> list[Screened]:
+    one = parent.estimate
+    theta = one.theta[:, None]
+    found = []
+    for setting in form.grid:
+        wider = widened(one, form, setting)
+        gain = _chord_gains(parent, wider, theta, {}, set(one.quantities))
+        found.append(Screened(form, setting, one.theta, float(gain[0])))
+    return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
+
+
+__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "parent_of", "screened", "start_values", "widened"]
