@@ -33,11 +33,13 @@ AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """One point of a form's grid: settings of features, values of parameters, and a clock's shift [s]."""
+    """One point of a form's grid: settings of features, values of parameters, a clock's shift [s], and what
+    finding it costs in −2 ln L beside the grid's price."""
 
     features: Mapping[str, Settings] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     shift_s: float = 0.0
+    price: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Form:
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
     steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
     freed: parameter of the base that loses its prior; together: whether every quantity must gain.
+    windows: whether its `door_open` is sought in the innovations.
     """
 
     cause: str
@@ -61,6 +64,7 @@ class Form:
     clock: str = ""
     freed: str = ""
     together: bool = False
+    windows: bool = False
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,15 @@ def exchange_step(ground: Ground) -> list[Form]:
     ]  # fmt: skip
 
 
+def doors(ground: Ground) -> list[Form]:
+    if "door_open" in ground.record:
+        return []
+    return [
+        Form("door_opening", "windows", (("open_loss", {}),), _joint(ground, ("open_exchange", {})),
+             (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), together=True, windows=True)
+    ]  # fmt: skip
+
+
 def _step_s(ground: Ground) -> float:
     first, last = ground.span_s
     return 0.5 * (last - first) / (DATES + 1)
@@ -259,7 +272,7 @@ def ambient(ground: Ground) -> list[Form]:
     # all of the air that surrounds the cabinet lags; a share of it is an outer wall
     limits = {
         "ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0),
-        "ambient_lag_share": (0.8, 1.2),
+        "ambient_lag_share": (0.8, 1.2), "breathed_lag_share": (0.8, 1.2),
     }  # fmt: skip
     lags = (2.0, 4.0, 12.0)
     leads = (("leading_ambient", {}),), _joint(ground, ("breathed_lead", {}))
@@ -359,14 +372,14 @@ def humidity_sensor(ground: Ground) -> list[Form]:
     return [
         Form(name, "drift", vapour=(("humidity_drift", {}),), grid=(Setting(elapsed),)),
         Form(name, "scale_drifts", vapour=(("humidity_scale", {}),), grid=(Setting(elapsed),)),
-        Form(name, "scale", vapour=(("humidity_scale", {"flag": None}),)),
+        Form(name, "scale", freed="humidity_scale_error"),
         Form(name, "ceiling", vapour=(("humidity_ceiling", {}),),
              grid=tuple(Setting(values={"humidity_ceiling": level}) for level in levels)),
     ]  # fmt: skip
 
 
 HEAT: tuple[Callable[[Ground], list[Form]], ...] = (
-    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, clock, temperature_offset, ambient,
+    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, doors, clock, temperature_offset, ambient,
 )  # fmt: skip
 MOIST = (sorption, condensation, rain, drier, source, humidity_sensor)
 __all__ = ["DAY_S", "Form", "Ground", "Setting", "at_times", "forms", "input_path", "math"]

@@ -236,6 +236,9 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     first, last = _common_span(record, _courses(design, record), False)
     step_s = HOUR_S * min(reading_step_h(record[n]) for n in (TEMPERATURE, *HUMIDITIES) if n in record)
     cell_s = min(max(0.5 * step_s, SHORTEST_S, (last - first) / MOST_CELLS), LONGEST_S)
+    # readings at the edges of cells need no interpolation
+    read = record[TEMPERATURE].time
+    first += float((read[np.searchsorted(read, first)] - first) % cell_s)
     count = max(int(math.ceil((last - first) / cell_s - 1e-9)), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
     warm_series = record[TEMPERATURE]

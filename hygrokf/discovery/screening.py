@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.error_model import filtered
 from hygrokf.discovery.estimate import Errors, Estimate, frame, slopes
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.simulator import Simulator
@@ -92,7 +93,7 @@ def _without_prior(design: Design, name: str) -> Design:
     return replace(design, priors={**design.priors, name: (0.0, FREE[name], False)})
 
 
-FREE = {"breathed_gain": 0.3, "cabinet_temperature_offset": 5.0}
+FREE = {"breathed_gain": 0.3, "humidity_scale_error": 0.3, "cabinet_temperature_offset": 5.0}
 """Standard deviation of a freed parameter's prior, in its unit."""
 
 
@@ -141,6 +142,8 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
         return _clocks(parent, form)
     if form.freed:
         return _freed(parent, form)
+    if form.windows:
+        return _windows(parent, form)
     varied = _varied(form)
     wider = widened(one, form, form.grid[0], varied)
     sizes = amplitudes(added(one, wider))
@@ -233,4 +236,78 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
     return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 
 
-__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "parent_of", "screened", "start_values", "widened"]
+WINDOWS_H = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
+"""[h] lengths of the windows in which a door may stand open."""
+EVERY_S = 900.0
+MOST_WINDOWS = 12
+
+
+def _windows(parent: Parent, form: Form) -> list[Screened]:
+    found = openings(parent.estimate, form, identified=True)
+    if not found.spans:
+        return []
+    setting = Setting({"door_open": {"spans": found.spans}}, price=found.price * len(found.spans))
+    wider = widened(parent.estimate, form, setting)
+    sizes = amplitudes(added(parent.estimate, wider))
+    row = start_values(parent.estimate, wider, setting)
+    unit = {p.name: np.array([SMALL * size_of(p) * found.size[q]]) for p in sizes for q in wider.affects(p.name)}
+    return _run(parent, replace(form, grid=(setting,)), wider, sizes, [0], [row], {}, unit)
+
+
+@dataclass(frozen=True)
+class Openings:
+    """Windows [start, end] [s] in which innovations ask for more exchange; their price in −2 ln L each, and
+    the size that they ask for by quantity, in units of the probe's."""
+
+    spans: list[list[float]]
+    price: float
+    size: Mapping[str, float]
+
+
+def openings(one: Estimate, form: Form, identified: bool) -> Openings:
+    """The windows of the identification period, or of the rest, by a matched filter.
+
+    The response within a window is taken as that to a lasting effect, cut to the window: a filter forgets
+    within hours.  Every quantity must gain.
+    """
+    wider = widened(one, form, form.grid[0])
+    sizes = amplitudes(added(one, wider))
+    given = {p.name: SMALL * size_of(p) for p in sizes}
+    row = start_values(one, wider, form.grid[0])
+    theta = wider.vector({**row, **_sized(row, sizes, given)})[:, None]
+    scene = one.simulator.scene
+    count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
+    products, squares = np.zeros((2, len(one.quantities), count))
+    for i, q in enumerate(one.quantities):
+        r = scene.readings[q]
+        there = r.identified == identified
+        known = filtered(one.errors.courses[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan))
+        x = known.whitened(wider.simulated(theta, q) - one.simulated[q][:, None])[:, 0]
+        e = np.nan_to_num(known.standardised) * known.weight
+        place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
+        np.add.at(products[i], place, e * x)
+        np.add.at(squares[i], place, x * x)
+    sums = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
+    price = 2.0 * float(np.log(count * len(WINDOWS_H)))
+    candidates = []
+    for hours in WINDOWS_H:
+        width = int(hours * 3600.0 / EVERY_S)
+        p, square = (s[:, width:] - s[:, :-width] for s in sums)
+        gains = np.where((p > 0) & (square > 1e-12), p * p / np.maximum(square, 1e-12), 0.0)
+        total = np.where((gains > 1.0).all(axis=0), gains.sum(axis=0), 0.0)
+        candidates += [(float(total[i]), i, width) for i in np.flatnonzero(total > price)]
+    chosen: list[tuple[int, int]] = []
+    used = np.zeros(count + 1, bool)
+    for _, first, width in sorted(candidates, reverse=True):
+        if len(chosen) < MOST_WINDOWS and not used[first : first + width].any():
+            used[first : first + width] = True
+            chosen.append((first, width))
+    spans = sorted([scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)] for first, width in chosen)
+    size = {}
+    for i, q in enumerate(one.quantities):
+        p, square = (sum(s[i, f + w] - s[i, f] for f, w in chosen) for s in sums)
+        size[q] = float(p / square) if chosen and square > 0 else 0.0
+    return Openings(spans, price, size)
+
+
+__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "openings", "parent_of", "screened", "start_values", "widened"]

@@ -11,7 +11,16 @@ import numpy as np
 from hygrokf.discovery.estimate import LIGHT, POLISH, Estimate, errors_of, estimate_at, fitted, frame, slopes
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Judged, judged, levelled, scores
-from hygrokf.discovery.screening import Parent, Screened, added, amplitudes, parent_of, screened, widened
+from hygrokf.discovery.screening import (
+    Parent,
+    Screened,
+    added,
+    amplitudes,
+    openings,
+    parent_of,
+    screened,
+    widened,
+)
 
 THRESHOLD, FURTHER = 10.0, 25.0
 CAUSES, SETTINGS, ROUNDS = 4, 3, 6
@@ -84,7 +93,7 @@ def estimated(parent: Estimate, form: Form, setting: Setting, theta: np.ndarray,
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
     new = added(parent, one.simulator)
     price = 2.0 * math.log(max(searched, 1))
-    gains, evidence = {}, -price
+    gains, evidence = {}, -price - setting.price
     for q in one.quantities:
         gain = parent.deviances[q] - one.deviances[q]
         own = [p for p in new if one.simulator.affects(p.name)[0] == q]
@@ -239,7 +248,7 @@ def search(base: Estimate, forms: Sequence[Form], say: Callable[[str], None] = l
             if min(one.evidence, one.in_days) < need:
                 continue
             acts = touched(parent, one.estimate, one.form)
-            after = scores(levelled(one.estimate))
+            after = scores(levelled(foreseen(parent, one)))
             verdict = judged({q: before[q] for q in acts}, {q: after[q] for q in acts})
             say(f"   {one.cause}: z {verdict.z}, growth {verdict.growth}, {verdict.before} -> {verdict.after} {verdict.reason}")
             if verdict.reason:
@@ -257,6 +266,18 @@ def search(base: Estimate, forms: Sequence[Form], say: Callable[[str], None] = l
         errors = errors_of(parent.simulator, parent.theta, parent.quantities)
         parent = fitted(estimate_at(parent.simulator, errors, parent.theta, parent.linear))
     return Found(base, parent, tuple(accepted), tuple(refuted))
+
+
+def foreseen(parent: Estimate, one: Candidate) -> Estimate:
+    """The candidate's estimate with the openings of the held-out part, which nothing foresees."""
+    if not one.form.windows:
+        return one.estimate
+    base = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
+    later = openings(parent, base, identified=False)
+    spans = sorted([*one.setting.features["door_open"]["spans"], *later.spans])
+    wider = widened(parent, one.form, Setting({"door_open": {"spans": spans}}))
+    e = one.estimate
+    return estimate_at(wider, e.errors, e.theta, e.linear, e.variances)
 
 
 def _alike(best: Candidate, rival: Candidate) -> bool:

@@ -1,10 +1,11 @@
 """The compiled simulation of a cabinet over cells of equal length, eight runs side by side.
 
-A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input is constant
-(its mean); what the model says at the end of a cell is evaluated with the inputs' values there.  Each state
-follows its own linearised equation exactly,
+A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input has its mean f̄
+and rises in a straight line from its value at the beginning to that at the end; what the model says at the
+end of a cell is evaluated with the inputs' values there.  Each state follows its own linearised equation,
 
-    x ← x + h f φ(h ∂f/∂x),    φ(z) = (e^z − 1)/z,
+    x ← x + h φ₁(z) f + h (φ₂(z) − φ₁(z)/2) (f_end − f_begin),    z = h ∂f/∂x,
+    φ₁(z) = (e^z − 1)/z,    φ₂(z) = (φ₁(z) − 1)/z,
 
 which is exact for a constant rate, and enters the equations of the states after it with the mean of its
 values before and after.  The vapour's model runs on the cabinet's temperature: that of the heat's model where
@@ -103,12 +104,17 @@ class TracedCell:
         self.values: dict[str, Value] = {**noise, **self.parameters}
         self.positions = self._positions()
         steered = {**self.own, **self.positions}
-        state, mean = dict(self.states), {**self.mean, **steered}
-        middle = self._air({} if model.heat is None else self._stage(model.heat, state, mean), mean)
+        state = dict(self.states)
+        mean, begin, end = ({**one, **steered} for one in (self.mean, self.begin, self.end))
+        middle = {} if model.heat is None else self._stage(model.heat, state, mean, begin, end)
         if model.vapour is not None:
-            self._stage(model.vapour, state, {**mean, TEMPERATURE: middle})
+            warm = [
+                {**inputs, TEMPERATURE: self._air(at, inputs)}
+                for at, inputs in ((middle, mean), (self.states, begin), (state, end))
+            ]
+            self._stage(model.vapour, state, *warm)
         self.after = [state[name] for name in model.states]
-        self.readings = self._readings(state, {**self.end, **steered})
+        self.readings = self._readings(state, end)
 
     def _positions(self) -> dict[str, Expression]:
         """What the controllers do in the cell."""
@@ -124,16 +130,26 @@ class TracedCell:
         return found
 
     def _stage(
-        self, model: Model, state: dict[str, Expression], inputs: Mapping[str, Value]
+        self,
+        model: Model,
+        state: dict[str, Expression],
+        mean: Mapping[str, Value],
+        begin: Mapping[str, Value],
+        end: Mapping[str, Value],
     ) -> dict[str, Value]:
         """Move the states of a model in `state`, one after the other; returns them in the middle."""
         now = {name: state[name] for name in model.states}
         for name, floor in zip(model.states, model.amounts, strict=True):
-            rates = model.evaluate([now[one] for one in model.states], inputs, self.values).rates
-            rate = self.graph.lift(rates[model.states.index(name)])
+            place = model.states.index(name)
+            at = [now[one] for one in model.states]
+            rate, first, last = (
+                self.graph.lift(model.evaluate(at, inputs, self.values).rates[place])
+                for inputs in (mean, begin, end)
+            )
             begun = self.states[name]
-            (slope,), = jacobian([rate], [begun])
-            moved = begun + self.hours * rate * _phi(self.hours * slope)
+            ((slope,),) = jacobian([rate], [begun])
+            one, half = _phi(self.hours * slope)
+            moved = begun + self.hours * (rate * one + (last - first) * half)
             state[name] = where(moved < 0.0, 0.0, moved) if floor else moved
             now[name] = 0.5 * (begun + state[name])
         return now
@@ -162,12 +178,14 @@ class TracedCell:
         return [self.graph.lift(shown[name]) for name in self.model.outputs]
 
 
-def _phi(z: Value) -> Value:
-    """(e^z − 1)/z."""
+def _phi(z: Value) -> tuple[Value, Value]:
+    """φ₁ and φ₂ − φ₁/2; by their series near 0."""
     if not isinstance(z, Expression):
-        return 1.0
-    small = z * z < 1e-12
-    return where(small, 1.0 + 0.5 * z, (exp(z) - 1.0) / where(small, 1.0, z))
+        return 1.0, 0.0
+    small = z * z < 1e-6
+    safe = where(small, 1.0, z)
+    one = where(small, 1.0 + z * (0.5 + z * (1.0 / 6.0)), (exp(z) - 1.0) / safe)
+    return one, where(small, z * (1.0 / 12.0), (one - 1.0) / safe - 0.5 * one)
 
 
 ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")

@@ -195,15 +195,17 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
     `flag` "elapsed": growing linearly over the record; "since": from a date on; None: constant.
     """
 
+    name = "humidity_scale_error" if flag is None else "humidity_scale_drift"
+
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         course = 1.0 if flag is None else getattr(u, flag)
-        return {HUMIDITY_READING: p.humidity_scale_error * course * cabinet_humidity(x, u, q)}
+        return {HUMIDITY_READING: getattr(p, name) * course * cabinet_humidity(x, u, q)}
 
     return Mechanism(
         name="humidity_scale",
         parameters=(
             Parameter(
-                "humidity_scale_error", "1", 0.0, -0.9, 2.0, null=0.0,
+                name, "1", 0.0, -0.9, 2.0, null=0.0,
                 meaning="error of the humidity sensor's scale in the end",
             ),
         ),
