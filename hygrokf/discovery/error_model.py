@@ -56,7 +56,8 @@ class Course:
 
     time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance that Var n has beside the
     stationary one at an instant, where the state begins anew or an input's time is not known; key, table:
-    the row (T,) of the distinct steps' coefficients (d, 2m+1); there: (m,) which parts the readings resolve.
+    the row (T,) of the distinct steps' coefficients (d, 2m+1); there: (m,) which parts the readings resolve;
+    shape: (T,) variance of each reading's noise as a multiple of R.
     """
 
     time_h: np.ndarray
@@ -65,15 +66,14 @@ class Course:
     key: np.ndarray
     table: np.ndarray
     there: np.ndarray
-
-    def with_time_constant(self, tau_h: float) -> Course:
-        return course(self.time_h, tau_h, self.added, self.there)
+    shape: np.ndarray
 
 
 def course(
-    time_h: np.ndarray, tau_h: float, added: np.ndarray, there: np.ndarray | None = None
-) -> Course:
-    """The course of an error at instants (T,) [h]; `added` (T,) as in `Course`."""
+    time_h: np.ndarray, tau_h: float, added: np.ndarray, shape: np.ndarray | None = None,
+    there: np.ndarray | None = None,
+) -> Course:  # fmt: skip
+    """The course of an error at instants (T,) [h]; `added`, `shape` (T,) as in `Course`."""
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
     if there is None:
@@ -81,7 +81,8 @@ def course(
         span = float(time_h[-1] - time_h[0])
         there = np.array([FEWEST_STEPS * usual <= t <= LONGEST_SHARE * span for t in TIMES_H])
     table = np.stack([coefficients(length, tau_h) for length in lengths.tolist()])
-    return Course(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there)
+    shape = np.ones(len(time_h)) if shape is None else np.ascontiguousarray(shape, dtype=float)
+    return Course(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape)
 
 
 def coefficients(step_h: float, tau_h: float) -> np.ndarray:
@@ -135,7 +136,9 @@ class _Traced:
         self.x = [g.symbol(f"x{i}") for i in range(_STATES)]
         self.places = [(i, j) for i in range(_STATES) for j in range(i + 1)]
         self.p = [g.symbol(f"p{i}.{j}") for i, j in self.places]
-        self.residual, self.seen, self.added = (g.symbol(name) for name in ("r", "seen", "added"))
+        self.residual, self.seen, self.added, self.shape = (
+            g.symbol(name) for name in ("r", "seen", "added", "shape")
+        )
         self.gain = [g.symbol(f"k{i}") for i in range(_STATES)]
         self.scale = g.symbol("w")
         count = len(TIMES_H)
@@ -161,7 +164,7 @@ class _Traced:
         return moved
 
 
-_ARRAYS = ("key", "table", "variances", "share", "residual", "seen", "added")
+_ARRAYS = ("key", "table", "variances", "share", "residual", "seen", "added", "shape")
 
 
 class _Emission:
@@ -191,7 +194,7 @@ class _Emission:
 
 
 def _filter_text(name: str, wide: bool) -> str:
-    """`name(count, key, table, variances, share, residual, seen, added, innovation, variance, gain)`.
+    """`name(count, key, table, variances, share, residual, seen, added, shape, innovation, …)`.
 
     Writes innovations and their variances (T, lanes), and without `wide` also P H' (T, n), the predicted
     error (T,) and the state after each reading (T, n).
@@ -212,11 +215,11 @@ def _filter_text(name: str, wide: bool) -> str:
         leaves |= {i: w.load(e.kind, slot) for i, slot in (state | spread).items()}
         leaves |= {
             t.residual.index: e.load("residual", k, SCALAR), t.seen.index: e.load("seen", k, SCALAR),
-            t.added.index: e.load("added", k, SCALAR),
+            t.added.index: e.load("added", k, SCALAR), t.shape.index: e.load("shape", k, SCALAR),
         }  # fmt: skip
         moved, covariance = t.moved(), t.spread()
         innovation = t.residual - moved[-1]
-        variance = t.variances[0] + covariance[-1][-1]
+        variance = t.variances[0] * t.shape + covariance[-1][-1]
         share = t.seen / variance
         after = [x + covariance[i][-1] * (share * innovation) for i, x in enumerate(moved)]
         left = [covariance[i][j] - covariance[i][-1] * (share * covariance[j][-1]) for i, j in t.places]
@@ -404,7 +407,7 @@ def _given(
     seen = np.isfinite(residual)
     arrays = (
         course.key, course.table, np.ascontiguousarray(variances, dtype=float), shares(course.tau_h),
-        np.where(seen, residual, 0.0), seen.astype(float), course.added,
+        np.where(seen, residual, 0.0), seen.astype(float), course.added, course.shape,
     )  # fmt: skip
     return arrays, seen
 

@@ -293,6 +293,7 @@ def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]
     courses, largest = {}, {}
     for q in quantities:
         r = simulator.scene.readings[q]
-        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added)
+        shape = (r.saturated / np.mean(r.saturated)) ** 2
+        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape)
         largest[q] = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
     return Errors(courses, largest)

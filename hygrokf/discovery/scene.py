@@ -272,7 +272,8 @@ def _vapour(scene: Scene, series: Series) -> Readings:
     warm = np.interp(middle, scene.edges_s, scene.drive)
     saturated = 1e3 * absolute_humidity(1.0, warm)
     ends = (series.value >= SATURATED) | (series.value <= DRY)
-    value = np.where(ends, np.nan, series.value * saturated)
+    read = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
+    value = np.where(ends, np.nan, 1e3 * absolute_humidity(series.value, read))
     return _readings(scene, series, value, saturated)
 
 

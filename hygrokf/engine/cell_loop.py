@@ -7,8 +7,8 @@ end of a cell is evaluated with the inputs' values there.  Each state follows it
     x ← x + h φ₁(z) f + h (φ₂(z) − φ₁(z)/2) (f_end − f_begin),    z = h ∂f/∂x,
     φ₁(z) = (e^z − 1)/z,    φ₂(z) = (φ₁(z) − 1)/z,
 
-which is exact for a constant rate, and enters the equations of the states after it with the mean of its
-values before and after.  The vapour's model runs on the cabinet's temperature: that of the heat's model where
+which is exact for a constant rate, and enters the equations of the states after it with its values before
+and after, and with their mean.  The vapour's model runs on the cabinet's temperature: that of the heat's model where
 `SIMULATED` is 1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings that the run
 itself gives at the start of each cell.
 
@@ -141,10 +141,11 @@ class TracedCell:
         now = {name: state[name] for name in model.states}
         for name, floor in zip(model.states, model.amounts, strict=True):
             place = model.states.index(name)
-            at = [now[one] for one in model.states]
             rate, first, last = (
-                self.graph.lift(model.evaluate(at, inputs, self.values).rates[place])
-                for inputs in (mean, begin, end)
+                self.graph.lift(
+                    model.evaluate([at[one] for one in model.states], inputs, self.values).rates[place]
+                )
+                for at, inputs in ((now, mean), (self.states, begin), (state, end))
             )
             begun = self.states[name]
             ((slope,),) = jacobian([rate], [begun])
