@@ -297,12 +297,19 @@ def ambient(ground: Ground) -> list[Form]:
 
 # -- moisture ------------------------------------------------------------------------------------------------
 def sorption(ground: Ground) -> list[Form]:
-    grid = tuple(Setting(values={"sorption_time": h}) for h in (2.0, 8.0, 30.0, 120.0))
-    return [
-        Form("moisture_sorption", code, vapour=(("moisture_sorption", {"activated": activated}),), grid=grid,
-             limits={"sorption_time": (SLOWEST_H, 400.0)})
-        for code, activated in (("activated", True), ("thin", False))
-    ]  # fmt: skip
+    found = []
+    for slab, hours, limits in (
+        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)), (True, (20.0, 80.0, 300.0), (18.0, 4000.0))
+    ):  # fmt: skip
+        grid = tuple(Setting(values={"sorption_time": h}) for h in hours)
+        for activated in (True, False):
+            code = ("slab" if slab else "thin") + ("_activated" if activated else "")
+            mechanism = ("moisture_sorption", {"activated": activated, "slab": slab})
+            found.append(
+                Form("moisture_sorption", code, vapour=(mechanism,), grid=grid,
+                     limits={"sorption_time": limits})
+            )  # fmt: skip
+    return found
 
 
 def condensation(ground: Ground) -> list[Form]:

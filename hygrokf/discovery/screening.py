@@ -32,11 +32,12 @@ LEAST = 6.0
 
 @dataclass(frozen=True)
 class Screened:
-    """A setting of a form that may be worth an estimate: start (P,) of all parameters, gain in −2 ln L."""
+    """A setting of a form that may be worth an estimate: start values of its own parameters, gain in
+    −2 ln L."""
 
     form: Form
     setting: Setting
-    theta: np.ndarray
+    values: Mapping[str, float]
     gain: float
 
 
@@ -105,7 +106,7 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
     if p.prior is None or p.prior.sd >= FREE[form.freed]:
         return []
     gain = ((one.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
-    return [Screened(form, form.grid[0], one.theta, gain)] if gain > LEAST else []
+    return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
 
 
 def added(parent: Estimate, wider: Simulator) -> tuple[Parameter, ...]:
@@ -204,11 +205,13 @@ def _run(
     theta = np.column_stack(made)
     own = {name: [part[i] for i in owned] for name, part in columns.items()}
     gain = _chord_gains(parent, wider, theta, own, {q for p in sizes for q in wider.affects(p.name)})
+    own_places = {p.name: wider.names.index(p.name) for p in added(one, wider)}
     result = []
     for place, i in enumerate(order):
         part = slice(place * len(SIZES), (place + 1) * len(SIZES))
         best = part.start + int(np.argmax(gain[part]))
-        result.append(Screened(form, form.grid[i], theta[:, best].copy(), float(gain[best])))
+        values = {name: float(theta[at, best]) for name, at in own_places.items()}
+        result.append(Screened(form, form.grid[i], values, float(gain[best])))
     return sorted(result, key=lambda s: -s.gain)
 
 
@@ -232,7 +235,7 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
     for setting in form.grid:
         wider = widened(one, form, setting)
         gain = _chord_gains(parent, wider, theta, {}, set(one.quantities))
-        found.append(Screened(form, setting, one.theta, float(gain[0])))
+        found.append(Screened(form, setting, {}, float(gain[0])))
     return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 
 

@@ -1,16 +1,23 @@
-"""The search for what a model lacks: screening, estimates, jumps, evidence, acceptance."""
+"""The search for what a model lacks: screening, estimates, jumps, evidence, acceptance.
+
+Evidence of a cause is what it gains in −2 ln L, less k ln N for its k constants in each quantity and 2 ln of
+the number of settings that were tried.  Gains are differences of maxima: parent and child are fitted until
+the same rule stops them.  Evidence in days divides it by how much the days' sums of the cause's own scores
+vary beyond independent readings.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.discovery.estimate import LIGHT, POLISH, Estimate, errors_of, estimate_at, fitted, frame, slopes
+from hygrokf.discovery.base import renewed
+from hygrokf.discovery.estimate import LIGHT, POLISH, Estimate, estimate_at, fitted, frame, slopes
 from hygrokf.discovery.forms import Form, Setting
-from hygrokf.discovery.judgement import Judged, judged, levelled, scores
+from hygrokf.discovery.judgement import Judged, Scores, judged, levelled, scores
 from hygrokf.discovery.screening import (
     Parent,
     Screened,
@@ -21,17 +28,22 @@ from hygrokf.discovery.screening import (
     screened,
     widened,
 )
+from hygrokf.physics.parameters import Parameter
 
 THRESHOLD, FURTHER = 10.0, 25.0
+"""Evidence from which a cause is accepted, and from which one is in a quantity that has a name."""
 CAUSES, SETTINGS, ROUNDS = 4, 3, 6
+"""Causes of a quantity that are estimated, settings of each, and rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
 SWEEPS = 3
-CLOSE = 10.0
-CLOSE_Z = 2.0
+CLOSE, CLOSE_Z = 10.0, 2.0
+Chosen = tuple[Form, Setting]
 
 
 @dataclass(frozen=True)
 class Candidate:
+    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence."""
+
     form: Form
     setting: Setting
     estimate: Estimate
@@ -44,99 +56,103 @@ class Candidate:
         return self.form.cause
 
     @property
-    def quantities(self) -> set[str]:
-        return {q for q, gain in self.gains.items() if gain > 0.5}
+    def strength(self) -> float:
+        """The smaller of both evidences, by which candidates are ordered and accepted."""
+        return min(self.evidence, self.in_days)
 
 
 @dataclass(frozen=True)
 class Accepted:
+    """A cause that was accepted, what the held-out readings say of it, and its rivals of the round."""
+
     candidate: Candidate
     judged: Judged
-    alike: tuple[str, ...]
+    rivals: tuple[Candidate, ...]
+
+    @property
+    def chosen(self) -> Chosen:
+        return self.candidate.form, self.candidate.setting
 
 
 @dataclass(frozen=True)
 class Found:
+    """The end of a search: its base, the model with all accepted causes, what was refuted or left again."""
+
     base: Estimate
     final: Estimate
-    accepted: tuple[Accepted, ...]
-    refuted: tuple[tuple[Candidate, Judged], ...]
+    accepted: tuple[Accepted, ...] = ()
+    refuted: tuple[tuple[Candidate, Judged], ...] = ()
+    left: tuple[Candidate, ...] = ()
 
 
-def touched(parent: Estimate, candidate: Estimate, form: Form) -> set[str]:
-    if form.clock:
-        return set(parent.quantities)
-    if form.freed:
-        return set(candidate.simulator.affects(form.freed))
-    new = added(parent, candidate.simulator)
-    return {q for p in new for q in candidate.simulator.affects(p.name)}
-
-
-def _acts(parent: Estimate, form: Form) -> set[str]:
+def acts(form: Form, quantities: Sequence[str]) -> set[str]:
     """The quantities that a form acts on."""
     if form.clock:
-        return set(parent.quantities)
+        return set(quantities)
     if form.freed:
         return {"vapour"}
-    return {q for q, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)) if mechanisms}
+    pairs = (("temperature", form.heat), ("vapour", form.vapour))
+    return {q for q, mechanisms in pairs if mechanisms and q in quantities}
 
 
-def estimated(parent: Estimate, form: Form, setting: Setting, theta: np.ndarray, effort: tuple[int, float]) -> Estimate:
+# -- one candidate -------------------------------------------------------------------------------------------
+def estimated(
+    parent: Estimate, form: Form, setting: Setting, values: Mapping[str, float], effort: tuple[int, float]
+) -> Estimate:
+    """A form beside a parent, fitted from values; what it does not act on stays as it is."""
     wider = widened(parent, form, setting)
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
+    theta = wider.vector({**parent.values, **values})
     one = estimate_at(wider, parent.errors, theta, parent.linear | sizes, parent.variances)
-    names = touched(parent, one, form)
-    free = [name for name in wider.names if set(wider.affects(name)) & names]
-    return fitted(one, free, effort)
+    return fitted(one, _free(one, form), effort)
+
+
+def _free(one: Estimate, form: Form) -> list[str]:
+    mine = acts(form, one.quantities)
+    return [name for name in one.simulator.names if set(one.simulator.affects(name)) & mine]
 
 
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
     new = added(parent, one.simulator)
-    price = 2.0 * math.log(max(searched, 1))
-    gains, evidence = {}, -price - setting.price
+    gains, evidence = {}, -2.0 * math.log(max(searched, 1)) - setting.price
     for q in one.quantities:
-        gain = parent.deviances[q] - one.deviances[q]
-        own = [p for p in new if one.simulator.affects(p.name)[0] == q]
-        n = int(np.isfinite(one.residual(q)).sum())
-        k = len(own) + int(bool(form.clock) and q == "temperature") + int(bool(form.freed) and q == "vapour")
-        gains[q] = gain
-        paid = gain - k * math.log(max(n, 2))
-        if form.together and k and paid <= 0.0:
+        gains[q] = parent.deviances[q] - one.deviances[q]
+        constants = sum(one.simulator.affects(p.name)[0] == q for p in new)
+        constants += (bool(form.clock) and q == "temperature") + (bool(form.freed) and q == "vapour")
+        readings = int(np.isfinite(one.residual(q)).sum())
+        paid = gains[q] - constants * math.log(max(readings, 2))
+        if form.together and constants and paid <= 0.0:
             evidence = -math.inf
         evidence += max(0.0, paid)
-    if evidence <= 0.0:
-        return Candidate(form, setting, one, gains, evidence, evidence)
-    return Candidate(form, setting, one, gains, evidence, evidence / day_factor(parent, one))
+    factor = day_factor(parent, one) if evidence > 0.0 else 1.0
+    return Candidate(form, setting, one, gains, evidence, evidence / factor)
 
 
 def day_factor(parent: Estimate, one: Estimate) -> float:
-    """How much the daily sums of the added parameters' scores vary beyond independent readings, at least 1."""
+    """tr(H⁻¹ J)/k of the k added parameters, at least 1: H their information beside all others, J the sum of
+    squares of the days' scores."""
     new = {p.name for p in added(parent, one.simulator)}
     if not new:
         return 1.0
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
-    names = [one.simulator.names[i] for i in f.place]
-    mine = np.array([name in new for name in names])
-    information = np.zeros((mine.sum(), mine.sum()))
-    spread = np.zeros_like(information)
+    mine = np.array([one.simulator.names[i] in new for i in f.place])
+    information, spread = np.zeros((2, mine.sum(), mine.sum()))
     for q, columns in slopes(one, f).items():
         known = one.filtered[q]
         root = np.sqrt(known.weight)
         white = known.whitened(columns) * root[:, None]
-        scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
-        rest = white[:, ~mine] / scale[~mine]
+        white = white / np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
+        rest = white[:, ~mine]
         rest = rest[:, rest.any(axis=0)]
         basis = np.linalg.qr(rest)[0] if rest.shape[1] else rest
-        x = white[:, mine] / scale[mine]
-        x = x - basis @ (basis.T @ x)
+        x = white[:, mine] - basis @ (basis.T @ white[:, mine])
         score = x * (np.nan_to_num(known.standardised) * root)[:, None]
         day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
         daily = np.zeros((day.max() + 1, score.shape[1]))
         np.add.at(daily, day, score)
         information += x.T @ x
         spread += daily.T @ daily
-    found = float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum()
-    return max(1.0, found)
+    return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())
 
 
 def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
@@ -144,153 +160,251 @@ def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
         before = best.estimate.deviance
-        for form, setting, theta in _jumps(parent, best, steps):
-            light = estimated(parent, form, setting, theta, (1, 0.3))
+        for setting, values in _jumps(parent, best, steps):
+            light = estimated(parent, best.form, setting, values, (1, LIGHT[1]))
             if light.deviance < best.estimate.deviance + 5.0:
-                one = fitted(light, _free(parent, light, form), POLISH)
+                one = fitted(light, _free(light, best.form), POLISH)
                 if one.deviance < best.estimate.deviance - 0.1:
-                    best = candidate(parent, one, form, setting, searched)
+                    best = candidate(parent, one, best.form, setting, searched)
         steps = {key: 0.5 * step for key, step in steps.items()}
         if not best.estimate.deviance < before - 1.0 and not steps:
             break
     return best
 
 
-def _free(parent: Estimate, one: Estimate, form: Form) -> list[str]:
-    names = touched(parent, one, form)
-    return [name for name in one.simulator.names if set(one.simulator.affects(name)) & names]
-
-
-def _jumps(parent: Estimate, best: Candidate, steps: Mapping[tuple[str, str], float]):
-    one, form, setting = best.estimate, best.form, best.setting
-    place = {name: i for i, name in enumerate(one.simulator.names)}
-    new = added(parent, one.simulator)
+def _jumps(
+    parent: Estimate, best: Candidate, steps: Mapping[tuple[str, str], float]
+) -> Iterator[tuple[Setting, dict[str, float]]]:
+    values, setting = best.estimate.values, best.setting
+    new = added(parent, best.estimate.simulator)
     sizes = amplitudes(new)
-    for factor in (2.5, 0.4):
-        theta = one.theta.copy()
-        for p in sizes:
-            null = p.null or 0.0
-            theta[place[p.name]] = np.clip(null + factor * (theta[place[p.name]] - null), min(p.lower, null), p.upper)
-        if sizes:
-            yield form, setting, theta
+    for factor in (2.5, 0.4) if sizes else ():
+        moved = {p.name: (p.null or 0.0) + factor * (values[p.name] - (p.null or 0.0)) for p in sizes}
+        yield setting, values | {p.name: _within(p, moved[p.name]) for p in sizes}
     for p in new:
-        if p in sizes:
-            continue
-        for factor in (1.5, 1.0 / 1.5):
-            theta = one.theta.copy()
-            i = place[p.name]
-            theta[i] = theta[i] * factor if p.positive else theta[i] + (0.1 if factor > 1 else -0.1) * min(p.upper - p.lower, 20.0)
-            theta[i] = np.clip(theta[i], p.lower, p.upper)
-            yield form, setting, theta
+        for sign in (1.0, -1.0) if p not in sizes else ():
+            further = 1.5**sign if p.positive else 1.0
+            shift = 0.0 if p.positive else sign * 0.1 * min(p.upper - p.lower, 20.0)
+            yield setting, values | {p.name: _within(p, values[p.name] * further + shift)}
     for (feature, key), step in steps.items():
         for sign in (1.0, -1.0):
             if feature == "clock":
-                moved = replace(setting, shift_s=setting.shift_s + sign * step)
-            else:
-                settings = dict(setting.features[feature])
-                settings[key] = max(settings[key] + sign * step, 0.0)
-                moved = replace(setting, features={**setting.features, feature: settings})
-            yield form, moved, one.theta
+                yield replace(setting, shift_s=setting.shift_s + sign * step), values
+                continue
+            settings = dict(setting.features[feature])
+            settings[key] = max(settings[key] + sign * step, 0.0)
+            yield replace(setting, features={**setting.features, feature: settings}), values
 
 
-def candidates(parent: Parent, forms: Sequence[Form], searched: Mapping[str, int]) -> list[Candidate]:
-    """The causes' best candidates, best first."""
-    one = parent.estimate
-    seen: dict[str, list[Screened]] = {}
-    for form in forms:
-        seen.setdefault(form.cause, []).extend(screened(parent, form))
-    for found in seen.values():
-        found.sort(key=lambda s: -s.gain)
-    ranked = sorted((c for c in seen if seen[c]), key=lambda c: -seen[c][0].gain)
-    # of each quantity by itself: gains of the two are not alike in size
-    order = [
-        c for c in ranked if any(c in [d for d in ranked if q in _acts(one, seen[d][0].form)][:CAUSES] for q in one.quantities)
-    ]
-    best: dict[str, Candidate] = {}
-    for cause in order:
-        for s in seen[cause][:SETTINGS]:
-            made = estimated(one, s.form, s.setting, s.theta, LIGHT)
-            found = candidate(one, made, s.form, s.setting, searched[cause])
-            if cause not in best or found.evidence > best[cause].evidence:
-                best[cause] = found
-    if not best:
-        return []
-    lead = max(one.evidence for one in best.values())
-    polished = []
-    for found in best.values():
-        if found.evidence > lead - max(NEAR, NEAR_SHARE * lead):
-            made = fitted(found.estimate, _free(one, found.estimate, found.form), POLISH)
-            found = candidate(one, made, found.form, found.setting, searched[found.cause])
-        polished.append(found)
-    return sorted(polished, key=lambda c: -c.in_days)
+def _within(p: Parameter, value: float) -> float:
+    return float(np.clip(value, p.lower if p.null is None else min(p.lower, p.null), p.upper))
+
+
+def grafted(parent: Estimate, one: Candidate) -> Estimate:
+    """A candidate of an earlier parent beside one that differs in the other quantity alone."""
+    wider = widened(parent, one.form, one.setting)
+    mine = acts(one.form, parent.quantities)
+    own = {n: v for n, v in one.estimate.values.items() if set(one.estimate.simulator.affects(n)) & mine}
+    theta = wider.vector({**parent.values, **own})
+    variances = {**parent.variances, **{q: one.estimate.variances[q] for q in mine}}
+    return estimate_at(wider, parent.errors, theta, parent.linear | one.estimate.linear, variances)
+
+
+# -- a round -------------------------------------------------------------------------------------------------
+@dataclass
+class _Known:
+    """What rounds found of forms, valid while the quantities that these act on have the same parent."""
+
+    version: dict[str, int] = field(default_factory=dict)
+    screened: dict[str, tuple[tuple[int, ...], list[Screened]]] = field(default_factory=dict)
+    candidates: dict[str, tuple[tuple[int, ...], Candidate | None]] = field(default_factory=dict)
+
+    def mark(self, forms: Sequence[Form], quantities: Sequence[str]) -> tuple[int, ...]:
+        mine = set().union(*(acts(form, quantities) for form in forms))
+        return tuple(self.version.get(q, 0) for q in quantities if q in mine)
+
+
+class Search:
+    """A search from a base through the forms of causes."""
+
+    def __init__(self, base: Estimate, forms: Sequence[Form], say: Callable[[str], None]) -> None:
+        self.base, self.say = base, say
+        self.forms: dict[str, list[Form]] = {}
+        for form in forms:
+            self.forms.setdefault(form.cause, []).append(form)
+        self.searched = {cause: sum(len(f.grid) for f in one) for cause, one in self.forms.items()}
+        self.parent = base
+        self.accepted: list[Accepted] = []
+        self.refuted: list[tuple[Candidate, Judged]] = []
+        self.left: list[Candidate] = []
+        self.visited: set[frozenset[str]] = set()
+        self._known = _Known()
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(one.candidate.cause for one in self.accepted)
+
+    def run(self) -> Found:
+        for _ in range(ROUNDS):
+            self.visited.add(self.names)
+            if not self._round():
+                break
+            self._judge_again()
+        return Found(self.base, self.parent, tuple(self.accepted), tuple(self.refuted), tuple(self.left))
+
+    def _round(self) -> bool:
+        """Accept the best cause, then the best of the other quantity; returns whether any was accepted."""
+        found = self.candidates()
+        self.say(", ".join(f"{c.cause}/{c.form.code} {c.evidence:.0f}/{c.in_days:.0f}" for c in found))
+        before, taken = scores(levelled(self.parent)), set[str]()
+        for one in found:
+            mine = acts(one.form, self.parent.quantities)
+            if mine & taken or not self._earns(one) or self.names | {one.cause} in self.visited:
+                continue
+            child = grafted(self.parent, one) if taken else one.estimate
+            one = replace(one, estimate=child)
+            verdict = self._judged(before, one)
+            if verdict.reason:
+                self.refuted.append((one, verdict))
+                continue
+            rivals = tuple(c for c in found if c.cause != one.cause and alike(one, c))
+            self.accepted.append(Accepted(one, verdict, rivals))
+            self.parent = child
+            taken |= mine
+        if taken:
+            self.parent = renewed(self.parent)
+            for q in taken:
+                self._known.version[q] = self._known.version.get(q, 0) + 1
+        return bool(taken)
+
+    def _earns(self, one: Candidate) -> bool:
+        mine = acts(one.form, self.parent.quantities)
+        named = set[str]().union(*(acts(a.candidate.form, self.parent.quantities) for a in self.accepted
+                                   if a.candidate.cause != one.cause))  # fmt: skip
+        return one.strength >= (FURTHER if mine & named else THRESHOLD)
+
+    def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
+        after = scores(levelled(foreseen(self.parent, one)))
+        mine = acts(one.form, self.parent.quantities)
+        found = judged({q: before[q] for q in mine}, {q: after[q] for q in mine})
+        self.say(f"   {one.cause}: z {found.z} growth {found.growth} {found.reason}")
+        return found
+
+    def _judge_again(self) -> None:
+        """Leave causes that no longer earn their place beside the later ones."""
+        for one in list(self.accepted[:-1]):
+            others = [a for a in self.accepted if a is not one]
+            without = self._composed([a.chosen for a in others], self.parent)
+            again = candidate(without, self.parent, *one.chosen, self.searched[one.candidate.cause])
+            if self._earns(again):
+                continue
+            self.say(f"   left again: {again.cause} {again.evidence:.0f}/{again.in_days:.0f}")
+            self.left.append(again)
+            self.accepted, self.parent = others, renewed(without)
+            for q in acts(one.candidate.form, self.parent.quantities):
+                self._known.version[q] += 1
+
+    def _composed(self, chosen: Sequence[Chosen], near: Estimate) -> Estimate:
+        """The base with some causes, fitted from a larger model's values under the same error models."""
+        one = self.base
+        for form, setting in chosen:
+            one = replace(one, simulator=widened(one, form, setting))
+        theta = one.simulator.vector(near.values)
+        return fitted(estimate_at(one.simulator, near.errors, theta, near.linear, near.variances))
+
+    def candidates(self) -> list[Candidate]:
+        """The causes' best candidates beside the parent, the strongest first."""
+        gone = self.names | {one.cause for one, _ in self.refuted}
+        parent: Parent | None = None
+        seen: dict[str, list[Screened]] = {}
+        for cause, forms in self.forms.items():
+            if cause in gone:
+                continue
+            mark = self._known.mark(forms, self.parent.quantities)
+            if self._known.screened.get(cause, (None,))[0] != mark:
+                parent = parent or parent_of(self.parent)
+                found = [s for form in forms for s in screened(parent, form)]
+                self._known.screened[cause] = mark, sorted(found, key=lambda s: -s.gain)
+            seen[cause] = self._known.screened[cause][1]
+        made = {cause: self._candidate(cause, seen[cause]) for cause in self._first(seen)}
+        best = {cause: one for cause, one in made.items() if one is not None}
+        for q in self.parent.quantities:
+            mine = [one for one in best.values() if q in acts(one.form, self.parent.quantities)]
+            if not mine:
+                continue
+            lead = max(mine, key=lambda one: one.evidence)
+            for one in mine:
+                if one.evidence > lead.evidence - max(NEAR, NEAR_SHARE * lead.evidence):
+                    best[one.cause] = self._finished(one, one is lead)
+        return sorted(best.values(), key=lambda c: -c.strength)
+
+    def _first(self, seen: Mapping[str, Sequence[Screened]]) -> list[str]:
+        """The causes that promise most, of each quantity by itself: gains of the two are not alike in
+        size."""
+        ranked = sorted((cause for cause in seen if seen[cause]), key=lambda c: -seen[c][0].gain)
+        first: dict[str, None] = {}
+        for q in self.parent.quantities:
+            mine = [c for c in ranked if q in acts(seen[c][0].form, self.parent.quantities)]
+            first |= dict.fromkeys(mine[:CAUSES])
+        return list(first)
+
+    def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate | None:
+        mark = self._known.mark(self.forms[cause], self.parent.quantities)
+        if self._known.candidates.get(cause, (None,))[0] != mark:
+            best: Candidate | None = None
+            for s in seen[:SETTINGS]:
+                one = estimated(self.parent, s.form, s.setting, s.values, LIGHT)
+                found = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
+                if best is None or found.evidence > best.evidence:
+                    best = found
+            self._known.candidates[cause] = mark, best
+        found = self._known.candidates[cause][1]
+        if found is None or set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
+            return found
+        return replace(found, estimate=grafted(self.parent, found))
+
+    def _finished(self, one: Candidate, leads: bool) -> Candidate:
+        """A candidate at its maximum; the one that leads a quantity jumps."""
+        made = fitted(one.estimate, _free(one.estimate, one.form), POLISH)
+        one = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
+        if leads and one.evidence > 0.0:
+            one = jumped(self.parent, one, self.searched[one.cause])
+        mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
+        self._known.candidates[one.cause] = mark, one
+        return one
 
 
 def search(base: Estimate, forms: Sequence[Form], say: Callable[[str], None] = lambda text: None) -> Found:
-    searched: dict[str, int] = {}
-    for form in forms:
-        searched[form.cause] = searched.get(form.cause, 0) + len(form.grid)
-    parent, accepted, refuted = base, [], []
-    gone: set[str] = set()
-    for _ in range(ROUNDS):
-        before = scores(levelled(parent))
-        whole = parent_of(parent)
-        left = [form for form in forms if form.cause not in gone]
-        found = candidates(whole, left, searched)
-        if not found:
-            break
-        found = [jumped(parent, found[0], searched[found[0].cause]), *found[1:]]
-        found.sort(key=lambda c: -c.in_days)
-        say(", ".join(f"{c.cause}/{c.form.code} {c.evidence:.0f}/{c.in_days:.0f}" for c in found))
-        taken = None
-        for one in found:
-            named = {q for a in accepted for q in a.candidate.quantities}
-            need = FURTHER if one.quantities & named else THRESHOLD
-            if min(one.evidence, one.in_days) < need:
-                continue
-            acts = touched(parent, one.estimate, one.form)
-            after = scores(levelled(foreseen(parent, one)))
-            verdict = judged({q: before[q] for q in acts}, {q: after[q] for q in acts})
-            say(f"   {one.cause}: z {verdict.z}, growth {verdict.growth}, {verdict.before} -> {verdict.after} {verdict.reason}")
-            if verdict.reason:
-                refuted.append((one, verdict))
-                gone.add(one.cause)
-                continue
-            rivals = tuple(c.cause for c in found if c is not one and _alike(one, c))
-            taken = Accepted(one, verdict, rivals)
-            break
-        if taken is None:
-            break
-        accepted.append(taken)
-        gone.add(taken.candidate.cause)
-        parent = taken.candidate.estimate
-        errors = errors_of(parent.simulator, parent.theta, parent.quantities)
-        parent = fitted(estimate_at(parent.simulator, errors, parent.theta, parent.linear))
-    return Found(base, parent, tuple(accepted), tuple(refuted))
+    """Name what a base lacks."""
+    return Search(base, forms, say).run()
 
 
 def foreseen(parent: Estimate, one: Candidate) -> Estimate:
     """The candidate's estimate with the openings of the held-out part, which nothing foresees."""
     if not one.form.windows:
         return one.estimate
-    base = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
-    later = openings(parent, base, identified=False)
+    whole = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
+    later = openings(parent, whole, identified=False)
     spans = sorted([*one.setting.features["door_open"]["spans"], *later.spans])
     wider = widened(parent, one.form, Setting({"door_open": {"spans": spans}}))
     e = one.estimate
     return estimate_at(wider, e.errors, e.theta, e.linear, e.variances)
 
 
-def _alike(best: Candidate, rival: Candidate) -> bool:
-    shared = best.quantities & rival.quantities
+def alike(best: Candidate, rival: Candidate) -> bool:
+    """Whether a rival explains the days' readings of a quantity that both act on as well (Vuong by days)."""
+    shared = acts(best.form, best.estimate.quantities) & acts(rival.form, best.estimate.quantities)
     if not shared or rival.evidence < THRESHOLD:
         return False
     if best.evidence - rival.evidence < CLOSE:
         return True
-    total = []
-    for q in shared:
-        day = np.floor(best.estimate.simulator.scene.readings[q].time_h / 24.0).astype(int)
-        daily = np.zeros(day.max() + 1)
-        np.add.at(daily, day, rival.estimate.filtered[q].terms - best.estimate.filtered[q].terms)
-        total.append(daily)
-    daily = sum(total[1:], total[0])
+    daily = np.concatenate([_daily(best, rival, q) for q in sorted(shared)])
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z
+
+
+def _daily(best: Candidate, rival: Candidate, quantity: str) -> np.ndarray:
+    """(days,) by how much −2 ln L of the rival exceeds that of the best."""
+    day = np.floor(best.estimate.simulator.scene.readings[quantity].time_h / 24.0).astype(int)
+    found = np.zeros(day.max() + 1)
+    np.add.at(found, day, rival.estimate.filtered[quantity].terms - best.estimate.filtered[quantity].terms)
+    return found

@@ -1,0 +1,133 @@
+"""The base model as a simulator at its maximum, and the temperature on which its vapour runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.discovery.error_model import filtered
+from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, errors_of, estimate_at, fitted
+from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
+from hygrokf.discovery.simulator import Simulator, Work
+from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, design, extended
+
+GAIN_SD = 0.015
+"""Standard deviation of the share by which the ambient sensors' accuracy lets the vapour outside be wrong."""
+SCALE_SD = 0.02
+"""The same of the humidity sensor's scale."""
+LONGEST_RESPONSE_H, SHORTEST_RESPONSE_H = 0.5, 0.002
+ACCURACY_SHARE = 1.0 / 6.0
+"""Noise of a temperature reading, as a share of the stated accuracy, above which a smoother would smooth the
+temperature itself."""
+RESPONSE = "cabinet_relative_humidity_response"
+
+
+def base_designs(record: Record) -> tuple[Design, Design | None]:
+    """The designs of heat and of vapour for a record's identification period; none of vapour without
+    humidity.
+
+    Beside the base model's own parameters, the vapour has the errors that sensors have within their accuracy:
+    a gain of the ambient's vapour, a scale and a response time of the humidity sensor.
+    """
+    early = record.identification()
+    regression = heat_release_regression(early)
+    order = 2
+    if regression.operation is not None and regression.operation.coefficients:
+        order = max(2, regression.operation.order)
+    heat = design(early, kind="thermal", power_order=order, heat_start=regression.start())
+    moist = design(early, kind=CASCADE)
+    if moist.humidity is None:
+        return heat, None
+    additions = [("breathed_air", {"form": "temperature"})]
+    priors = {"breathed_gain": (0.0, GAIN_SD, False)}
+    mechanisms = moist.mechanisms
+    if moist.humidity == "cabinet_relative_humidity":
+        additions.append(("humidity_scale", {"flag": None}))
+        priors["humidity_scale_error"] = (0.0, SCALE_SD, False)
+        mechanisms = tuple(
+            (name, {**settings, "longest_response_h": LONGEST_RESPONSE_H})
+            if name == "humidity_sensor" and not settings.get("response_h")
+            else (name, settings)
+            for name, settings in mechanisms
+        )
+    moist = extended(replace(moist, mechanisms=mechanisms), additions)
+    return heat, replace(moist, priors={**moist.priors, **priors})
+
+
+def base_estimate(record: Record) -> Estimate:
+    """The base model of a record at its maximum of the likelihood.
+
+    Starts are the parameters' own and the least free-run error; of their maxima the one of the greatest
+    likelihood counts among those whose free run errs no more than the readings vary.
+    """
+    heat, vapour = base_designs(record)
+    scene = scene_of(record, heat, vapour)
+    limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
+    simulator = Simulator(scene, heat, vapour, limits=limits, work=Work())
+    quantities = tuple(scene.readings)
+    guess = simulator.vector({p.name: p.start for p in simulator.parameters})
+    plain = fitted(
+        estimate_at(simulator, errors_of(simulator, guess, quantities), guess, plain=True), effort=LIGHT
+    )
+    errors = errors_of(simulator, plain.theta, quantities)
+    found = _best(simulator, errors, (plain.theta, guess))
+    return _driven(found)
+
+
+def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) -> Estimate:
+    """The best maximum of each quantity over the starts."""
+    reached = [fitted(estimate_at(simulator, errors, start)) for start in starts]
+    theta = reached[0].theta.copy()
+    for q in errors.courses:
+        sound = [one for one in reached if free_run_error(one, q) <= np.sqrt(errors.largest[q])]
+        best = min(sound or reached, key=lambda one: (one.deviances[q] if sound else free_run_error(one, q)))
+        mine = [i for i, name in enumerate(simulator.names) if q in simulator.affects(name)]
+        theta[mine] = best.theta[mine]
+    return fitted(estimate_at(simulator, errors, theta))
+
+
+def free_run_error(one: Estimate, quantity: str) -> float:
+    """Root mean squared error of the simulation in the identification period."""
+    return float(np.sqrt(np.nanmean(one.residual(quantity) ** 2)))
+
+
+def _driven(one: Estimate) -> Estimate:
+    """The estimate whose vapour runs on the smoothed temperature."""
+    simulator = one.simulator
+    if "vapour" not in one.quantities:
+        return one
+    scene = driven(simulator.scene, smoothed_temperature(one))
+    simulator = Simulator(scene, simulator.heat, simulator.vapour, limits=simulator.limits, work=simulator.work)
+    return renewed(replace(one, simulator=simulator))
+
+
+def renewed(one: Estimate) -> Estimate:
+    """The estimate under error models with its own time constants, at its maximum."""
+    errors = errors_of(one.simulator, one.theta, one.quantities)
+    return fitted(estimate_at(one.simulator, errors, one.theta, one.linear))
+
+
+def smoothed_temperature(one: Estimate) -> np.ndarray:
+    """(F,) [K] the simulated temperature plus its smoothed error, at the edges of parts of cells.
+
+    Up to the end of the identification period it uses identification readings only.  The readings' noise is
+    at most that of their sensor: what varies faster, such as a heater's cycles, is temperature.
+    """
+    scene: Scene = one.simulator.scene
+    readings = scene.readings["temperature"]
+    series = scene.record[TEMPERATURE]
+    own = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
+    variances = one.variances["temperature"].copy()
+    variances[0] = min(variances[0], own) if own > 0.0 else variances[0]
+    course = one.errors.courses["temperature"]
+    error = readings.value - one.simulated["temperature"]
+    early = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
+    whole = filtered(course, variances, error).smoothed()
+    shown = one.simulator.shown(one.theta[:, None], "temperature")[:, 0]
+    at_edges = np.interp(scene.edges_s, scene.edges_s[::PARTS], np.append(shown[:1], shown))
+    middle = 0.5 * (readings.begin + readings.end) * (3600.0 * scene.cell_h) + scene.first_s
+    return at_edges + np.interp(scene.edges_s, middle, np.where(readings.identified, early, whole))
