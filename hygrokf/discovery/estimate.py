@@ -155,19 +155,27 @@ def _with_variances(one: Estimate, block: Sequence[str] | None = None) -> Estima
     return replace(one, variances=found)
 
 
+Columns = Mapping[str, Mapping[str, np.ndarray]]
+"""Slopes (T,) by quantity and parameter."""
+
+
 def fitted(
-    one: Estimate, free: Collection[str] | None = None, effort: tuple[int, float] = POLISH
+    one: Estimate,
+    free: Collection[str] | None = None,
+    effort: tuple[int, float] = POLISH,
+    kept: Columns | None = None,
 ) -> Estimate:
     """The estimate with the free parameters (all) and the variances at their maximum.
 
-    Quantities that share no parameter are fitted one after the other.
+    Quantities that share no parameter are fitted one after the other.  kept: slopes of a point nearby that
+    serve for steps; the objective itself is always that of real runs.
     """
     names = set(one.simulator.names) if free is None else set(free)
     for block in _blocks(one, names):
         rounds, tolerance = effort
         for _ in range(rounds):
             before = sum(one.deviances[q] for q in block)
-            one = _with_variances(_stepped(one, names, block), block)
+            one = _with_variances(_stepped(one, names, block, kept or {}), block)
             if not sum(one.deviances[q] for q in block) < before - tolerance:
                 break
     return one
@@ -181,12 +189,12 @@ def _blocks(one: Estimate, free: set[str]) -> list[tuple[str, ...]]:
     return [(q,) for q in one.quantities if {q} in acting]
 
 
-def _stepped(one: Estimate, free: set[str], block: tuple[str, ...]) -> Estimate:
+def _stepped(one: Estimate, free: set[str], block: tuple[str, ...], kept: Columns) -> Estimate:
     """Up to `STEPS` Gauss–Newton steps under fixed variances."""
     mine = {name for name in free if set(one.simulator.affects(name)) & set(block)}
     for _ in range(STEPS):
         f = frame(one.simulator.parameters, mine, one.linear)
-        matrix, gradient = _normal_equations(one, f, block)
+        matrix, gradient = _normal_equations(one, f, block, kept)
         z = f.coordinates(one.theta)
         steps = [_step(matrix, gradient, z, f, damping) for damping in DAMPINGS]
         moved = np.column_stack([f.theta(one.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
@@ -228,14 +236,21 @@ def _trials(one: Estimate, theta: np.ndarray, block: Sequence[str]) -> Trials:
     return Trials(np.where(np.isfinite(total), total, math.inf), simulated)
 
 
-def slopes(one: Estimate, f: Frame, block: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """(T, d) slopes of the simulated readings in the coordinates, by quantity (all)."""
+def slopes(
+    one: Estimate, f: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
+) -> dict[str, np.ndarray]:
+    """(T, d) slopes of the simulated readings in the coordinates, by quantity (all); those that are `kept`
+    are not run again."""
     block = one.quantities if block is None else block
     z = f.coordinates(one.theta)
     names = [one.simulator.names[i] for i in f.place]
     found = {q: np.zeros((len(one.simulated[q]), len(z))) for q in block}
     for q in block:
-        there = [i for i, name in enumerate(names) if q in one.simulator.affects(name)]
+        known = (kept or {}).get(q, {})
+        for i, name in enumerate(names):
+            if name in known:
+                found[q][:, i] = known[name]
+        there = [i for i, n in enumerate(names) if n not in known and q in one.simulator.affects(n)]
         if not there:
             continue
         move = np.where(z + f.move > f.upper, -f.move, f.move)
@@ -245,11 +260,11 @@ def slopes(one: Estimate, f: Frame, block: Sequence[str] | None = None) -> dict[
     return found
 
 
-def _normal_equations(one: Estimate, f: Frame, block: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _normal_equations(one: Estimate, f: Frame, block: Sequence[str], kept: Columns) -> tuple[np.ndarray, np.ndarray]:
     """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
     d = len(f.place)
     matrix, gradient = np.zeros((d, d)), np.zeros(d)
-    for q, columns in slopes(one, f, block).items():
+    for q, columns in slopes(one, f, block, kept).items():
         known = one.filtered[q]
         there = np.flatnonzero(columns.any(axis=0))
         white = known.whitened(columns[:, there])

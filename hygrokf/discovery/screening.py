@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.error_model import filtered
-from hygrokf.discovery.estimate import Errors, Estimate, frame, slopes
+from hygrokf.discovery.estimate import Columns, Errors, Estimate, frame, slopes
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
@@ -44,17 +44,19 @@ class Screened:
 @dataclass(frozen=True)
 class Parent:
     """An estimate, and what its own parameters can imitate: an orthonormal basis (T, d) by quantity, of
-    whitened columns times the roots of their weights."""
+    whitened columns times the roots of their weights; columns: its slopes."""
 
     estimate: Estimate
     basis: Mapping[str, np.ndarray]
     error: Mapping[str, np.ndarray]
+    columns: Columns
 
 
 def parent_of(one: Estimate) -> Parent:
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
-    basis, error = {}, {}
+    basis, error, kept = {}, {}, {}
     for q, columns in slopes(one, f).items():
+        kept[q] = {one.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
         known = one.filtered[q]
         there = columns.any(axis=0)
         root = np.sqrt(known.weight)
@@ -62,7 +64,7 @@ def parent_of(one: Estimate) -> Parent:
         scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
         basis[q] = np.linalg.qr(white / scale)[0]
         error[q] = np.nan_to_num(known.standardised) * root
-    return Parent(one, basis, error)
+    return Parent(one, basis, error, kept)
 
 
 def _free_of(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -204,7 +206,7 @@ def _run(
             owned.append(i)
     theta = np.column_stack(made)
     own = {name: [part[i] for i in owned] for name, part in columns.items()}
-    gain = _chord_gains(parent, wider, theta, own, {q for p in sizes for q in wider.affects(p.name)})
+    gain = chord_gains(parent, wider, theta, own, {q for p in sizes for q in wider.affects(p.name)})
     own_places = {p.name: wider.names.index(p.name) for p in added(one, wider)}
     result = []
     for place, i in enumerate(order):
@@ -215,10 +217,11 @@ def _run(
     return sorted(result, key=lambda s: -s.gain)
 
 
-def _chord_gains(
+def chord_gains(
     parent: Parent, wider: Simulator, theta: np.ndarray, own: Mapping[str, Sequence[np.ndarray]],
     quantities: set[str],
 ) -> np.ndarray:  # fmt: skip
+    """(n,) gain in −2 ln L of runs with parameters (P, n), where the parent follows by one chord step."""
     one, gain = parent.estimate, np.zeros(theta.shape[1])
     for q in sorted(quantities):
         y = wider.simulated(theta, q, own)
@@ -234,7 +237,7 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
     found = []
     for setting in form.grid:
         wider = widened(one, form, setting)
-        gain = _chord_gains(parent, wider, theta, {}, set(one.quantities))
+        gain = chord_gains(parent, wider, theta, {}, set(one.quantities))
         found.append(Screened(form, setting, {}, float(gain[0])))
     return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 
@@ -313,4 +316,4 @@ def openings(one: Estimate, form: Form, identified: bool) -> Openings:
     return Openings(spans, price, size)
 
 
-__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "openings", "parent_of", "screened", "start_values", "widened"]
+__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "chord_gains", "openings", "parent_of", "screened", "start_values", "widened"]

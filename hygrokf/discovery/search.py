@@ -15,14 +15,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.discovery.base import renewed
-from hygrokf.discovery.estimate import LIGHT, POLISH, Estimate, estimate_at, fitted, frame, slopes
+from hygrokf.discovery.estimate import (
+    LIGHT,
+    POLISH,
+    Columns,
+    Estimate,
+    estimate_at,
+    fitted,
+    frame,
+    slopes,
+)
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Judged, Scores, judged, levelled, scores
 from hygrokf.discovery.screening import (
-    Parent,
     Screened,
     added,
     amplitudes,
+    chord_gains,
     openings,
     parent_of,
     screened,
@@ -35,7 +44,8 @@ THRESHOLD, FURTHER = 10.0, 25.0
 CAUSES, SETTINGS, ROUNDS = 4, 3, 6
 """Causes of a quantity that are estimated, settings of each, and rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
-SWEEPS = 3
+SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
+"""Sweeps of jumps, jumps of a sweep that are fitted, and by how much −2 ln L one may be worse at first."""
 CLOSE, CLOSE_Z = 10.0, 2.0
 Chosen = tuple[Form, Setting]
 
@@ -97,14 +107,19 @@ def acts(form: Form, quantities: Sequence[str]) -> set[str]:
 
 # -- one candidate -------------------------------------------------------------------------------------------
 def estimated(
-    parent: Estimate, form: Form, setting: Setting, values: Mapping[str, float], effort: tuple[int, float]
+    parent: Estimate,
+    form: Form,
+    setting: Setting,
+    values: Mapping[str, float],
+    effort: tuple[int, float],
+    kept: Columns | None = None,
 ) -> Estimate:
     """A form beside a parent, fitted from values; what it does not act on stays as it is."""
     wider = widened(parent, form, setting)
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
     theta = wider.vector({**parent.values, **values})
     one = estimate_at(wider, parent.errors, theta, parent.linear | sizes, parent.variances)
-    return fitted(one, _free(one, form), effort)
+    return fitted(one, _free(one, form), effort, kept)
 
 
 def _free(one: Estimate, form: Form) -> list[str]:
@@ -113,6 +128,7 @@ def _free(one: Estimate, form: Form) -> list[str]:
 
 
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
+    """What a child is worth beside its parent; evidence in days only where the evidence would do."""
     new = added(parent, one.simulator)
     gains, evidence = {}, -2.0 * math.log(max(searched, 1)) - setting.price
     for q in one.quantities:
@@ -124,7 +140,7 @@ def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, sea
         if form.together and constants and paid <= 0.0:
             evidence = -math.inf
         evidence += max(0.0, paid)
-    factor = day_factor(parent, one) if evidence > 0.0 else 1.0
+    factor = day_factor(parent, one) if evidence >= THRESHOLD else 1.0
     return Candidate(form, setting, one, gains, evidence, evidence / factor)
 
 
@@ -156,13 +172,26 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
 
 
 def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
-    """The candidate after jumps of its size, its shapes and its settings, while they improve it."""
+    """The candidate after jumps of its size, its shapes and its settings, while they improve it.
+
+    All jumps are run; those that promise to be no worse, if all other parameters follow by one chord step,
+    are fitted.
+    """
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
-        before = best.estimate.deviance
+        before, here = best.estimate.deviance, parent_of(best.estimate)
+        mine = acts(best.form, parent.quantities)
+        promising = []
         for setting, values in _jumps(parent, best, steps):
-            light = estimated(parent, best.form, setting, values, (1, LIGHT[1]))
-            if light.deviance < best.estimate.deviance + 5.0:
+            wider = widened(parent, best.form, setting)
+            gain = chord_gains(here, wider, wider.vector(values)[:, None], {}, mine)[0]
+            promising.append((float(gain), setting, values))
+        promising.sort(key=lambda one: -one[0])
+        for gain, setting, values in promising[:FOLLOWED]:
+            if gain < -WORSE:
+                break
+            light = estimated(parent, best.form, setting, values, LIGHT, here.columns)
+            if light.deviance < best.estimate.deviance + 0.5 * WORSE:
                 one = fitted(light, _free(light, best.form), POLISH)
                 if one.deviance < best.estimate.deviance - 0.1:
                     best = candidate(parent, one, best.form, setting, searched)
@@ -239,6 +268,7 @@ class Search:
         self.left: list[Candidate] = []
         self.visited: set[frozenset[str]] = set()
         self._known = _Known()
+        self._columns: Columns = {}
 
     @property
     def names(self) -> frozenset[str]:
@@ -315,14 +345,14 @@ class Search:
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
         gone = self.names | {one.cause for one, _ in self.refuted}
-        parent: Parent | None = None
+        parent = parent_of(self.parent)
+        self._columns = parent.columns
         seen: dict[str, list[Screened]] = {}
         for cause, forms in self.forms.items():
             if cause in gone:
                 continue
             mark = self._known.mark(forms, self.parent.quantities)
             if self._known.screened.get(cause, (None,))[0] != mark:
-                parent = parent or parent_of(self.parent)
                 found = [s for form in forms for s in screened(parent, form)]
                 self._known.screened[cause] = mark, sorted(found, key=lambda s: -s.gain)
             seen[cause] = self._known.screened[cause][1]
@@ -353,7 +383,7 @@ class Search:
         if self._known.candidates.get(cause, (None,))[0] != mark:
             best: Candidate | None = None
             for s in seen[:SETTINGS]:
-                one = estimated(self.parent, s.form, s.setting, s.values, LIGHT)
+                one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
                 found = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
                 if best is None or found.evidence > best.evidence:
                     best = found

@@ -1,0 +1,140 @@
+"""The one set of parameters with which a model leaves the search, and its covariance.
+
+A whitened likelihood sees the fast part of an error and judges levels badly; least squares of the free run
+see the slow part and judge time constants badly where disturbances are slow.  Both are fitted to the first
+two thirds of the identification period; the one whose free run predicts the last third better gives the set.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from hygrokf.discovery.estimate import POLISH, Estimate, errors_of, estimate_at, fitted, frame, slopes
+from hygrokf.discovery.judgement import levelled
+
+Estimator = Literal["likelihood", "output-error"]
+BETTER = 0.95
+"""Share of the likelihood's error below which the least free-run error is preferred."""
+EARLY = 2.0 / 3.0
+
+
+@dataclass(frozen=True)
+class FinalSet:
+    """An estimate with the estimator that made it, and the covariance (d, d) of its coordinates `names`
+    (logarithms of positive parameters); at_bounds: parameters that ended at a limit."""
+
+    estimate: Estimate
+    estimator: Estimator
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    at_bounds: tuple[str, ...]
+
+    def bounds(self, name: str, quantile: float = 1.96) -> tuple[float, float]:
+        """95 % bounds of a parameter, in its unit; open where it ended at a limit."""
+        p = self.estimate.simulator.parameters[self.estimate.simulator.names.index(name)]
+        value, i = self.estimate.values[name], self.names.index(name)
+        reach = quantile * math.sqrt(max(self.covariance[i, i], 0.0))
+        logarithmic = p.positive and name not in self.estimate.linear
+        if name in self.at_bounds or not reach < 50.0 * (1.0 if logarithmic else math.inf):
+            return (0.0 if logarithmic else -math.inf), math.inf
+        if logarithmic:
+            return value * math.exp(-reach), value * math.exp(reach)
+        return value - reach, value + reach
+
+
+def final_estimator(one: Estimate) -> Estimator:
+    """The estimator whose free run predicts the last third of the identification period better."""
+    early = _until(one, EARLY)
+    both = {name: _fitted_by(early, name) for name in ("likelihood", "output-error")}
+    ratios = []
+    for q in one.quantities:
+        r = one.simulator.scene.readings[q]
+        late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
+        if late.sum() > 1:
+            errors = [float(np.mean((r.value - made.simulated[q])[late] ** 2)) for made in both.values()]
+            ratios.append(0.5 * math.log(max(errors[1], 1e-12) / max(errors[0], 1e-12)))
+    return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
+
+
+def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
+    """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
+    made = _fitted_by(one, estimator)
+    names, covariance = sandwich(replace(made, plain=estimator == "output-error"))
+    limits = {p.name: (p.lower, p.upper) for p in made.simulator.parameters}
+    at = tuple(
+        name for name in names
+        if min(abs(made.values[name] - limit) for limit in limits[name]) <= 1e-6 * np.ptp(limits[name])
+    )  # fmt: skip
+    return FinalSet(made, estimator, names, covariance, at)
+
+
+def _fitted_by(one: Estimate, estimator: str) -> Estimate:
+    if estimator == "likelihood":
+        return levelled(fitted(one))
+    plain = fitted(replace(one, plain=True), effort=POLISH)
+    return replace(estimate_at(plain.simulator, one.errors, plain.theta, one.linear), plain=False)
+
+
+def _until(one: Estimate, share: float) -> Estimate:
+    """The estimate whose identification period is an early share of its own."""
+    scene, readings = one.simulator.scene, {}
+    for q, r in one.simulator.scene.readings.items():
+        known = r.time_s[r.identified]
+        last = known[0] + share * (known[-1] - known[0])
+        readings[q] = replace(r, identified=r.identified & (r.time_s <= last))
+    simulator = replace(one.simulator, scene=replace(scene, readings=readings))
+    return estimate_at(simulator, errors_of(simulator, one.theta, one.quantities), one.theta, one.linear)
+
+
+def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray]:
+    """H⁻¹ J H⁻¹ in the coordinates of all parameters: H the Gauss–Newton information with the priors', J the
+    sum of squares of the days' scores and the priors' information."""
+    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
+    names = tuple(one.simulator.names[i] for i in f.place)
+    information, spread = np.zeros((2, len(names), len(names)))
+    for q, columns in slopes(one, f).items():
+        known = one.filtered[q]
+        root = np.sqrt(known.weight)
+        white = known.whitened(columns) * root[:, None]
+        score = white * (np.nan_to_num(known.standardised) * root)[:, None]
+        day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
+        daily = np.zeros((day.max() + 1, len(names)))
+        np.add.at(daily, day, score)
+        information += white.T @ white
+        # neighbouring days of a slow disturbance are not independent
+        spread += daily.T @ daily
+        for lag in (1, 2):
+            cross = (1.0 - lag / 3.0) * daily[lag:].T @ daily[:-lag]
+            spread += cross + cross.T
+    priors = _prior_information(one, f.place, f.logarithmic)
+    information += priors
+    spread += priors
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-10) * scale[:, None] * scale
+    return names, inverse @ spread @ inverse
+
+
+def _prior_information(one: Estimate, place: np.ndarray, logarithmic: np.ndarray) -> np.ndarray:
+    found = np.zeros(len(place))
+    for i, at in enumerate(place):
+        p = one.simulator.parameters[at]
+        if p.prior is not None:
+            value = float(one.theta[at])
+            found[i] = p.prior.information(value) * (value if logarithmic[i] else 1.0) ** 2
+    return np.diag(found)
+
+
+def errors_told(one: Estimate) -> Mapping[str, float]:
+    """Root mean squared error of the free run on held-out readings, by quantity, and of the vapour on the
+    simulated temperature as `simulated_vapour`."""
+    found = {}
+    for q in one.quantities:
+        r = one.simulator.scene.readings[q]
+        error = np.where(r.identified, np.nan, r.value - one.simulated[q])
+        found[q] = float(np.sqrt(np.nanmean(error**2))) if np.isfinite(error).any() else math.nan
+    return found

@@ -1,0 +1,102 @@
+"""What is left after the search: lines in the spectrum of the whitened errors, and in the daily scores of a
+named cause.
+
+A missing effect that no cause describes often has a rhythm: a tide, a weekly routine, a duty cycle.  Under a
+right model the ordinates of a periodogram are independent exponential numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.discovery.estimate import Estimate, frame, slopes
+
+SIGNIFICANT = 1e-4
+"""Chance of such a line without an effect, below which it is told."""
+BIN_H = 1.0
+NEIGHBOURS = 101
+FEWEST = 3 * NEIGHBOURS
+FEWEST_DAYS = 30
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in a spectrum: its quantity, period [h] and chance [1] without an effect; `cause`: the named
+    cause in whose daily scores it stands, "" in the errors themselves."""
+
+    quantity: str
+    period_h: float
+    p: float
+    cause: str = ""
+
+
+def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
+    """Significant lines of an estimate, the least likely first; causes: cause → its own parameters."""
+    found = [line for q in one.quantities if (line := _in_errors(one, q)) is not None]
+    scores = _daily_scores(one)
+    for cause, names in causes.items():
+        for (q, name), daily in scores.items():
+            if name in names and (line := _in_days(q, cause, daily)) is not None:
+                found.append(line)
+    return sorted(found, key=lambda line: line.p)
+
+
+def _in_errors(one: Estimate, quantity: str) -> Line | None:
+    """The strongest line of the whitened errors, against the mean of its neighbours."""
+    known, r = one.filtered[quantity], one.simulator.scene.readings[quantity]
+    seen = np.isfinite(known.innovation)
+    e = (known.standardised * known.weight)[seen]
+    hours = r.time_h[seen]
+    width = max(BIN_H, float(np.median(np.diff(hours)))) if len(hours) > 1 else BIN_H
+    place = ((hours - hours[0]) / width).astype(int)
+    total = np.bincount(place, e)
+    number = np.bincount(place)
+    mean = np.divide(total, np.sqrt(np.maximum(number, 1)))
+    power = np.abs(np.fft.rfft(mean - mean[number > 0].mean() * (number > 0))) ** 2
+    power = power[1:-1]
+    if len(power) < FEWEST:
+        return None
+    half = NEIGHBOURS // 2
+    sums = np.cumsum(np.pad(power, (half + 1, half), mode="reflect"))
+    around = (sums[NEIGHBOURS:] - sums[:-NEIGHBOURS] - power) / (NEIGHBOURS - 1)
+    ratio = power / np.maximum(around, 1e-300)
+    best = int(np.argmax(ratio))
+    # the neighbours' mean is itself uncertain: F with 2 and 2 (neighbours − 1) degrees of freedom
+    alone = (1.0 + ratio[best] / (NEIGHBOURS - 1)) ** (1.0 - NEIGHBOURS)
+    p = -math.expm1(len(power) * math.log1p(-min(alone, 1.0 - 1e-16)))
+    return Line(quantity, width * len(mean) / (best + 1), p) if p < SIGNIFICANT else None
+
+
+def _daily_scores(one: Estimate) -> dict[tuple[str, str], np.ndarray]:
+    """(days,) sums of the scores of every parameter, by quantity and name."""
+    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
+    found = {}
+    for q, columns in slopes(one, f).items():
+        known = one.filtered[q]
+        score = known.whitened(columns) * (np.nan_to_num(known.standardised) * known.weight)[:, None]
+        day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
+        daily = np.zeros((day.max() + 1, score.shape[1]))
+        np.add.at(daily, day, score)
+        read = np.bincount(day, np.isfinite(known.innovation)) > 0
+        for i, place in enumerate(f.place):
+            if columns[:, i].any():
+                found[q, one.simulator.names[place]] = daily[: np.flatnonzero(read)[-1] + 1, i]
+    return found
+
+
+def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
+    """The strongest line of daily scores by Fisher's g: the largest share of one ordinate."""
+    if len(daily) < FEWEST_DAYS:
+        return None
+    ranks = np.argsort(np.argsort(daily)) - 0.5 * (len(daily) - 1)  # single days must not decide
+    power = np.abs(np.fft.rfft(ranks)) ** 2
+    power = power[1 : (len(daily) + 1) // 2]
+    if not power.sum() > 0.0:
+        return None
+    share = float(power.max() / power.sum())
+    p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
+    return Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + 1), p, cause) if p < SIGNIFICANT else None
