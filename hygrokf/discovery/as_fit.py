@@ -1,0 +1,95 @@
+"""A set of parameters by simulation in the form of a `Fit`: for reports, climate, measures and the tracker.
+
+Parameters and covariance are those of the set.  The filter that the file's other users run needs the sizes of
+its own disturbances beside; these maximise its likelihood with everything else held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hygrokf.data.clocks import Shift, shifted
+from hygrokf.data.progress import Progress
+from hygrokf.data.record import Record
+from hygrokf.discovery.final_set import FinalSet
+from hygrokf.estimation.confidence import Uncertainty, wald_bounds
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, climb
+from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import Basis, assemble_fit
+from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.modelling.design import CASCADE, Design
+from hygrokf.modelling.inputs import prepare_run
+from hygrokf.physics.parameters import Coordinates
+from hygrokf.physics.switches import SWITCHES
+
+
+def fit_of(record: Record, final: FinalSet, say: Progress = lambda text: None) -> Fit:
+    """A final set as a fit of the record, whose clocks are corrected as the set says."""
+    simulator = final.estimate.simulator
+    record = shifted(record, *(Shift(s, seconds) for s, seconds in simulator.scene.shifts.items()))
+    early = record.identification()
+    stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
+    basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
+    fit = assemble_fit(record, basis, {}, say=say)
+    results = replace(fit.results, criterion=final.estimator)
+    return replace(fit, results=results)
+
+
+def final_designs(final: FinalSet) -> tuple[Design, ...]:
+    """The designs of a set, whose controllers have the levels that were estimated."""
+    values, simulator = final.estimate.values, final.estimate.simulator
+    found = []
+    for one in simulator.designs:
+        features = dict(one.features)
+        for name in set(features) & set(simulator.controls):
+            levels = [values[f"{name}_first"], values[f"{name}_second"]]
+            keys = [key for key in features[name] if key in ("on", "off", "on_K", "off_K", "start", "full")]
+            features[name] = {**features[name], **dict(zip(keys, levels, strict=True))}
+            assert SWITCHES[name](**features[name]).levels == tuple(levels)
+        found.append(replace(one, features=features))
+    return tuple(found)
+
+
+def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage:
+    """One likelihood at the set's values, with the set's covariance."""
+    say("sizes of the disturbances")
+    run = prepare_run(base, early)
+    likelihood = Likelihood(base.model, run.timeline)
+    known = final.estimate.values
+    held = {p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known}
+    noise = Coordinates(base.model.parameters, held)
+    found = climb(Objective(likelihood, noise), noise.start())
+    values = {**noise.values(found.z)}
+    coordinates = Coordinates(base.model.parameters, {n: values[n] for n in noise.names})
+    estimate = Estimate(
+        coordinates, coordinates.start(values), values, likelihood.value(values), found.objective,
+        found.converged, found.message, tuple(n for n in final.at_bounds if n in held),
+    )  # fmt: skip
+    spread = _uncertainty(final, coordinates)
+    bounds = {
+        name: wald_bounds(estimate, spread, name, LEVEL) for name in TIME_CONSTANTS if name in coordinates.names
+    }
+    return Stage(base, run, estimate, spread, bounds)
+
+
+def _inside(low: float, high: float, value: float) -> float:
+    return min(max(value, low), high)
+
+
+def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
+    """The covariance of a stage's parameters; logarithms where the coordinate is one."""
+    names = tuple(n for n in coordinates.names if n in final.names and n not in final.at_bounds)
+    place = [final.names.index(n) for n in names]
+    values: Mapping[str, float] = final.estimate.values
+    linear = final.estimate.linear
+    scale = np.array([
+        1.0 / max(values[n], 1e-300) if coordinates.parameter(n).positive and n in linear else 1.0 for n in names
+    ])  # fmt: skip
+    covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
+    information = np.linalg.pinv(covariance)
+    return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), (), (), information)
