@@ -433,19 +433,27 @@ def maximised(
     upper = np.full(VARIANCES, largest)
     upper[2:] = largest / shares(course.tau_h)
     active = np.append([True, True], course.there)
-    begun = start_variances(course, residual) if start is None else start
+    common = start_variances(course, residual)
+    begun = common if start is None else start
     lowest = np.log(LEAST * upper)
+    usual = np.log(np.maximum(common, LEAST * upper))
     z = np.clip(np.log(np.maximum(np.where(active, begun, 1.0), 1e-300)), lowest, np.log(upper))
     damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active, bound)
+    near = False
     for _ in range(_STEPS):
         outward = ((z <= lowest + 1e-9) & (gradient > 0)) | ((z >= np.log(upper) - 1e-9) & (gradient < 0))
         free = active & ~outward
         if not free.any():
             break
         matrix = information[np.ix_(free, free)]
-        matrix = matrix + np.diag(damping * np.diag(matrix) + 0.5)
+        # slope and information of a small variance fall with it and its square: so does what holds it back
+        # from rising, else it would stay where it is
+        held = 0.5 * np.where(gradient < 0.0, np.minimum(1.0, np.exp(z - usual)), 1.0)[free] ** 2
+        matrix = matrix + np.diag(damping * np.diag(matrix) + held)
         step = np.zeros(VARIANCES)
         step[free] = np.clip(-np.linalg.solve(matrix, gradient[free]), -_STEP, _STEP)
+        if near and step.max() < _STEP:
+            break
         moved = np.clip(z + step, lowest, np.log(upper))
         trial = _scores(course, residual, moved, active, bound)
         if not trial[0] < value:
@@ -455,10 +463,8 @@ def maximised(
             continue
         gained = value - trial[0]
         z, (value, gradient, information) = moved, trial
-        small = damping < 0.05
+        near = gained < _GAIN and damping < 0.05
         damping = max(damping / 5.0, 1e-6)
-        if gained < _GAIN and small:
-            break
     return np.where(active, np.exp(z), 0.0)
 
 

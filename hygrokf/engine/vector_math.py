@@ -82,7 +82,7 @@ def exponential(lanes: int) -> str:
 
 
 def logarithm(lanes: int) -> str:
-    """LLVM text of `@logarithm`: ln x of a vector of normal numbers; NaN where x is not positive."""
+    """LLVM text of `@logarithm`: ln x of a vector of normal numbers and ∞; NaN where x is not positive."""
     t = _Text("logarithm", lanes)
     bits = t.bits("%x")
     exponent = t.integer("sub", t.integer("lshr", bits, t.whole(52)), t.whole(1023))
@@ -98,4 +98,5 @@ def logarithm(lanes: int) -> str:
     for k in range(_LOG_TERMS - 1, -1, -1):
         total = t.fma(total, s, t.all(2.0 / (2 * k + 1)))
     result = t.fma(n, t.all(_LN2_HIGH), t.fma(n, t.all(_LN2_LOW), t.real("fmul", total, f)))
+    result = t.select(t.compare("olt", "%x", t.all(math.inf)), result, "%x")
     return t.done(t.select(t.compare("ogt", "%x", t.all(0.0)), result, t.all(math.nan)))
