@@ -19,7 +19,7 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.clocks import source_of
-from hygrokf.data.input_paths import centred, input_path
+from hygrokf.data.input_paths import centred, input_path, without_response
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, Cells
@@ -242,7 +242,7 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     count = max(int(math.ceil((last - first) / cell_s - 1e-9)), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
     warm_series = record[TEMPERATURE]
-    warm = at_times(centred(warm_series), scene.edges_s, math.inf)
+    warm = at_times(input_path(without_response(warm_series)), scene.edges_s, math.inf)
     scene = replace(scene, drive=_filled(warm))
     readings = {"temperature": _readings(scene, warm_series, warm_series.value, np.ones(1))}
     if vapour is not None and vapour.humidity is not None:
@@ -269,12 +269,20 @@ def _vapour(scene: Scene, series: Series) -> Readings:
     if series.signal == "cabinet_absolute_humidity":
         return _readings(scene, series, 1e3 * series.value, np.ones(1))
     middle = series.time - 0.5 * series.interval_s
-    warm = np.interp(middle, scene.edges_s, scene.drive)
-    saturated = 1e3 * absolute_humidity(1.0, warm)
+    saturated = 1e3 * absolute_humidity(1.0, _over_intervals(scene.edges_s, scene.drive, series))
     ends = (series.value >= SATURATED) | (series.value <= DRY)
     read = at_times(centred(scene.record[TEMPERATURE]), middle, bridge_h(scene.record[TEMPERATURE], 1.0))
     value = np.where(ends, np.nan, 1e3 * absolute_humidity(series.value, read))
     return _readings(scene, series, value, saturated)
+
+
+def _over_intervals(time: np.ndarray, value: np.ndarray, series: Series) -> np.ndarray:
+    """Means (T,) of a course (F,) at times (F,) [s] over the intervals of a series; its values at instants."""
+    if not series.interval_s:
+        return np.interp(series.time, time, value)
+    total = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)))
+    ends = np.interp(series.time, time, total), np.interp(series.time - series.interval_s, time, total)
+    return (ends[0] - ends[1]) / series.interval_s
 
 
 def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.ndarray) -> Readings:

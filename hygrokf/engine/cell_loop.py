@@ -183,10 +183,12 @@ def _phi(z: Value) -> tuple[Value, Value]:
     """φ₁ and φ₂ − φ₁/2; by their series near 0."""
     if not isinstance(z, Expression):
         return 1.0, 0.0
-    small = z * z < 1e-6
+    small = z * z < 1e-4
     safe = where(small, 1.0, z)
-    one = where(small, 1.0 + z * (0.5 + z * (1.0 / 6.0)), (exp(z) - 1.0) / safe)
-    return one, where(small, z * (1.0 / 12.0), (one - 1.0) / safe - 0.5 * one)
+    series = 1.0 + z * (1.0 / 2.0 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z * (1.0 / 120.0))))
+    one = where(small, series, (exp(z) - 1.0) / safe)
+    series = z * (-1.0 / 12.0 - z * (1.0 / 24.0 + z * (1.0 / 80.0 + z * (1.0 / 360.0))))
+    return one, where(small, series, (one - 1.0) / safe - 0.5 * one)
 
 
 ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "out")

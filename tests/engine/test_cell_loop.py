@@ -1,0 +1,288 @@
+"""The simulation over cells: closed forms, the package's own free run, and the truth of plants of another make.
+
+Vapour is compared as vapour: the simulated relative humidity times saturation at the measured temperature.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from plants import Plant, plant, undisturbed
+from plants.as_record import to_record
+from plants.hidden import hidden_plant
+
+from hygrokf.data.record import Record
+from hygrokf.discovery.scene import Scene, driven, scene_of
+from hygrokf.discovery.simulator import Simulator
+from hygrokf.engine.cell_loop import SIMULATED, CellModel, Cells, run
+from hygrokf.engine.llvm_writer import LANES
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.evaluation.self_switching import self_switched
+from hygrokf.evaluation.simulation import simulate
+from hygrokf.modelling.design import CASCADE, JOINT, Chosen, Design, design, extended
+from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.mechanisms.hygric import exchange_factor
+from hygrokf.physics.model import Mechanism, Model, compose
+from hygrokf.physics.parameters import Parameter
+
+TOLERANCE = {"temperature": 0.02, "vapour": 0.02}
+"""[K], [g/m³] root mean square difference to the package's free run and to a plant's truth."""
+SETTLED_H = 72.0
+
+
+# -- closed forms --------------------------------------------------------------------------------------------
+def low_pass(count: int = 1) -> Model:
+    """x₁' = (u − x₁)/τ, x₂' = (x₁ − x₂)/τ …; the last one is read."""
+    states = [f"x{i}" for i in range(count)]
+
+    def rates(p, x, u):
+        before = [u.drive, *(getattr(x, name) for name in states)]
+        return {name: (before[i] - getattr(x, name)) / p.tau for i, name in enumerate(states)}
+
+    mechanism = linear_network(
+        "low_pass", [Parameter("tau", "h", 1.0, 1e-6, 1e6)], states, ["drive"], rates,
+        {"reading": lambda p, x, u: (getattr(x, states[-1]), 1.0)}, lambda p: {}, lambda p, u: {},
+    )  # fmt: skip
+    return compose([mechanism], {"drive": "linear"})
+
+
+def passed(model: Model, tau: float, hours: float, edges: np.ndarray, begun: float = 0.0) -> np.ndarray:
+    """(K,) readings under an input that is straight within the cells."""
+    cell_model = CellModel(None, model)
+    inputs = np.zeros((len(edges), len(cell_model.inputs)))
+    inputs[:, cell_model.inputs.index("drive")] = edges
+    cells = Cells(hours, 0.5 * (inputs[1:] + inputs[:-1]), inputs)
+    theta = np.zeros((len(cell_model.parameters), LANES))
+    theta[cell_model.parameters.index("tau")] = tau
+    out = run(cell_model, cells, theta, np.full((len(model.states), LANES), begun), [])
+    assert (out == out[:, :, :1]).all()
+    return out[:, 0, 0]
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 2.0, 300.0, 1e5])
+def test_a_constant_input_is_exact(tau):
+    time = 0.125 * np.arange(1, 401)
+    expected = 7.0 + (3.0 - 7.0) * np.exp(-time / tau)
+    assert_allclose(passed(low_pass(), tau, 0.125, np.full(401, 7.0), 3.0), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 2.0, 300.0])
+def test_an_input_that_rises_in_a_straight_line_is_exact(tau):
+    """x = u − bτ + (x₀ − a + bτ) e^(−t/τ) for u = a + b t; a step's rounding is 1e-16 of the states."""
+    time, a, b = 0.125 * np.arange(0, 401), 290.0, 0.4
+    expected = a + b * time - b * tau + (3.0 - a + b * tau) * np.exp(-time / tau)
+    found = passed(low_pass(), tau, 0.125, a + b * time, 3.0)
+    assert_allclose(found, expected[1:], rtol=0, atol=1e-12 * 290.0 * (1.0 + tau))
+
+
+def test_a_fast_state_follows_its_input_at_the_end_of_a_cell():
+    edges = np.random.default_rng(1).uniform(280.0, 300.0, 200)
+    found = passed(low_pass(), 1e-6, 0.125, edges, 280.0)
+    assert_allclose(found, edges[1:], atol=1e-3)
+
+
+def test_the_error_of_states_in_a_chain_falls_with_the_square_of_the_cell():
+    """A state enters the one after it as a straight line; each alone would be exact."""
+
+    def error(parts: int) -> float:
+        time = np.linspace(0.0, 40.0, 40 * parts + 1)
+        found = passed(low_pass(2), 1.5, 1.0 / parts, np.ones(len(time)))
+        expected = 1.0 - (1.0 + time / 1.5) * np.exp(-time / 1.5)
+        return float(np.abs(found - expected[1:]).max())
+
+    errors = [error(parts) for parts in (2, 4, 8, 16)]
+    assert errors[0] < 5e-3
+    assert all(3.5 < coarse / fine < 4.5 for coarse, fine in zip(errors, errors[1:], strict=False))
+
+
+def test_an_amount_does_not_fall_below_zero():
+    stock = Mechanism(
+        name="stock", parameters=(Parameter("tau", "h", 1.0, 0.1, 10.0),), states=("stock",), inputs=("drive",),
+        drift=lambda p, x, u, q, s: {"stock": u.drive}, initial=lambda p, u: {"stock": (0.0, 1.0)},
+        outputs={"reading": lambda p, x, u, q, s: (x.stock, 1.0)}, amounts=("stock",),
+    )  # fmt: skip
+    edges = np.array([1.0, 1.0, -3.0, -3.0, -3.0, 1.0, 1.0])
+    found = passed(compose([stock], {"drive": "linear"}), 1.0, 1.0, edges)
+    assert_allclose(found, [1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+# -- the package's own free run ------------------------------------------------------------------------------
+OPTIONS: dict[str, dict[str, Any]] = {
+    "instants": {},
+    "means": {"logger_mean": True},
+    "hourly means": {"logger_mean": True, "logger_step_min": 60.0},
+}
+
+
+@cache
+def record_of(seed: int, kind: str = "instants", days: float = 30.0) -> Record:
+    return to_record(hidden_plant(seed, "none", days=days, **OPTIONS[kind]))
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What is added to the base models, and its values; the rest has its start."""
+
+    heat: tuple[Chosen, ...] = ()
+    vapour: tuple[Chosen, ...] = ()
+    features: Mapping[str, Mapping[str, Any]] | None = None
+    values: Mapping[str, float] | None = None
+
+
+def designs(record: Record, effect: Effect) -> dict[str, Design]:
+    def wider(kind: str, additions: tuple[Chosen, ...]) -> Design:
+        made = extended(design(record, kind=kind, coloured=False), additions)
+        read = {k: v for k, v in (effect.features or {}).items() if k in made.model.inputs}
+        return replace(made, features={**made.features, **read})
+
+    return {
+        "temperature": wider("thermal", effect.heat),
+        "vapour": wider(CASCADE, effect.vapour),
+        "both": wider(JOINT, (*effect.heat, *effect.vapour)),
+    }
+
+
+CABINET = {
+    "thermal_time_constant": 1.2, "resistance_ratio": 0.85, "heat_release_operation": 7.0,
+    "heat_release_power_1": 6.0, "heat_release_power_2": -1.0, "heat_release_operation_ambient": -0.1,
+    "heat_release_standstill": 5.0, "heat_release_standstill_ambient": -0.05, "preheating_heat": 8.0,
+    "hygric_k": 0.35, "cabinet_temperature_bias": 0.1, "cabinet_relative_humidity_bias": 0.01,
+}  # fmt: skip
+"""A cabinet in the middle of the plants' ranges."""
+
+
+def started(one: Design, effect: Effect) -> dict[str, float]:
+    wanted = {**CABINET, **(effect.values or {})}
+    return {p.name: wanted.get(p.name, p.start) for p in one.model.parameters}
+
+
+def finer(scene: Scene, parts: int) -> Scene:
+    """The scene with cells of a part of their length."""
+    readings = {q: replace(r, begin=parts * r.begin, end=parts * r.end) for q, r in scene.readings.items()}
+    made = replace(
+        scene, cell_h=scene.cell_h / parts, count=scene.count * parts, readings=readings, _cache={}
+    )
+    return replace(made, drive=np.interp(made.edges_s, scene.edges_s, scene.drive))
+
+
+def simulator(scene: Scene, made: Mapping[str, Design]) -> Simulator:
+    return Simulator(scene, made["temperature"], made["vapour"])
+
+
+def parameters(one: Simulator, *values: Mapping[str, float]) -> np.ndarray:
+    """(P, 1) of values by name, the levels of controllers from their features."""
+    given = {p.name: p.start for p in one.parameters}
+    for some in values:
+        given |= {k: v for k, v in some.items() if k in given}
+    return np.array([[given[name]] for name in one.names])
+
+
+def free_run(made: Design, values: Mapping[str, float], line: Run, quantity: str) -> np.ndarray:
+    found = simulate(made, values, line)
+    pair = found.temperature if quantity == "temperature" else found.relative_humidity
+    assert pair is not None
+    return pair[0]
+
+
+def differences(record: Record, effect: Effect, quantity: str, parts: tuple[int, ...] = (1, 2)) -> list[float]:
+    """Root mean square difference [K] or [g/m³] to the free run, for cells and parts of them."""
+    made = designs(record, effect)
+    one = made[quantity]
+    values = started(one, effect)
+    line = prepare_run(one, record)
+    expected = free_run(one, values, line, quantity)
+    scene = scene_of(record, made["temperature"], made["vapour"])
+    found = []
+    for part in parts:
+        sim = simulator(finer(scene, part) if part > 1 else scene, made)
+        shown = sim.simulated(parameters(sim, values), quantity)[:, 0]
+        r = sim.scene.readings[quantity]
+        at = np.minimum(np.searchsorted(line.timeline.seconds, r.time_s - 0.5), len(expected) - 1)
+        there = np.isfinite(r.value) & (r.time_h > SETTLED_H)
+        assert np.abs(line.timeline.seconds[at] - r.time_s)[there].max() < 0.5
+        found.append(rms((shown - expected[at] * r.saturated)[there]))
+    return found
+
+
+def rms(values: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+EFFECTS = {
+    "base": Effect(),
+    "wall": Effect(
+        (("wall_thermal_mass", {}),),
+        values={"wall_conductance": 1.5, "wall_time_constant": 7.0, "wall_position": 0.5},
+    ),
+    "sun": Effect(
+        (("solar_gain", {"lagged": True}),), features={"sunshine": {}},
+        values={"solar_heat": 8.0, "solar_time": 0.7},
+    ),
+    "sorption": Effect(
+        vapour=(("moisture_sorption", {}),), values={"sorption_capacity": 30.0, "sorption_time": 8.0}
+    ),
+    "condensation": Effect(
+        vapour=(("condensation", {}),),
+        values={"surface_time": 2.0, "surface_undercooling": 3.0, "condensation_rate": 2.0},
+    ),
+    "throttled heater": Effect(
+        (("unreported_heater", {"flag": "throttled_heating"}),),
+        features={"throttled_heating": {"reads": "cabinet_temperature", "start": 290.0, "full": 288.0}},
+        values={"heater_heat": 6.0},
+    ),
+    "vent": Effect(
+        (("vent_loss", {}),), (("vent_exchange", {}),),
+        {"venting": {"reads": "cabinet_temperature", "start": 292.0, "full": 296.0}},
+        {"vent_conductance": 1.5, "vent_exchange": 2.0},
+    ),
+}  # fmt: skip
+
+
+def names_of(effect: Effect) -> set[str]:
+    return {
+        p.name for name, settings in (*effect.heat, *effect.vapour) for p in LIBRARY[name](**settings).parameters
+    }
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_the_effects_have_the_parameters_that_are_set(effect):
+    assert set(effect.values or {}) <= names_of(effect)
+
+
+def acts_on(effect: Effect) -> tuple[str, ...]:
+    return tuple(q for q, added in (("temperature", effect.heat), ("vapour", effect.vapour)) if added) or (
+        "temperature", "vapour",
+    )  # fmt: skip
+
+
+CASES = [
+    (name, quantity)
+    for name, effect in EFFECTS.items()
+    for quantity in acts_on(effect)
+    if name != "vent"
+]
+
+
+@pytest.mark.parametrize(("name", "quantity"), CASES)
+def test_cells_give_the_free_run_of_the_package(name, quantity):
+    coarse, fine = differences(record_of(8601), EFFECTS[name], quantity)
+    print(name, quantity, coarse, fine)
+    assert coarse <= TOLERANCE[quantity]
+    assert fine < 0.8 * coarse
+
+
+@pytest.mark.parametrize("kind", ["means", "hourly means"])
+@pytest.mark.parametrize("quantity", ["temperature", "vapour"])
+def test_readings_of_interval_means_are_simulated_as_means(kind, quantity):
+    coarse, fine = differences(record_of(8602, kind), EFFECTS["base"], quantity)
+    print(kind, quantity, coarse, fine)
+    assert coarse <= TOLERANCE[quantity]
+    assert fine < 0.9 * coarse
