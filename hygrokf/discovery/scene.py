@@ -36,7 +36,8 @@ from hygrokf.modelling.inputs import (
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity
 
-PARTS = 4
+PARTS = 8
+"""Parts of a cell: a change of the power in 10-minute means then acts at most a minute off."""
 SHORTEST_S, LONGEST_S = 180.0, 1200.0
 """[s] shortest and longest cell."""
 MOST_CELLS = 33_000
@@ -129,8 +130,9 @@ class Scene:
 
     @cached_property
     def edges_s(self) -> np.ndarray:
-        """(F,) [s] edges of the parts of cells."""
-        return self.first_s + np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
+        """(F,) [s] edges of the parts of cells, to a millisecond: a mean counts up to its stamp."""
+        edges = np.arange(self.count * PARTS + 1) * (HOUR_S * self.cell_h / PARTS)
+        return np.round(self.first_s + edges, 3)
 
     def _base(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Inputs of the base designs at the edges of parts, and where one is unknown."""

@@ -7,10 +7,10 @@ end of a cell is evaluated with the inputs' values there.  Each state follows it
     x ← x + h φ₁(z) f + h (φ₂(z) − φ₁(z)/2) (f_end − f_begin),    z = h ∂f/∂x,
     φ₁(z) = (e^z − 1)/z,    φ₂(z) = (φ₁(z) − 1)/z,
 
-which is exact for a constant rate, and enters the equations of the states after it with its values before
-and after, and with their mean.  The vapour's model runs on the cabinet's temperature: that of the heat's model where
-`SIMULATED` is 1, the input `cabinet_temperature` where it is 0.  Controllers follow the readings that the run
-itself gives at the start of each cell.
+which is exact for a constant rate, and enters the equations of the other states with its values before and
+after, and with their mean: before its turn with those by its first rate alone.  The vapour's model runs on
+the cabinet's temperature: that of the heat's model where `SIMULATED` is 1, the input `cabinet_temperature`
+where it is 0.  Controllers follow the readings that the run itself gives at the start of each cell.
 
 The loop is emitted from the traced expressions of the mechanisms; no equation is written here.
 
@@ -118,8 +118,8 @@ class TracedCell:
 
     def _positions(self) -> dict[str, Expression]:
         """What the controllers do in the cell."""
-        nothing = dict.fromkeys(self.model.controls, 0.0)
-        shown = self._shown(self.states, {**self.begin, **self.own, **nothing}) if nothing else {}
+        # an open vent cools the air that the controller reads
+        shown = self._shown(self.states, {**self.begin, **self.own, **self.before}) if self.before else {}
         found = {}
         for name in self.model.controls:
             first, second, two, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
@@ -138,22 +138,35 @@ class TracedCell:
         end: Mapping[str, Value],
     ) -> dict[str, Value]:
         """Move the states of a model in `state`, one after the other; returns them in the middle."""
-        now = {name: state[name] for name in model.states}
-        for name, floor in zip(model.states, model.amounts, strict=True):
-            place = model.states.index(name)
-            rate, first, last = (
-                self.graph.lift(
-                    model.evaluate([at[one] for one in model.states], inputs, self.values).rates[place]
-                )
-                for at, inputs in ((now, mean), (self.states, begin), (state, end))
-            )
-            begun = self.states[name]
-            ((slope,),) = jacobian([rate], [begun])
-            one, half = _phi(self.hours * slope)
-            moved = begun + self.hours * (rate * one + (last - first) * half)
-            state[name] = where(moved < 0.0, 0.0, moved) if floor else moved
-            now[name] = 0.5 * (begun + state[name])
+
+        def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
+            made = model.evaluate([at[one] for one in model.states], inputs, self.values).rates
+            return [self.graph.lift(one) for one in made]
+
+        floors = dict(zip(model.states, model.amounts, strict=True))
+        now: dict[str, Value] = {}
+
+        def move(name: str, step: Expression) -> None:
+            moved = self.states[name] + step
+            state[name] = where(moved < 0.0, 0.0, moved) if floors[name] else moved
+            now[name] = 0.5 * (self.states[name] + state[name])
+
+        # where a state is needed before its turn, it moves at the rate that it begins with; φ₁ without e^z
+        first = rates(self.states, begin)
+        for name, rate in zip(model.states, first, strict=True):
+            z = self._stretch(rate, name)
+            move(name, self.hours * rate / (1.0 - z * (0.5 - z * (1.0 / 12.0))))
+        for place, name in enumerate(model.states):
+            state[name] = now[name] = self.states[name]
+            rate, last = rates(now, mean)[place], rates(state, end)[place]
+            one, half = _phi(self._stretch(rate, name))
+            move(name, self.hours * (rate * one + (last - first[place]) * half))
         return now
+
+    def _stretch(self, rate: Expression, name: str) -> Value:
+        """z of a state: the cell in units of its own time constant."""
+        ((slope,),) = jacobian([rate], [self.states[name]])
+        return self.hours * slope
 
     def _air(self, heat: Mapping[str, Value], inputs: Mapping[str, Value]) -> Value:
         """The temperature on which vapour runs."""
