@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -99,7 +99,9 @@ def coefficients(step_h: float, tau_h: float) -> np.ndarray:
     fading = np.exp(-step_h / times)
     ratio = np.where(
         np.abs(delta) < 1e-12, own,
-        np.where(delta < 0.0, own * np.expm1(np.minimum(safe, 0.0)), -fading * np.expm1(np.minimum(-safe, 0.0)))
+        np.where(
+            delta < 0.0, own * np.expm1(np.minimum(safe, 0.0)), -fading * np.expm1(np.minimum(-safe, 0.0))
+        )
         / safe,
     )  # fmt: skip
     return np.concatenate([fading, step_h / tau_h * ratio, [own]])
@@ -180,7 +182,9 @@ class _Emission:
         kind = kind or self.kind
         return self.w.load(kind, self.w.at(kind, f"%{array}", place))
 
-    def values(self, outputs: Sequence[Expression], leaves: dict[int, str], vectors: Sequence[int]) -> list[str]:
+    def values(
+        self, outputs: Sequence[Expression], leaves: dict[int, str], vectors: Sequence[int]
+    ) -> list[str]:
         made = self.w.block(self.traced.graph, outputs, leaves, vectors)
         return [self.w.as_vector(kind, name) if self.wide else name for kind, name in made]
 
@@ -199,8 +203,7 @@ def _filter_text(name: str, wide: bool) -> str:
     Writes innovations and their variances (T, lanes), and without `wide` also P H' (T, n), the predicted
     error (T,) and the state after each reading (T, n).
     """
-    outputs = ("innovation", "variance")
-    outputs += () if wide else ("reach", "predicted", "state")
+    outputs = ("innovation", "variance", *(() if wide else ("reach", "predicted", "state")))
     e = _Emission(name, (*_ARRAYS, *outputs), wide)
     t, w = e.traced, e.w
     known = {one.index: e.load("variances", i) for i, one in enumerate(t.variances)}

@@ -48,7 +48,9 @@ UNKNOWN_K = 25.0
 UNKNOWN_SHARE = 0.3
 """The same standard deviation of the vapour, as a share of its mean."""
 QUANTITIES = ("temperature", "vapour")
-AMBIENT_HUMIDITIES = ("ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature")
+AMBIENT_HUMIDITIES = (
+    "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
+)  # fmt: skip
 SIGNAL_OF = {
     "exchange_factor": "ambient_temperature",
     "ambient_temperature_rate": "ambient_temperature",
@@ -139,7 +141,10 @@ class Scene:
         if "" not in self._cache:
             design = self.vapour or self.heat
             time, wanted = self.edges_s, {"exchange_factor"}
-            found, unknown = _ambient_inputs(_courses(design, self.record), time, wanted)
+            courses = _courses(design, self.record)
+            # a gap of the cabinet's own temperature is one of the vapour's inputs alone
+            courses.pop(TEMPERATURE, None)
+            found, unknown = _ambient_inputs(courses, time, wanted)
             power, operating, unknown_power = _power_inputs(self.heat, self.record, time)
             found |= power
             if "preheating" in self.record:
@@ -150,9 +155,13 @@ class Scene:
             self._cache[""] = found, unknown | unknown_power
         return self._cache[""]
 
-    @property
-    def unknown(self) -> np.ndarray:
-        return self._base()[1]
+    def unknown(self, signal: str) -> np.ndarray:
+        """(F,) where an input is unknown on which readings of a signal depend."""
+        unknown = self._base()[1]
+        if signal == TEMPERATURE:
+            return unknown
+        path = input_path(without_response(self.record[TEMPERATURE]))
+        return unknown | np.isnan(at_times(path, self.edges_s, bridge_h(path, AMBIENT_BRIDGE_H)))
 
     def at_edges(self, name: str, design: Design) -> np.ndarray:
         """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
@@ -202,7 +211,8 @@ class Scene:
         key = json.dumps([name, design.features.get(name), seconds, drive, straight], default=float)
         if key not in self._cache:
             # the temperature is kept with its means, so that its identity stays its own
-            self._cache[key] = (*over_cells(self.at_edges(name, design), straight), self.drive if drive else None)
+            made = over_cells(self.at_edges(name, design), straight)
+            self._cache[key] = (*made, self.drive if drive else None)
         return self._cache[key][:2]
 
     def column(self, name: str, design: Design) -> np.ndarray:
@@ -241,7 +251,7 @@ def scene_of(record: Record, heat: Design, vapour: Design | None) -> Scene:
     # readings at the edges of cells need no interpolation
     read = record[TEMPERATURE].time
     first += float((read[np.searchsorted(read, first)] - first) % cell_s)
-    count = max(int(math.ceil((last - first) / cell_s - 1e-9)), 2)
+    count = max(math.ceil((last - first) / cell_s - 1e-9), 2)
     scene = Scene(record, first, cell_s / HOUR_S, count, heat, vapour)
     warm_series = record[TEMPERATURE]
     warm = at_times(input_path(without_response(warm_series)), scene.edges_s, math.inf)
@@ -279,7 +289,7 @@ def _vapour(scene: Scene, series: Series) -> Readings:
 
 
 def _over_intervals(time: np.ndarray, value: np.ndarray, series: Series) -> np.ndarray:
-    """Means (T,) of a course (F,) at times (F,) [s] over the intervals of a series; its values at instants."""
+    """Means (T,) of a course (F,) at times (F,) [s] over a series' intervals, or its values at instants."""
     if not series.interval_s:
         return np.interp(series.time, time, value)
     total = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)))
@@ -292,7 +302,7 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
     end = scene.place(series.time)
     begin = scene.place(series.time - series.interval_s)
     inside = (begin >= -1e-9) & (end <= scene.count + 1e-9)
-    gone = np.append(0, np.cumsum(scene.unknown))
+    gone = np.append(0, np.cumsum(scene.unknown(series.signal)))
     at = [np.clip((PARTS * one).astype(int), 0, len(gone) - 2) for one in (begin, end)]
     known = gone[at[1] + 1] == gone[at[0]]
     value = np.where(known, value, np.nan)

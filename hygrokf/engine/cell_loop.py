@@ -1,8 +1,8 @@
 """The compiled simulation of a cabinet over cells of equal length, eight runs side by side.
 
-A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input has its mean f̄
-and rises in a straight line from its value at the beginning to that at the end; what the model says at the
-end of a cell is evaluated with the inputs' values there.  Each state follows its own linearised equation,
+A run is a model of heat and a model of vapour, driven by inputs alone.  Within a cell every input has its
+mean f̄ and rises in a straight line from its value at the beginning to that at the end; what the model says at
+the end of a cell is evaluated with the inputs' values there.  Each state follows its own linearised equation,
 
     x ← x + h φ₁(z) f + h (φ₂(z) − φ₁(z)/2) (f_end − f_begin),    z = h ∂f/∂x,
     φ₁(z) = (e^z − 1)/z,    φ₂(z) = (φ₁(z) − 1)/z,
@@ -29,7 +29,6 @@ from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations
 from hygrokf.engine.vector_math import exponential, logarithm
 from hygrokf.physics.expression import Expression, Graph, Value, exp, jacobian, where
-from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Model
 from hygrokf.physics.switches import position
 
@@ -180,7 +179,7 @@ class TracedCell:
     def _shown(self, state: Mapping[str, Value], inputs: Mapping[str, Value]) -> dict[str, Value]:
         """The readings at a state under inputs."""
         warm = {TEMPERATURE: self._air(state, inputs)}
-        found = {}
+        found: dict[str, Value] = {}
         for model in self.model.models:
             given = inputs if model is self.model.heat else {**inputs, **warm}
             made = model.evaluate([state[name] for name in model.states], given, self.values).outputs
@@ -208,7 +207,7 @@ ARGUMENTS = ("hours", "means", "edges", "strides", "theta", "given", "start", "o
 
 
 def cell_text(t: TracedCell) -> str:
-    """LLVM text of a module with `cells(count, hours, means, edges, strides, theta, given, start, out, own…)`.
+    """LLVM text of `cells(count, hours, means, edges, strides, theta, given, start, out, own…)`.
 
     hours: (1,); means (K, m) and edges (K+1, m) of the inputs, in their order; strides: (w,) LANES for an
     input of which every cell has values, 0 for a constant one; theta: (P, LANES); given: constants of the
@@ -222,7 +221,8 @@ def cell_text(t: TracedCell) -> str:
     )
     fixed = {t.hours.index: w.load(SCALAR, "%hours")}
     fixed |= {
-        one.index: w.load(w.vector, w.at(w.vector, "%theta", i)) for i, one in enumerate(t.parameters.values())
+        one.index: w.load(w.vector, w.at(w.vector, "%theta", i))
+        for i, one in enumerate(t.parameters.values())
     }
     fixed |= {
         g.symbol(f"c:{i}").index: w.load(SCALAR, w.at(SCALAR, "%given", i)) for i in range(len(g.given))
@@ -239,7 +239,9 @@ def cell_text(t: TracedCell) -> str:
         row = w.integer("mul", k, width)
         after = w.integer("add", row, width)
         leaves = fixed | {i: w.load(w.vector, slot) for i, slot in slots.items()}
-        for array, first, symbols in (("means", row, t.mean), ("edges", row, t.begin), ("edges", after, t.end)):
+        for array, first, symbols in (
+            ("means", row, t.mean), ("edges", row, t.begin), ("edges", after, t.end),
+        ):  # fmt: skip
             leaves |= {
                 one.index: w.load(SCALAR, w.at(SCALAR, f"%{array}", w.integer("add", first, c)))
                 for c, one in enumerate(symbols.values())
