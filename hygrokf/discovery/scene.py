@@ -93,10 +93,12 @@ class Readings:
         """(T, lanes) of what is shown at the ends of the cells (K, lanes)."""
         if np.array_equal(self.begin, self.end):
             return _between(shown, self.end) * self.saturated[:, None]
-        total = np.zeros((len(shown) + 1, shown.shape[1]))
-        np.cumsum(0.5 * (shown[1:] + shown[:-1]), axis=0, out=total[2:])
-        width = (self.end - self.begin)[:, None]
-        mean = (_between(total[1:], self.end) - _between(total[1:], self.begin)) / width
+        # the first cell counts as what is shown at its end; a moved interval stays within the cells
+        parts = [np.zeros_like(shown[:1]), shown[:1], 0.5 * (shown[1:] + shown[:-1])]
+        total = np.cumsum(np.concatenate(parts), axis=0)
+        width = self.end - self.begin
+        begin = np.clip(self.begin, 0.0, len(shown) - width) + 1.0
+        mean = (_between(total, begin + width) - _between(total, begin)) / width[:, None]
         return mean * self.saturated[:, None]
 
 

@@ -10,9 +10,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from plants.as_record import to_record
+from plants.hidden import hidden_plant
 from scipy.integrate import quad
 
 from hygrokf.data.record import Record, Series
+from hygrokf.discovery.base import base_estimate, free_run_error
 from hygrokf.discovery.scene import PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
 from hygrokf.engine.cell_loop import TEMPERATURE
 from hygrokf.modelling.design import CASCADE, design
@@ -158,12 +161,24 @@ def test_readings_of_interval_means_are_means():
     shown = rng.standard_normal((one.count, 2))
     found = r.sampled(shown)
     place = np.arange(1.0, one.count + 1.0)
-    for k in (1, 20, 100):
+    for k in (0, 1, 20, 100):
         course = lambda x, i: np.interp(x, place, shown[:, i])  # noqa: E731
         for i in (0, 1):
             points = np.arange(math.ceil(r.begin[k]), r.end[k])
             expected = quad(course, r.begin[k], r.end[k], args=(i,), points=points)[0] / 3.0
             assert found[k, i] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("hours", [-30.0, -1.5, 1.5, 30.0])
+@pytest.mark.parametrize("hold", ["linear", "mean"])
+def test_moved_readings_beyond_the_cells_are_what_is_shown_at_their_ends(hold, hours):
+    logger = [series(n, 3600.0, f, hold, "logger") for n, f in (
+        ("cabinet_temperature", cabinet), ("cabinet_relative_humidity", lambda t: 0.5 + 0.0 * t)
+    )]  # fmt: skip
+    one = scene(record(*logger)).moved("logger", hours * HOUR_S)
+    found = one.readings["temperature"].sampled(np.linspace(290.0, 300.0, one.count)[:, None])
+    assert 290.0 <= found.min() < found.max() <= 300.0 + 1e-9
+    assert (np.diff(found[:, 0]) > -1e-9).all()
 
 
 def test_vapour_is_humidity_times_saturation_over_the_interval():
@@ -272,3 +287,15 @@ def test_readings_after_the_identification_period_are_marked():
     r = scene(replace(record(), until_s=until)).readings["temperature"]
     assert np.array_equal(r.identified, r.time_s <= until)
     assert 0.6 < r.identified.mean() < 0.7
+
+
+@pytest.mark.parametrize("options", [{}, {"logger_mean": True}], ids=["instants", "means"])
+def test_the_base_model_of_a_plant_is_found_from_its_cells(options):
+    """With gaps of logger and power, from instants and from interval means alike."""
+    made = hidden_plant(8702, "none", days=60.0, **options)
+    found = base_estimate(to_record(made))
+    assert found.values["thermal_time_constant"] == pytest.approx(made.truth.tau_h, rel=0.1)
+    assert found.values["hygric_k"] == pytest.approx(made.truth.hygric_constant_h, rel=0.1)
+    for quantity, largest in (("temperature", 2.0), ("vapour", 0.7)):
+        assert free_run_error(found, quantity) < largest
+        assert np.isfinite(found.deviances[quantity])
