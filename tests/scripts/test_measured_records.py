@@ -117,7 +117,7 @@ def test_duties_of_a_compartment_are_shares() -> None:
         }
     )
     made = measured._compartment(rows)
-    assert made.vents.tolist() == [0.0, 1.0, 0.2] and made.pipe.tolist() == [0.0, 0.5, 1.0]
+    assert made["vents"].tolist() == [0.0, 1.0, 0.2] and made["pipe"].tolist() == [0.0, 0.5, 1.0]
 
 
 def test_rows_of_sensors_that_were_not_read_are_left_out() -> None:
