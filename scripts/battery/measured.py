@@ -317,12 +317,11 @@ def measured(name: str, variant: str = AS_IT_IS) -> Record:
     """A measured record, identified in its first two thirds."""
     with tempfile.TemporaryDirectory() as directory:
         record = read_case(case_of(name, variant, Path(directory)))
+    # What a folder is called must not show in results, and two clocks may come in one file.
+    clocks = {one.signal: Path(one.source).name for one in record.series}
     if name in RECORDS:
-        clocks = {
-            one.signal: "loggers inside" if one.signal in INSIDE else "weather station"
-            for one in record.series
-        }
-        record = record.replace_series(*(replace(one, source=clocks[one.signal]) for one in record.series))
+        clocks = {signal: "loggers inside" if signal in INSIDE else "weather station" for signal in clocks}
+    record = record.replace_series(*(replace(one, source=clocks[one.signal]) for one in record.series))
     return _identified(record)
 
 

@@ -57,6 +57,16 @@ def test_a_variant_leaves_out_what_it_withholds_and_nothing_else(known: measured
     assert variant.site is not None or known.variant != "sun withheld"
 
 
+def test_a_record_is_the_same_each_time_and_names_no_folder() -> None:
+    there("Koala")
+    first, second = measured.measured("Koala"), measured.measured("Koala")
+    assert first.series == second.series
+    assert {one.file for one in first.series} == {
+        "greenhouse_agc2022_Koala_5min.csv",
+        "greenhouse_agc2022_weather_5min.csv.gz",
+    }
+
+
 def test_the_cases_are_those_of_the_rows_of_figures() -> None:
     assert len({(one.record, one.variant) for one in measured.CASES}) == len(measured.CASES)
     rows = [one.row for one in measured.CASES]
