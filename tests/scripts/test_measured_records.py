@@ -1,0 +1,168 @@
+"""Measured records of the battery: each is read as its case says, and its variants hide what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from battery import measured
+
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.discovery.library import LIBRARY
+
+DAYS_AND_READINGS = {
+    "attic R2": (580.0, 13_921),
+    "attic R4": (551.0, 13_225),
+    "attic R7": (588.0, 14_113),
+    "house": (137.0, 19_735),
+    "controller": (137.4, 17_151),
+    "logger box": (51.5, 7_157),
+    "Reference": (43.0, 12_359),
+    "Koala": (43.0, 12_359),
+    "CVA": (46.0, 13_216),
+    "Celle": (59.0, 6_730),
+    "dryer": (19.5, 1_836),
+}
+
+
+def there(name: str) -> None:
+    if measured.absent(name):
+        pytest.skip(measured.absent(name))
+
+
+@pytest.mark.parametrize("name", measured.SOURCES)
+def test_a_record_has_the_readings_of_its_file(name: str) -> None:
+    there(name)
+    record = measured.measured(name)
+    time, value = record["cabinet_temperature"].known
+    assert ((time[-1] - time[0]) / DAY_S, len(time)) == (
+        pytest.approx(DAYS_AND_READINGS[name][0], abs=0.06),
+        DAYS_AND_READINGS[name][1],
+    )
+    assert value.min() > 250.0 and value.max() < 338.0
+    # a gap may lie at the end of the identification
+    assert record.until_s - time[0] == pytest.approx(measured.IDENTIFIED * (time[-1] - time[0]), abs=3600.0)
+
+
+@pytest.mark.parametrize("known", measured.CASES, ids=lambda known: f"{known.record} {known.variant}")
+def test_a_variant_leaves_out_what_it_withholds_and_nothing_else(known: measured.Known) -> None:
+    there(known.record)
+    whole, variant = measured.measured(known.record), measured.measured(known.record, known.variant)
+    assert set(whole.signals) - set(variant.signals) == set(measured.VARIANTS[known.variant])
+    # a clear sky can be computed in the place of the sun that is withheld
+    assert variant.site is not None or known.variant != "sun withheld"
+
+
+def test_a_record_is_the_same_each_time_and_names_no_folder() -> None:
+    there("Koala")
+    first, second = measured.measured("Koala"), measured.measured("Koala")
+    assert first.series == second.series
+    assert {one.file for one in first.series} == {
+        "greenhouse_agc2022_Koala_5min.csv",
+        "greenhouse_agc2022_weather_5min.csv.gz",
+    }
+
+
+def test_the_cases_are_those_of_the_rows_of_figures() -> None:
+    assert len({(one.record, one.variant) for one in measured.CASES}) == len(measured.CASES)
+    rows = [one.row for one in measured.CASES]
+    assert (rows.count(measured.KNOWN), rows.count(measured.WITHHELD)) == (9, 8)
+    names = {cause.name for cause in LIBRARY}
+    assert all(
+        {*one.right, *one.wrong} <= names and not {*one.right} & {*one.wrong} for one in measured.CASES
+    )
+    assert all(signal in SIGNALS for withheld in measured.VARIANTS.values() for signal in withheld)
+    assert set(measured.RECORDS) < set(measured.SOURCES) == set(DAYS_AND_READINGS)
+
+
+def test_a_file_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(measured, "DATA", tmp_path)
+    (tmp_path / "greenhouse_agc2022_Koala_5min.csv.gz").touch()
+    assert measured.absent("Koala") == "../shared/data/greenhouse_agc2022_weather_5min.csv.gz is not there"
+    assert measured.absent("dryer") == "../shared/data/solar_dryer_1min_2023.csv.gz is not there"
+
+
+def hours(days: float, outside_days: float) -> Record:
+    """Hours inside for some days, and outside for more."""
+    spans = {"cabinet_temperature": days, "ambient_temperature": outside_days}
+    series = []
+    for name, span in spans.items():
+        time = 1.3e9 + 3600.0 * np.arange(int(24 * span) + 1)
+        series.append(Series(name, time, 285.0 + np.sin(time / 1e5)))
+    return Record("made", tuple(series))
+
+
+def test_a_cut_record_ends_before_the_last_fifth_inside() -> None:
+    whole = hours(100.0, 130.0)
+    cut, kept = measured.before_the_last_fifth(whole)
+    assert cut.end_s == whole.start_s + 80.0 * DAY_S
+    assert cut.until_s == kept.until_s == whole.start_s + 80.0 * DAY_S * measured.IDENTIFIED
+    assert kept.series == whole.series
+    assert cut["cabinet_temperature"].value[-1] == whole["cabinet_temperature"].value[80 * 24]
+
+
+@pytest.mark.parametrize(("days", "count"), [(89.0, 1), (90.0, 1), (200.0, 3)])
+def test_pieces_hold_every_reading_once(monkeypatch: pytest.MonkeyPatch, days: float, count: int) -> None:
+    whole = hours(days, days + 5.0)
+    monkeypatch.setattr(measured, "measured", lambda _: whole)
+    pieces = measured.pieces("made")
+    assert len(pieces) == len({one.name for one in pieces}) == count
+    inside = np.concatenate([one["cabinet_temperature"].time for one in pieces])
+    np.testing.assert_array_equal(inside, whole["cabinet_temperature"].time)
+    for one in pieces:
+        assert one.end_s - one.start_s <= measured.LONGEST_PIECE_DAYS * DAY_S
+        assert (one.until_s - one.start_s) / (one.end_s - one.start_s) == pytest.approx(measured.IDENTIFIED)
+
+
+def test_duties_of_a_compartment_are_shares() -> None:
+    rows = pd.DataFrame(
+        {
+            "vent_lee_pct": [0.0, 100.0, 30.0],
+            "vent_wind_pct": [0.0, 100.0, 10.0],
+            "heating_pipe_degC": [0.0, 50.0, 90.0],
+        }
+    )
+    made = measured._compartment(rows)
+    assert made["vents"].tolist() == [0.0, 1.0, 0.2] and made["pipe"].tolist() == [0.0, 0.5, 1.0]
+
+
+def test_rows_of_sensors_that_were_not_read_are_left_out() -> None:
+    rows = pd.DataFrame(
+        {
+            "time": ["a", "b", "c"],
+            "T_in": [21.0, 0.0, 23.0],
+            "T_out": [3.0, -2.147e8, 0.0],
+            "vent": [0.1, 0.0, 0.0],
+        }
+    )
+    made = measured._cell(rows)
+    assert made.time.tolist() == ["a", "b", "c"]
+    assert made.vent.isna().tolist() == made.T_out.isna().tolist() == [False, True, True]
+
+
+def test_means_end_at_their_stamps_and_are_of_whole_intervals() -> None:
+    stamps = pd.date_range("2023-03-11 07:00", periods=12, freq="min").delete(8)
+    rows = pd.DataFrame({"time": stamps.astype(str), "T_in": np.arange(11.0)})
+    made = measured._means(rows)
+    assert made.time.astype(str).tolist() == ["2023-03-11 07:05:00"]
+    assert made.T_in.tolist() == [3.0]
+
+
+def test_the_cell_in_celle_keeps_summer_time() -> None:
+    there("Celle")
+    record = measured.measured("Celle")
+    assert np.diff(record["cabinet_temperature"].time).max() == 600.0
+    sun, noon = record["global_horizontal_irradiance"], 0.5 * DAY_S
+    local = sun.time + record.site.longitude_deg / 360.0 * DAY_S
+    high = np.isfinite(sun.value) & (sun.value > 5.0)
+    middles = []
+    for day in (28, 30, 31):
+        start = pd.Timestamp(f"2014-03-{day}").timestamp()
+        seen = (local % DAY_S)[high & (local >= start) & (local < start + DAY_S)]
+        middles.append(0.5 * (seen.min() + seen.max()) - noon)
+    # the equation of time at the end of March is -5 min
+    assert np.allclose(middles, 300.0, atol=1500.0)
