@@ -139,10 +139,11 @@ def estimate_at(
     """The estimate at given parameters, its variances maximised unless they are given."""
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors.courses}
     made = Estimate(simulator, errors, theta, variances or {}, simulated, linear, plain)
-    return made if variances else _with_variances(made)
+    return made if variances else with_variances(made)
 
 
-def _with_variances(one: Estimate, block: Sequence[str] | None = None) -> Estimate:
+def with_variances(one: Estimate, block: Sequence[str] | None = None) -> Estimate:
+    """The estimate with the variances of some quantities (all) at their maximum."""
     found = dict(one.variances)
     for q in one.quantities if block is None else block:
         residual = one.residual(q)
@@ -175,7 +176,7 @@ def fitted(
         rounds, tolerance = effort
         for _ in range(rounds):
             before = sum(one.deviances[q] for q in block)
-            one = _with_variances(_stepped(one, names, block, kept or {}), block)
+            one = with_variances(_stepped(one, names, block, kept or {}), block)
             if not sum(one.deviances[q] for q in block) < before - tolerance:
                 break
     return one

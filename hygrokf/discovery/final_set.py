@@ -14,7 +14,16 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.discovery.estimate import POLISH, Estimate, errors_of, estimate_at, fitted, frame, slopes
+from hygrokf.discovery.estimate import (
+    POLISH,
+    Estimate,
+    errors_of,
+    estimate_at,
+    fitted,
+    frame,
+    slopes,
+    with_variances,
+)
 from hygrokf.discovery.judgement import levelled
 
 Estimator = Literal["likelihood", "output-error"]
@@ -64,7 +73,7 @@ def final_estimator(one: Estimate) -> Estimator:
 def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
     made = _fitted_by(one, estimator)
-    names, covariance = sandwich(replace(made, plain=estimator == "output-error"))
+    names, covariance = sandwich(with_variances(replace(made, plain=True)) if estimator == "output-error" else made)
     limits = {p.name: (p.lower, p.upper) for p in made.simulator.parameters}
     at = tuple(
         name for name in names
@@ -76,7 +85,7 @@ def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
 def _fitted_by(one: Estimate, estimator: str) -> Estimate:
     if estimator == "likelihood":
         return levelled(fitted(one))
-    plain = fitted(replace(one, plain=True), effort=POLISH)
+    plain = fitted(with_variances(replace(one, plain=True)), effort=POLISH)
     return replace(estimate_at(plain.simulator, one.errors, plain.theta, one.linear), plain=False)
 
 

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.error_model import HUBER, ahead, filtered, loss
-from hygrokf.discovery.estimate import Estimate, fitted
+from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 
 LEVELS = (
-    "heat_release_operation", "heat_release_standstill", "cabinet_temperature_bias",
-    "cabinet_relative_humidity_bias", "breathed_offset",
+    "heat_release_operation", "heat_release_standstill", "heat_release_operation_ambient",
+    "heat_release_standstill_ambient", "cabinet_temperature_bias", "cabinet_relative_humidity_bias",
+    "breathed_offset",
 )  # fmt: skip
-"""Parameters that are the constant part of a simulation."""
+"""Parameters that are the slow part of a simulation."""
 HORIZONS_H = (3.0, 12.0, 48.0)
 WORSE_Z = 2.0
 WORSE_GROWTH = 0.1
@@ -49,8 +50,8 @@ class Judged:
 def levelled(one: Estimate) -> Estimate:
     """The estimate whose levels are those of the least free-run error in the identification period."""
     names = set(LEVELS) & set(one.simulator.names)
-    plain = replace(one, plain=True)
-    return replace(fitted(plain, names, (2, 0.1)), plain=False, variances=one.variances)
+    plain = with_variances(replace(one, plain=True))
+    return replace(fitted(plain, names, (4, 0.1)), plain=False, variances=one.variances)
 
 
 def scores(one: Estimate) -> dict[str, Scores]:

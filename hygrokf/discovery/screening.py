@@ -28,6 +28,8 @@ SIZES = (1.0, 2.5, 0.4, 6.0)
 FOLLOWED = 3
 """Settings of a form that are run, and of a cause that are estimated."""
 LEAST = 6.0
+AT_LIMIT = 1e-3
+"""Share of a coordinate's range within which a parameter is at its limit."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +55,22 @@ class Parent:
 
 
 def parent_of(one: Estimate) -> Parent:
+    """A parent's own columns; those of parameters that are held at a limit imitate nothing."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
+    z = f.coordinates(one.theta)
+    near = AT_LIMIT * (f.upper - f.lower)
     basis, error, kept = {}, {}, {}
     for q, columns in slopes(one, f).items():
         kept[q] = {one.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
         known = one.filtered[q]
-        there = columns.any(axis=0)
         root = np.sqrt(known.weight)
-        white = known.whitened(columns[:, there]) * root[:, None]
-        scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
-        basis[q] = np.linalg.qr(white / scale)[0]
+        white = known.whitened(columns) * root[:, None]
         error[q] = np.nan_to_num(known.standardised) * root
+        pull = white.T @ error[q]
+        held = ((z <= f.lower + near) & (pull < 0.0)) | ((z >= f.upper - near) & (pull > 0.0))
+        white = white[:, columns.any(axis=0) & ~held]
+        scale = np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
+        basis[q] = np.linalg.qr(white / scale)[0] if white.shape[1] else white
     return Parent(one, basis, error, kept)
 
 
@@ -218,16 +225,18 @@ def _run(
 
 
 def chord_gains(
-    parent: Parent, wider: Simulator, theta: np.ndarray, own: Mapping[str, Sequence[np.ndarray]],
+    parent: Parent, wider: Simulator, theta: np.ndarray, columns: Mapping[str, Sequence[np.ndarray]],
     quantities: set[str],
 ) -> np.ndarray:  # fmt: skip
     """(n,) gain in −2 ln L of runs with parameters (P, n), where the parent follows by one chord step."""
     one, gain = parent.estimate, np.zeros(theta.shape[1])
     for q in sorted(quantities):
-        y = wider.simulated(theta, q, own)
+        y = wider.simulated(theta, q, columns)
         e = parent.error[q][:, None] - _whitened(one, q, y - one.simulated[q][:, None])
         left = _free_of(parent.basis[q], e)
-        gain += (parent.error[q] ** 2).sum() - (left**2).sum(axis=0)
+        # what the parent's own step would gain is no gain of theirs
+        own = _free_of(parent.basis[q], parent.error[q][:, None])
+        gain += (own**2).sum() - (left**2).sum(axis=0)
     return np.where(np.isfinite(gain), gain, -np.inf)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.discovery.base import renewed
+from hygrokf.discovery.starting_model import renewed
 from hygrokf.discovery.estimate import (
     LIGHT,
     POLISH,
@@ -41,8 +41,8 @@ from hygrokf.physics.parameters import Parameter
 
 THRESHOLD, FURTHER = 10.0, 25.0
 """Evidence from which a cause is accepted, and from which one is in a quantity that has a name."""
-CAUSES, SETTINGS, ROUNDS = 4, 3, 6
-"""Causes of a quantity that are estimated, settings of each, and rounds."""
+CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
+"""Causes of a quantity that are estimated, settings of each at least, forms of each at most, and rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
 SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
 """Sweeps of jumps, jumps of a sweep that are fitted, and by how much −2 ln L one may be worse at first."""
@@ -382,7 +382,7 @@ class Search:
         mark = self._known.mark(self.forms[cause], self.parent.quantities)
         if self._known.candidates.get(cause, (None,))[0] != mark:
             best: Candidate | None = None
-            for s in seen[:SETTINGS]:
+            for s in _to_estimate(seen):
                 one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
                 found = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
                 if best is None or found.evidence > best.evidence:
@@ -402,6 +402,15 @@ class Search:
         mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
         self._known.candidates[one.cause] = mark, one
         return one
+
+
+def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
+    """The best setting of each form, then the best of the others: forms differ more than settings."""
+    first: dict[str, Screened] = {}
+    for s in seen:
+        first.setdefault(s.form.code, s)
+    rest = [s for s in seen if first[s.form.code] is not s]
+    return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 
 def search(base: Estimate, forms: Sequence[Form], say: Callable[[str], None] = lambda text: None) -> Found:

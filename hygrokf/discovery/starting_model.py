@@ -70,12 +70,15 @@ def base_estimate(record: Record) -> Estimate:
     simulator = Simulator(scene, heat, vapour, limits=limits, work=Work())
     quantities = tuple(scene.readings)
     guess = simulator.vector({p.name: p.start for p in simulator.parameters})
-    plain = fitted(
-        estimate_at(simulator, errors_of(simulator, guess, quantities), guess, plain=True), effort=LIGHT
-    )
-    errors = errors_of(simulator, plain.theta, quantities)
-    found = _best(simulator, errors, (plain.theta, guess))
-    return _driven(found)
+    begun = errors_of(simulator, guess, quantities)
+    plain = fitted(estimate_at(simulator, begun, guess, plain=True), effort=LIGHT)
+    later = errors_of(simulator, plain.theta, quantities)
+    found = min((_best(simulator, one, (plain.theta, guess)) for one in (later, begun)), key=_deviance)
+    return _driven(renewed(found))
+
+
+def _deviance(one: Estimate) -> float:
+    return one.deviance
 
 
 def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) -> Estimate:
@@ -106,9 +109,23 @@ def _driven(one: Estimate) -> Estimate:
 
 
 def renewed(one: Estimate) -> Estimate:
-    """The estimate under error models with its own time constants, at its maximum."""
-    errors = errors_of(one.simulator, one.theta, one.quantities)
-    return fitted(estimate_at(one.simulator, errors, one.theta, one.linear))
+    """The estimate at its maximum, under error models with its own time constants where these are likelier.
+
+    A time constant that ends at a limit is no low pass of the disturbances.
+    """
+    own = errors_of(one.simulator, one.theta, one.quantities)
+    both = [
+        fitted(estimate_at(one.simulator, errors, one.theta, one.linear)) for errors in (one.errors, own)
+    ]
+    better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in one.quantities}
+    if len(set(better.values())) == 1:
+        return both[better[one.quantities[0]]]
+    errors = replace(own, courses={q: both[i].errors.courses[q] for q, i in better.items()})
+    theta = both[0].theta.copy()
+    for i, name in enumerate(one.simulator.names):
+        if all(better[q] for q in one.simulator.affects(name)):
+            theta[i] = both[1].theta[i]
+    return fitted(estimate_at(one.simulator, errors, theta, one.linear))
 
 
 def smoothed_temperature(one: Estimate) -> np.ndarray:
