@@ -9,7 +9,7 @@ from plants.drivers import DAY_S, MINUTE_S
 from plants.scene import AIR_J_M3_K, Change, Law, Scene
 
 
-def _exchange(scene: Scene, factor: np.ndarray) -> dict[str, np.ndarray]:
+def exchange_of(scene: Scene, factor: np.ndarray) -> dict[str, np.ndarray]:
     """Vapour exchange times a factor, and the heat that the further air carries."""
     return {"exchange": factor, "conductance_W_K": AIR_J_M3_K * scene.air_flow_m3_s * (factor - 1.0)}
 
@@ -33,7 +33,7 @@ def exchange_steps(random: np.random.Generator, scene: Scene) -> Law:
     def change(strength: float) -> Change:
         factor = full**strength
         return Change(
-            **_exchange(scene, np.where(after, factor, 1.0)), parameters={"factor": factor}, dates=(date,)
+            **exchange_of(scene, np.where(after, factor, 1.0)), parameters={"factor": factor}, dates=(date,)
         )
 
     return Law("step at a date", 0.0, 2.0, change, lambda strength: strength, _FACTOR)
@@ -51,7 +51,7 @@ def exchange_ramps(random: np.random.Generator, scene: Scene) -> Law:
     def change(strength: float) -> Change:
         factor = full**strength
         return Change(
-            **_exchange(scene, factor**risen),
+            **exchange_of(scene, factor**risen),
             parameters={"factor": factor, "ramp_d": width_d},
             dates=(begin, begin + DAY_S * width_d),
         )
@@ -72,7 +72,7 @@ def vent_opens(random: np.random.Generator, scene: Scene) -> Law:
 
     def change(factor: float) -> Change:
         parameters = {"factor": factor, "start_degC": start - 273.15, "band_K": band}
-        return Change(**_exchange(scene, 1.0 + (factor - 1.0) * position), parameters=parameters)
+        return Change(**exchange_of(scene, 1.0 + (factor - 1.0) * position), parameters=parameters)
 
     return Law("vent in proportion to warmth", 1.2, 40.0, change)
 
@@ -106,7 +106,7 @@ def doors_open(random: np.random.Generator, scene: Scene) -> Law:
             wide[start : start + round(60.0 * long)] = factor
         dates = tuple(float(scene.drivers.time[start]) for start in sorted(starts[:count]))
         parameters = {"factor": factor, "periods": float(count), "open_h": float(hours[:count].sum())}
-        return Change(**_exchange(scene, wide), parameters=parameters, dates=dates)
+        return Change(**exchange_of(scene, wide), parameters=parameters, dates=dates)
 
     return Law("some periods of hours", 0.0, 1.0, change)
 
@@ -124,7 +124,7 @@ def door_left_open(random: np.random.Generator, scene: Scene) -> Law:
         wide[begin : begin + round(1440.0 * days)] = factor
         first = float(scene.drivers.time[begin])
         return Change(
-            **_exchange(scene, wide),
+            **exchange_of(scene, wide),
             parameters={"factor": factor, "open_h": 24.0 * days},
             dates=(first, first + DAY_S * days),
         )

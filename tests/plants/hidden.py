@@ -12,6 +12,7 @@ from plants import causes_exchange as exchange
 from plants import causes_heat as heat
 from plants import causes_loggers as loggers
 from plants import causes_moisture as moisture
+from plants import causes_outside as outside
 from plants.cabinet import Forcing, integrate
 from plants.drivers import MINUTE_S, Drivers
 from plants.loggers import Logging, log_plant
@@ -41,10 +42,25 @@ FORMS: dict[str, tuple[Form, ...]] = {
     "neighbour_exhaust": (heat.neighbour_exhaust,),
     "logger_repeat": (loggers.logger_repeats,),
     "scheduled_heat": (heat.lamps, heat.people_at_work),
+    "tide": (outside.tide_surrounds,),
+    "weekly_routine": (outside.weekly_routine,),
+    "load_by_chance": (outside.load_by_chance,),
+    "pressure_leak": (outside.pressure_breathes,),
+    "sunlit_sensor": (outside.sensor_in_the_sun,),
+    "wet_filter": (outside.wet_filter,),
 }
 """Functional forms of every cause."""
 
-OUT_OF_LIBRARY = ("neighbour_exhaust", "logger_repeat")
+OUT_OF_LIBRARY = (
+    "neighbour_exhaust",
+    "logger_repeat",
+    "tide",
+    "weekly_routine",
+    "load_by_chance",
+    "pressure_leak",
+    "sunlit_sensor",
+    "wet_filter",
+)
 LIBRARY = tuple(name for name in FORMS if name not in OUT_OF_LIBRARY)
 
 HIDDEN_OPTIONS: dict[str, object] = {
@@ -102,51 +118,58 @@ class Search:
         humidity = np.sqrt(np.mean((two[0].cabinet_kg_m3 - two[1].cabinet_kg_m3) ** 2))
         return float(temperature), float(humidity)
 
-    def hide(self, seed: int, cause: str, form: int, strength: float) -> tuple[Change, Hidden]:
-        """A cause with the strength asked for, drawn anew where its ranges do not lead there;
-        else the nearest.
+    def hide(
+        self, seed: int, cause: str, form: int, strength: float, halved: bool = False
+    ) -> tuple[Change, Hidden]:
+        """A cause with the strength asked for, drawn anew where its ranges do not lead there; else the
+        nearest.
+
+        halved: half the amplitude that has this strength.
         """
         best: tuple[Change, Hidden] | None = None
         for draw in range(_DRAWS):
             law = _drawn(seed, cause, form, draw, self.fine)
-            found = self.settle(cause, form, law, strength)
+            amplitude, limited = self.amplitude(law, strength)
+            found = self.settle(cause, form, law, strength, amplitude, limited)
             if best is None or abs(found[1].reached - strength) < abs(best[1].reached - strength):
-                best = found
+                best, chosen = found, (law, amplitude)
             # A cause with a size has the one that it is told to have.
             if not best[1].limited or law.size is not None:
                 break
         assert best is not None
-        return best
+        if not halved:
+            return best
+        law, amplitude = chosen
+        return self.settle(cause, form, law, strength, 0.5 * amplitude, law.single)
 
-    def settle(self, cause: str, form: int, law: Law, strength: float) -> tuple[Change, Hidden]:
-        """The change that has the strength asked for, and its account."""
-        tried: dict[float, tuple[Change, Errors]] = {}
+    def amplitude(self, law: Law, strength: float) -> tuple[float, bool]:
+        """Amplitude that has the strength asked for, and whether the law's ranges keep it from that."""
+        if law.size is not None:
+            return law.size(strength), law.single and strength != 1.0
 
-        def look(amplitude: float) -> tuple[Change, Errors]:
-            if amplitude not in tried:
-                change = law.change(amplitude)
-                tried[amplitude] = change, self.errors(change)
-            return tried[amplitude]
+        def grown(amplitude: float) -> float:
+            return growth(self.errors(law.change(amplitude)), self.without, law.quantities)[0]
 
-        limited = False
-        if law.size is None:
-            wanted = GROWTH * strength
-            amplitude, limited = find_amplitude(
-                lambda one: growth(look(one)[1], self.without, law.quantities)[0], law.low, law.high, wanted
-            )
-        else:
-            amplitude = law.size(strength)
-            limited = law.single and strength != 1.0
-        change, errors = look(amplitude)
+        return find_amplitude(grown, law.low, law.high, GROWTH * strength)
+
+    def settle(
+        self, cause: str, form: int, law: Law, strength: float, amplitude: float, limited: bool
+    ) -> tuple[Change, Hidden]:
+        """The change of an amplitude, and its account."""
+        change = law.change(amplitude)
+        errors = self.errors(change)
         known = self.known(change)
         grown, quantity = growth(errors, self.without, law.quantities)
         which = QUANTITIES.index(quantity)
+        reached = grown / GROWTH
+        if law.size is not None:
+            reached = 1.0 if law.single else strength * amplitude / law.size(strength)
         return change, Hidden(
             cause=cause,
             form=form,
             description=law.description,
             asked=strength,
-            reached=grown / GROWTH if law.size is None else (1.0 if law.single else strength),
+            reached=reached,
             limited=limited,
             measure=law.measure,
             quantity=quantity,
@@ -173,10 +196,10 @@ def finish(
     scene: Scene,
     logging: Logging,
     inputs_exact: bool,
-    found: Sequence[tuple[Change, Hidden]],
+    changes: Sequence[Change],
+    hidden: tuple[Hidden, ...] = (),
 ) -> Plant:
     """The plant with its changes made, logged by its loggers."""
-    changes = [change for change, _ in found]
     drivers, run = scene.drivers, scene.trajectory
     if any(change.inside for change in changes):
         run, _ = states(scene, changes)
@@ -185,12 +208,11 @@ def finish(
     # What is logged beside the usual hangs on the seed alone, unless a cause cannot be named without it.
     instruments = np.random.default_rng(np.random.SeedSequence([seed, 6]))
     has_sun, has_gauge = instruments.random() < 0.5, instruments.random() < 0.5
-    rainy = any(one.cause == "rain_ingress" for _, one in found)
+    rainy = any(one.cause == "rain_ingress" for one in hidden)
     extra = optional_series(instruments, seen_drivers, scene.sky, irradiance=has_sun, rain=has_gauge or rainy)
     series = with_series(series, extra)
     for change in changes:
         series = change.stamped(series)
-    hidden = tuple(one for _, one in found)
     truth = truth_of(made, drivers, logging, run, biases, inputs_exact, hidden)
     return Plant(name, seed, made.cabinet, drivers, made.effects, made.forcing, run, series, truth)
 
@@ -203,6 +225,7 @@ def _build(
     *,
     causes: Sequence[tuple[str, int]],
     strength: float,
+    halved: bool,
     inputs_exact: bool = True,
     **options: object,
 ) -> Plant:
@@ -211,8 +234,9 @@ def _build(
     found = []
     if causes:
         search = Search(scene)
-        found = [search.hide(seed, cause, form, strength) for cause, form in causes]
-    return finish(name, seed, made, scene, logging, inputs_exact, found)
+        found = [search.hide(seed, cause, form, strength, halved) for cause, form in causes]
+    changes, hidden = [change for change, _ in found], tuple(account for _, account in found)
+    return finish(name, seed, made, scene, logging, inputs_exact, changes, hidden)
 
 
 def hidden_plant(
@@ -221,6 +245,7 @@ def hidden_plant(
     *,
     form: int = 0,
     strength: float = 1.0,
+    halved: bool = False,
     days: float = 180.0,
     second: str | tuple[str, int] | None = None,
     **options: object,
@@ -229,8 +254,9 @@ def hidden_plant(
 
     cause: a name of `FORMS`, or "none". form: its functional form. strength: 1 lets the error of
     a refitted bare model grow by 30 % in the quantity that grows most, 0.5 by 15 %; what a cause
-    without such an error has instead, `Hidden.measure` says. second: a further cause, or (cause,
-    form), of the same strength by itself. options: those of `plant`; `HIDDEN_OPTIONS` hold
+    without such an error has instead, `Hidden.measure` says. halved: half the amplitude that has this
+    strength, in the same plant (strength 0.5 has about 0.7 of the amplitude). second: a further cause,
+    or (cause, form), of the same strength by itself. options: those of `plant`; `HIDDEN_OPTIONS` hold
     otherwise. Weather, cabinet, disturbances and loggers are those of the plant of that seed
     without a cause.
     """
@@ -244,5 +270,5 @@ def hidden_plant(
             raise ValueError(f"{name} has forms 0 to {len(FORMS[name]) - 1}, found {number}")
     if strength <= 0.0:
         raise ValueError(f'strength must be above 0, found {strength}; nothing hidden is cause "none"')
-    build = partial(_build, causes=causes, strength=strength)
+    build = partial(_build, causes=causes, strength=strength, halved=halved)
     return plant(seed, days=days, build=build, **{**HIDDEN_OPTIONS, **options})

@@ -138,10 +138,10 @@ def _build(
         size=lambda _: amplitude,
         measure="moisture peak in the pre-heating above the bare model [g/m3], `peak_g_m3`",
     )
-    change, hidden = search.settle(cause, form, sized, 1.0)
+    change, hidden = search.settle(cause, form, sized, 1.0, amplitude, limited)
     parameters = {**hidden.parameters, "peak_g_m3": 1e3 * height, "wanted_peak_g_m3": 1e3 * wanted}
     account = replace(hidden, reached=height / wanted, limited=limited, parameters=parameters)
-    return finish(name, seed, made, scene, logging, inputs_exact, [(change, account)])
+    return finish(name, seed, made, scene, logging, inputs_exact, [change], (account,))
 
 
 def paper_case(
