@@ -22,7 +22,7 @@ FLUCTUATION, FLUCTUATION_H = 0.2, (2.0, 12.0)
 """[-] and [h]: how far the resistances wander about their means, and how slowly."""
 BURST_EVERY_D, BURST_H = 2.0, (0.5, 3.0)
 """[d] and [h]: time between bursts on average, and their lengths."""
-BURST_K, BURST_KG_M3 = (3.0, 12.0), (1e-3, 4e-3)
+BURST_K, BURST_KG_M3 = (3.0, 10.0), (5e-4, 2e-3)
 """[K] and [kg/m3] that bursts would lead to if they lasted: as a lamp or a steaming visitor does."""
 
 

@@ -1,0 +1,285 @@
+"""The trials of discover: their cases, a line, the table on lines made by hand, and that they are resumed."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY
+from scipy.stats import binomtest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def path() -> Iterator[None]:
+    sys.path.insert(0, str(SCRIPTS))
+    yield
+    sys.path.remove(str(SCRIPTS))
+
+
+def part(name: str) -> ModuleType:
+    """That module of the battery."""
+    return importlib.import_module(f"battery.{name}")
+
+
+# -- lines made by hand --------------------------------------------------------------------------------------
+def name(cause: str, *rivals: str, worth: float = 0.2, **more: object) -> dict:
+    told = {"cause": cause, "form": "roof", "evidence": 90.0, "evidence_in_days": 50.0}
+    return {**told, "rivals": list(rivals), "worth": worth, **more}
+
+
+def line(group: str, asked: tuple[str, ...] = (), *names: dict, key: str = "", **more: object) -> dict:
+    """A line of results; `key` tells lines apart that are otherwise alike."""
+    return {
+        "key": f"{group}:{asked}:{names}:{key}",
+        "group": group,
+        "asked": [[cause, 0] for cause in asked],
+        "skipped": "",
+        "failure": None,
+        "hidden": [{"reached": 1.0} for _ in asked],
+        "verdict": "named" if names else "none",
+        "names": list(names),
+        "refuted": [],
+        "simulations": 3000,
+        "cpu_s": 8.0,
+        **more,
+    }
+
+
+def failed(group: str, *asked: str) -> dict:
+    """A case that raised."""
+    failure = {"type": "ValueError", "message": "broken", "trace": ""}
+    return line(group, asked, key="failed", verdict=None, failure=failure, simulations=None)
+
+
+def figures(lines: list[dict]) -> dict[str, str]:
+    """Figures of the table by what they are."""
+    rows = part("tables").table(lines).split("\n\n")[0].splitlines()[2:]
+    return {cells[1].strip(): cells[2].strip() for cells in (row.split("|") for row in rows)}
+
+
+# -- rates ---------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("hits", "n"), [(0, 7), (3, 7), (7, 7), (190, 200), (10, 200)])
+def test_bounds_are_those_of_the_exact_binomial_test(hits: int, n: int) -> None:
+    found = part("rates").clopper_pearson(hits, n)
+    exact = binomtest(hits, n).proportion_ci(method="exact")
+    assert found == pytest.approx((exact.low, exact.high), rel=1e-6, abs=1e-9)
+
+
+def test_bounds_of_nothing_are_everything_and_nonsense_is_refused() -> None:
+    rates = part("rates")
+    assert rates.clopper_pearson(0, 0) == (0.0, 1.0)
+    with pytest.raises(ValueError, match="found 8 of 7"):
+        rates.clopper_pearson(8, 7)
+    assert str(rates.Rate(0, 0)) == "0/0" and rates.Rate(0, 0).share is None
+    assert str(rates.rate([True, True, False, True])) == "3/4 = 75 % (19 … 99)"
+
+
+# -- the table -----------------------------------------------------------------------------------------------
+def test_first_means_first_and_a_class_counts_apart() -> None:
+    sun = ("solar_gain",)
+    some = [
+        line("causes", sun, name("solar_gain", "clock_shift", "scheduled_heat")),
+        line("causes", sun, name("wall_thermal_mass", "solar_gain")),
+        line("causes", sun, name("condensation"), name("solar_gain")),
+        line("causes", sun, name("solar_gain", "a", "b", "c")),  # a class of four names nothing
+        line("causes", sun),
+        failed("causes", "solar_gain"),
+    ]
+    found = figures(some)
+    assert found["causes: first by name"].startswith("1/6 ")
+    assert found["causes: or in a class"].startswith("2/6 ")
+    assert found["failures"].startswith("1/6 ")
+
+
+def test_two_causes_need_two_names() -> None:
+    two = ("solar_gain", "condensation")
+    some = [
+        line("pairs", two, name("condensation"), name("solar_gain")),
+        line("pairs", two, name("solar_gain", "condensation")),
+        line("pairs", two, name("solar_gain"), name("rain_ingress")),
+        failed("pairs", *two),
+    ]
+    assert figures(some)["pairs: both named"].startswith("1/4 ")
+
+
+def test_false_names_count_beside_right_ones_alone() -> None:
+    sun = ("solar_gain",)
+    some = [
+        line("causes", sun, name("solar_gain"), name("rain_ingress", worth=0.01), name("clock_shift")),
+        line("causes", sun, name("solar_gain"), name("clock_shift", "solar_gain"), verdict="unexplained"),
+        line("causes", sun, name("wall_thermal_mass", "solar_gain")),  # the truth is in its class
+        line("causes", sun, name("rain_ingress")),  # a wrong name beside no right one
+        line("half", sun, name("solar_gain"), name("rain_ingress")),  # not counted
+    ]
+    found = figures(some)
+    assert found["false names beside right ones"].startswith("3/6 ")
+    assert found["– of them marked as of no worth"].startswith("1/3 ")
+    assert found["unexplained beside a right name"].startswith("1/3 ")
+
+
+def test_nulls_want_none_and_the_others_no_name() -> None:
+    def three(group: str) -> list[dict]:
+        named = line(group, (), name("rain_ingress", "a", "b", "c"))
+        return [line(group), line(group, key="u", verdict="unexplained"), named, failed(group)]
+
+    groups = ("nulls", "sensor_nulls", "fluctuating_nulls", "burst_nulls", "outside")
+    found = figures([one for group in groups for one in three(group)])
+    assert found["nulls: none"].startswith("1/4 ") and found["sensor_nulls: none"].startswith("1/4 ")
+    for group in ("fluctuating_nulls: no name", "burst_nulls: no name", "outside: none or unexplained"):
+        assert found[group].startswith("2/4 ")
+
+
+def test_confidence_is_held_against_what_was_right_in_thirds() -> None:
+    some = [
+        line("confidence", ("solar_gain",), name(told, confidence=share), key=str(place))
+        for place, (told, share) in enumerate(
+            [("rain_ingress", 0.4), ("solar_gain", 0.6), ("solar_gain", 0.8), ("rain_ingress", 0.8),
+             ("solar_gain", 0.9), ("solar_gain", 1.0)]
+        )
+    ]  # fmt: skip
+    found = [figures(some)[f"confidence, third {n}: stated − observed"] for n in (1, 2, 3)]
+    assert found == ["+0.000", "+0.300", "-0.050"]
+
+
+def test_costs_are_of_what_ran_and_wrong_cases_are_listed() -> None:
+    some = [
+        line("nulls", (), cpu_s=4.0, key="a"),
+        line("nulls", (), name("rain_ingress", worth=-0.01), cpu_s=20.0, simulations=7000),
+        failed("outside", "tide"),
+        line("measured", (), skipped="not there"),
+    ]
+    found = figures(some)
+    assert found["plants: s CPU, median and most"] == "12, 20 s CPU"
+    assert found["plants: simulations, median and most"] == "5,000, 7,000 simulations"
+    text = part("tables").table([*some, {**some[1], "cpu_s": 1.0}])
+    assert text.count("rain_ingress/roof (90, 50; -1%) | a name") == 1
+    assert "ValueError: broken | failure" in text and "1/3" in text
+
+
+# -- cases ---------------------------------------------------------------------------------------------------
+def test_every_group_has_its_cells() -> None:
+    cases = part("cases")
+    causes = cases.chosen(["causes"], range(4))
+    assert len(causes) == 60 and set(Counter(one.cell for one in causes).values()) == {4}
+    assert {one.causes[0] for one in causes} == {cell for forms in cases.CAUSES.values() for cell in forms}
+    half = cases.chosen(["half"], range(4))
+    assert [(one.plant_seed, one.causes) for one in half] == [(one.plant_seed, one.causes) for one in causes]
+    assert all(one.halved for one in half) and not any(one.halved for one in causes)
+    pairs = cases.chosen(["pairs"], range(18))
+    assert len({one.cell for one in pairs}) == 18
+    assert Counter(word for one in pairs for word in one.cell.split(" + ")) == dict.fromkeys(
+        (*cases.THERMAL, *cases.HYGRIC), 3
+    )
+    outside = cases.chosen(["outside"], range(2))
+    assert len(outside) == 16 and {one.cell for one in outside} == set(OUT_OF_LIBRARY)
+    assert [len(cases.chosen([group], range(20))) for group in cases.NULL_KINDS] == [20] * 4
+    assert [one.record for one in cases.chosen(["measured"], range(3))] == list(part("measured").RECORDS)
+
+
+def test_no_two_cells_share_a_plant_and_no_two_cases_a_key() -> None:
+    cases = part("cases")
+    some = cases.chosen([group for group in cases.GROUPS if group not in ("half", "measured")], range(30))
+    assert len({one.plant_seed for one in some}) == len(some)
+    assert len({one.key for one in cases.chosen(list(cases.GROUPS), range(30))}) == len(some) + 15 * 30 + len(
+        part("measured").RECORDS
+    )
+
+
+def test_confidence_draws_any_form_and_nothing_in_one_of_six() -> None:
+    drawn = part("cases").chosen(["confidence"], range(600))
+    nothing = [one for one in drawn if one.null]
+    assert len(nothing) / 600 == pytest.approx(1.0 / 6.0, abs=0.05)
+    seen = {one.causes[0] for one in drawn if one.causes}
+    assert seen == {(cause, form) for cause in LIBRARY for form in range(len(FORMS[cause]))}
+    assert 0.4 < sum(one.halved for one in drawn) / (600 - len(nothing)) < 0.6
+
+
+# -- one case ------------------------------------------------------------------------------------------------
+def test_a_line_holds_what_the_table_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases, trial = part("cases"), part("trial")
+    seen = []
+    answer = {
+        "verdict": "named", "names": [name("solar_gain")], "refuted": [], "simulations": 10,
+        "errors": {"temperature": [2.0, 1.5]},
+    }  # fmt: skip
+    monkeypatch.setattr(trial, "DAYS", 30.0)
+    monkeypatch.setattr(trial, "found", lambda record: seen.append(record) or answer)
+    (case,) = (one for one in cases.chosen(["half"], [1]) if one.cell == "sun")
+    made = trial.run_case(case)
+    assert json.loads(json.dumps(made)) == made
+    assert (made["key"], made["asked"], made["strength"]) == ("half:sun:1", [["solar_gain", 1]], 0.5)
+    assert made["hidden"][0]["cause"] == "solar_gain" and made["failure"] is None
+    record = seen[0]
+    assert record.until_s - record.start_s == pytest.approx(2.0 / 3.0 * (record.end_s - record.start_s))
+    assert figures([made])["half: first by name"].startswith("1/1 ")
+    null = trial.run_case(cases.chosen(["burst_nulls"], [1])[0])
+    assert null["hidden"] == [] and figures([null])["burst_nulls: no name"].startswith("0/1 ")
+
+
+def test_what_is_raised_is_part_of_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = part("trial")
+
+    def broken(case: object) -> None:
+        raise ValueError("no plant")
+
+    monkeypatch.setattr(trial, "make", broken)
+    made = trial.run_case(part("cases").chosen(["nulls"], [1])[0])
+    assert (made["failure"]["type"], made["failure"]["message"]) == ("ValueError", "no plant")
+    assert made["names"] == [] and "broken" in made["failure"]["trace"]
+
+
+def test_a_record_that_is_not_there_leaves_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases, trial = part("cases"), part("trial")
+    monkeypatch.setattr(trial, "absent", lambda name: f"{name} is not there")
+    made = trial.run_case(cases.Case("measured", "house", 0, record="house"))
+    assert made["skipped"] == "house is not there" and made["failure"] is None
+
+
+# -- the command ---------------------------------------------------------------------------------------------
+def test_stopped_trials_go_on_where_they_stopped(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    command, file = part("command"), tmp_path / "lines.jsonl"
+    ran: list[str] = []
+
+    def one(case) -> dict:
+        if len(ran) == 3:
+            raise KeyboardInterrupt
+        ran.append(case.key)
+        return line(case.group) | {"key": case.key}
+
+    cases = part("cases").chosen(["nulls", "burst_nulls"], range(3))
+    with pytest.raises(KeyboardInterrupt):
+        command.run_into(file, cases, one)
+    with file.open("a") as stream:
+        stream.write('{"key": "nul')  # cut off in writing
+    again: list[str] = []
+    command.run_into(file, cases, lambda case: again.append(case.key) or line(case.group) | {"key": case.key})
+    assert ran + again == [case.key for case in cases]
+    assert [json.loads(text)["key"] for text in file.read_text().splitlines()] == ran + again
+    assert command.main(["--out", str(file), "--table"]) == 0
+    assert "| nulls: none | 3/3 = 100 %" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("nowhere --seeds 0:1 --out x", "found nowhere"),
+        ("nulls --out x", "expected GROUP and --seeds"),
+        ("--out x", "expected GROUP and --seeds, or --table"),
+        ("nulls --seeds 5 --out x", "expected FIRST:LAST"),
+        ("--table --out nowhere.jsonl", "no lines in nowhere.jsonl"),
+    ],
+)
+def test_mistakes_are_told(words: str, said: str, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        part("command").main(words.split())
+    assert said in capsys.readouterr().err
