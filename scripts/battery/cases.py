@@ -48,6 +48,7 @@ NULL_KINDS = {
     "sensor_nulls": "probe",
     "fluctuating_nulls": "resistances",
     "burst_nulls": "bursts",
+    "apart_burst_nulls": "apart_bursts",
 }
 """Group -> kind of `plants.nulls`."""
 _CONFIDENCE_STREAM = 71

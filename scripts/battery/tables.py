@@ -110,7 +110,7 @@ def _without(by: Groups) -> Iterable[Row]:
         yield "nulls: none", rate(silent(o) and o["verdict"] == "none" for o in some), "≥ 58 of 60"
     if some := by.get("sensor_nulls"):
         yield "sensor_nulls: none", rate(silent(o) and o["verdict"] == "none" for o in some), "≥ 18 of 20"
-    for group in ("fluctuating_nulls", "burst_nulls"):
+    for group in ("fluctuating_nulls", "burst_nulls", "apart_burst_nulls"):
         if some := by.get(group):
             yield f"{group}: no name", rate(silent(line) for line in some), "≥ 18 of 20"
     if some := by.get("outside"):

@@ -130,11 +130,12 @@ def test_nulls_want_none_and_the_others_no_name() -> None:
         named = line(group, (), name("rain_ingress", "a", "b", "c"))
         return [line(group), line(group, key="u", verdict="unexplained"), named, failed(group)]
 
-    groups = ("nulls", "sensor_nulls", "fluctuating_nulls", "burst_nulls", "outside")
+    groups = (*part("cases").NULL_KINDS, "outside")
     found = figures([one for group in groups for one in three(group)])
     assert found["nulls: none"].startswith("1/4 ") and found["sensor_nulls: none"].startswith("1/4 ")
-    for group in ("fluctuating_nulls: no name", "burst_nulls: no name", "outside: none or unexplained"):
-        assert found[group].startswith("2/4 ")
+    for group in ("fluctuating_nulls", "burst_nulls", "apart_burst_nulls"):
+        assert found[f"{group}: no name"].startswith("2/4 ")
+    assert found["outside: none or unexplained"].startswith("2/4 ")
 
 
 def test_confidence_is_held_against_what_was_right_in_thirds() -> None:
@@ -180,7 +181,7 @@ def test_every_group_has_its_cells() -> None:
     )
     outside = cases.chosen(["outside"], range(2))
     assert len(outside) == 16 and {one.cell for one in outside} == set(OUT_OF_LIBRARY)
-    assert [len(cases.chosen([group], range(20))) for group in cases.NULL_KINDS] == [20] * 4
+    assert [len(cases.chosen([group], range(20))) for group in cases.NULL_KINDS] == [20] * 5
     assert [one.record for one in cases.chosen(["measured"], range(3))] == list(part("measured").RECORDS)
 
 

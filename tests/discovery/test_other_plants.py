@@ -149,6 +149,17 @@ def test_bursts_come_one_in_two_days(scene: Scene) -> None:
     assert np.mean(lengths) == pytest.approx(np.mean(BURST_H), rel=0.1)
 
 
+def test_bursts_apart_share_no_times(scene: Scene) -> None:
+    """Heat and vapour come together no more often than chance has it."""
+    together = []
+    for seed in range(12):
+        change = change_of("apart_bursts", seed, scene)
+        hot, damp = change.heat_W > 0.0, change.vapour_kg_s > 0.0
+        assert 0.02 < hot.mean() < 0.06 and 0.02 < damp.mean() < 0.06
+        together.append(np.mean(hot & damp) / (hot.mean() * damp.mean()))
+    assert np.mean(together) == pytest.approx(1.0, abs=0.3)
+
+
 @pytest.mark.parametrize("kind", [kind for kind in NULLS if kind != "two_times"])
 def test_other_nulls_differ_in_their_readings_alone(kind: str) -> None:
     """Odd seeds have a third of the usual flows; weather, cabinet and loggers are the plant's."""
@@ -165,7 +176,7 @@ def test_other_nulls_differ_in_their_readings_alone(kind: str) -> None:
 
 
 def test_kinds_of_nulls_are_told() -> None:
-    with pytest.raises(ValueError, match=r"two_times, probe, resistances, bursts, found 'sensor'"):
+    with pytest.raises(ValueError, match="bursts, apart_bursts, found 'sensor'"):
         null_plant(1, "sensor")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -59,7 +60,10 @@ def resistances_fluctuate(random: np.random.Generator, scene: Scene) -> Change:
 
 
 def heat_and_vapour_burst(random: np.random.Generator, scene: Scene) -> Change:
-    """Rare bursts of heat and vapour at any time of day, each with sizes of its own."""
+    """Rare bursts at any time of day, each of both heat and vapour in sizes of its own.
+
+    Vapour that comes with warmth looks like sorption that warmth drives out.
+    """
     time, cabinet = scene.drivers.time, scene.cabinet
     count = int(random.poisson(scene.days / BURST_EVERY_D))
     begins = np.sort(random.uniform(time[0], time[-1] - HOUR_S * BURST_H[1], count))
@@ -74,11 +78,18 @@ def heat_and_vapour_burst(random: np.random.Generator, scene: Scene) -> Change:
     return Change(heat_W=heat, vapour_kg_s=vapour, parameters={"bursts": float(count)}, dates=dates)
 
 
+def heat_or_vapour_burst(random: np.random.Generator, scene: Scene) -> Change:
+    """Rare bursts of heat, and as many of vapour at times of their own."""
+    heat, vapour = heat_and_vapour_burst(random, scene), heat_and_vapour_burst(random, scene)
+    return replace(heat, vapour_kg_s=vapour.vapour_kg_s)
+
+
 NULLS = {
     "two_times": None,
     "probe": probe_wanders,
     "resistances": resistances_fluctuate,
     "bursts": heat_and_vapour_burst,
+    "apart_bursts": heat_or_vapour_burst,
 }
 """Kinds of plants without a cause; "two_times" has a fast and a slow flow each of heat and of vapour."""
 QUIET = 1.0 / 3.0
