@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY
 
-from battery.measured import RECORDS
+from battery.measured import CASES, Known
 
 Cause = tuple[str, int]
 """A cause of `plants.hidden` and the number of its form."""
@@ -58,7 +58,8 @@ _CONFIDENCE_STREAM = 71
 class Case:
     """One case: its group, cell and seed, and what the plant of `plant_seed` hides.
 
-    halved: with half the amplitude. null: kind of `plants.nulls`. record: name of a measured record.
+    halved: with half the amplitude. null: kind of `plants.nulls`. known: a variant of a measured
+    record.
     """
 
     group: str
@@ -68,7 +69,7 @@ class Case:
     causes: tuple[Cause, ...] = ()
     halved: bool = False
     null: str = ""
-    record: str = ""
+    known: Known | None = None
 
     @property
     def key(self) -> str:
@@ -121,10 +122,10 @@ def _confidence(seed: int) -> Iterator[Case]:
 
 
 def _measured(seed: int) -> Iterator[Case]:
-    """Measured records, once whatever the seeds are."""
+    """Variants of measured records, once whatever the seeds are."""
     if seed == 0:
-        for name in RECORDS:
-            yield Case("measured", name, seed, record=name)
+        for one in CASES:
+            yield Case("measured", f"{one.record}, {one.variant}", seed, known=one)
 
 
 GROUPS: dict[str, Callable[[int], Iterator[Case]]] = {

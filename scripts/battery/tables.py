@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from battery.cases import NULL_KINDS
+from battery.measured import GIVEN, KNOWN, WITHHELD
 from battery.rates import Rate, rate
 
 Line = Mapping
@@ -57,6 +58,16 @@ def false_names(line: Line) -> list[Mapping]:
     ]  # fmt: skip
 
 
+def known_named(line: Line) -> bool:
+    """Whether what is known of a measured record is named, or in the class of a name."""
+    return any(set(line["known"]["right"]) & {one["cause"], *one["rivals"]} for one in names(line))
+
+
+def wrongly_named(line: Line) -> bool:
+    """Whether a name is one that may not come in a measured record."""
+    return any(one["cause"] in line["known"]["wrong"] for one in names(line))
+
+
 def silent(line: Line) -> bool:
     """Whether no name was given; `unexplained` is none."""
     return not line["failure"] and not line["names"]
@@ -69,7 +80,8 @@ def table(lines: Iterable[Line]) -> str:
     by: dict[str, list[Line]] = {}
     for line in kept:
         by.setdefault(line["group"], []).append(line)
-    rows = [row for make in (_causes, _companions, _without, _confidence, _costs) for row in make(by)]
+    makers = (_causes, _companions, _without, _confidence, _measured, _costs)
+    rows = [row for make in makers for row in make(by)]
     text = ["| what | found | aim |", "| --- | --- | --- |"]
     text += [f"| {what} | {value} | {aim} |" for what, value, aim in rows]
     wrong = [line for line in kept if _remark(line)]
@@ -129,6 +141,14 @@ def _confidence(by: Groups) -> Iterable[Row]:
         if len(third):
             stated, right = third.mean(axis=0)
             yield f"confidence, third {number}: stated − observed", f"{stated - right:+.3f}", "≤ 0.07"
+
+
+def _measured(by: Groups) -> Iterable[Row]:
+    for row, aim in ((KNOWN, "≥ 7 of 9"), (WITHHELD, "≥ 4 of 8")):
+        if some := [line for line in by.get("measured", ()) if line["known"]["row"] == row]:
+            yield f"measured, {row}: named or in a class", rate(known_named(line) for line in some), aim
+    if some := [line for line in by.get("measured", ()) if line["known"]["row"] == GIVEN]:
+        yield f"measured, {GIVEN}: a name of their kind", rate(wrongly_named(line) for line in some), "0"
 
 
 def _costs(by: Groups) -> Iterable[Row]:

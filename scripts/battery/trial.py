@@ -48,7 +48,8 @@ def run_case(case: Case) -> dict:
         "asked": [list(one) for one in case.causes],
         "strength": 0.5 if case.halved else 1.0,
         "sources": sources_hash(),
-        "skipped": absent(case.record) if case.record else "",
+        "known": asdict(case.known) if case.known else None,
+        "skipped": absent(case.known.record) if case.known else "",
         "failure": None,
         "hidden": [],
         "verdict": None,
@@ -77,8 +78,8 @@ def run_case(case: Case) -> dict:
 
 def make(case: Case) -> tuple[Record, list[dict]]:
     """The record of a case and the accounts of what is hidden in it."""
-    if case.record:
-        return measured(case.record), []
+    if case.known:
+        return measured(case.known.record, case.known.variant), []
     if case.null:
         made = null_plant(case.plant_seed, case.null, days=DAYS)
     else:

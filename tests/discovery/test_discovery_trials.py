@@ -150,6 +150,28 @@ def test_confidence_is_held_against_what_was_right_in_thirds() -> None:
     assert found == ["+0.000", "+0.300", "-0.050"]
 
 
+def test_measured_records_count_by_what_is_known_of_them() -> None:
+    known, withheld, given = (getattr(part("measured"), row) for row in ("KNOWN", "WITHHELD", "GIVEN"))
+
+    def one(row: str, *names: dict, right: tuple = (), wrong: tuple = ()) -> dict:
+        return line("measured", (), *names, key=row, known={"row": row, "right": right, "wrong": wrong})
+
+    doors = ("cooling_switching", "door_opening")
+    some = [
+        one(known, name("clock_shift"), name("wall_thermal_mass", "solar_gain"), right=("solar_gain",)),
+        one(known, name("clock_shift"), right=("solar_gain",)),
+        one(withheld, name("door_opening"), right=doors),
+        one(given, name("door_opening"), wrong=doors),
+        one(given, name("solar_gain", "door_opening"), wrong=doors),
+        one("", name("solar_gain")),
+    ]
+    found = figures(some)
+    assert found[f"measured, {known}: named or in a class"].startswith("1/2 ")
+    assert found[f"measured, {withheld}: named or in a class"].startswith("1/1 ")
+    assert found[f"measured, {given}: a name of their kind"].startswith("1/2 ")
+    assert found["measured: s CPU, median and most"] == "8, 8 s CPU"
+
+
 def test_costs_are_of_what_ran_and_wrong_cases_are_listed() -> None:
     some = [
         line("nulls", (), cpu_s=4.0, key="a"),
@@ -182,7 +204,7 @@ def test_every_group_has_its_cells() -> None:
     outside = cases.chosen(["outside"], range(2))
     assert len(outside) == 16 and {one.cell for one in outside} == set(OUT_OF_LIBRARY)
     assert [len(cases.chosen([group], range(20))) for group in cases.NULL_KINDS] == [20] * 5
-    assert [one.record for one in cases.chosen(["measured"], range(3))] == list(part("measured").RECORDS)
+    assert [one.known for one in cases.chosen(["measured"], range(3))] == list(part("measured").CASES)
 
 
 def test_no_two_cells_share_a_plant_and_no_two_cases_a_key() -> None:
@@ -190,7 +212,7 @@ def test_no_two_cells_share_a_plant_and_no_two_cases_a_key() -> None:
     some = cases.chosen([group for group in cases.GROUPS if group not in ("half", "measured")], range(30))
     assert len({one.plant_seed for one in some}) == len(some)
     assert len({one.key for one in cases.chosen(list(cases.GROUPS), range(30))}) == len(some) + 15 * 30 + len(
-        part("measured").RECORDS
+        part("measured").CASES
     )
 
 
@@ -240,7 +262,8 @@ def test_what_is_raised_is_part_of_the_line(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_record_that_is_not_there_leaves_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     cases, trial = part("cases"), part("trial")
     monkeypatch.setattr(trial, "absent", lambda name: f"{name} is not there")
-    made = trial.run_case(cases.Case("measured", "house", 0, record="house"))
+    (case,) = (one for one in cases.chosen(["measured"], [0]) if one.cell.startswith("house"))
+    made = trial.run_case(case)
     assert made["skipped"] == "house is not there" and made["failure"] is None
 
 

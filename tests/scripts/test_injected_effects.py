@@ -1,4 +1,4 @@
-"""Measured records as the trials read them, and known effects that are put into them."""
+"""Known effects that are put into measured records."""
 
 from __future__ import annotations
 
@@ -82,18 +82,3 @@ def test_an_effect_is_put_into_the_readings_inside(indoors: Record, effect: str)
         assert 0.9 * low < damp < 1.1 * high
     assert measured.injected(indoors, effect, 3)[1] == account
     assert measured.injected(indoors, effect, 4)[1] != account or effect == "clock_shift"
-
-
-@pytest.mark.parametrize("name", ["attic R2", "attic R4", "attic R7", "house"])
-def test_measured_records_are_read_with_two_clocks(name: str) -> None:
-    from hygrokf.data.clocks import sources
-
-    measured = part("measured")
-    if measured.absent(name):
-        pytest.skip(measured.absent(name))
-    record = measured.measured(name)
-    clocks = sources(record)
-    assert set(clocks["loggers inside"]) == set(measured.INSIDE) and len(clocks) == 2
-    inside = record["cabinet_temperature"]
-    early = np.isfinite(inside.value[inside.time <= record.until_s]).sum()
-    assert early / np.isfinite(inside.value).sum() == pytest.approx(2.0 / 3.0, abs=0.03)
