@@ -21,11 +21,11 @@ import hygrokf
 from battery.cases import DAYS, Case
 from battery.measured import IDENTIFIED, absent, measured
 from hygrokf.data.record import Record
-from hygrokf.discovery.base import base_estimate
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.forms import Ground, forms
 from hygrokf.discovery.judgement import Judged, levelled, scores
 from hygrokf.discovery.search import search
+from hygrokf.discovery.starting_model import base_estimate
 
 
 @lru_cache(maxsize=1)
