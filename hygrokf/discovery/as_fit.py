@@ -61,7 +61,9 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     run = prepare_run(base, early)
     likelihood = Likelihood(base.model, run.timeline)
     known = final.estimate.values
-    held = {p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known}
+    held = {
+        p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known
+    }
     noise = Coordinates(base.model.parameters, held)
     found = climb(Objective(likelihood, noise), noise.start())
     values = {**noise.values(found.z)}
@@ -72,7 +74,9 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     )  # fmt: skip
     spread = _uncertainty(final, coordinates)
     bounds = {
-        name: wald_bounds(estimate, spread, name, LEVEL) for name in TIME_CONSTANTS if name in coordinates.names
+        name: wald_bounds(estimate, spread, name, LEVEL)
+        for name in TIME_CONSTANTS
+        if name in coordinates.names
     }
     return Stage(base, run, estimate, spread, bounds)
 
@@ -87,9 +91,10 @@ def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     place = [final.names.index(n) for n in names]
     values: Mapping[str, float] = final.estimate.values
     linear = final.estimate.linear
-    scale = np.array([
-        1.0 / max(values[n], 1e-300) if coordinates.parameter(n).positive and n in linear else 1.0 for n in names
-    ])  # fmt: skip
+    as_logarithm = [coordinates.parameter(n).positive and n in linear for n in names]
+    scale = np.array(
+        [1.0 / max(values[n], 1e-300) if log else 1.0 for n, log in zip(names, as_logarithm, strict=True)]
+    )
     covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
     return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), (), (), information)

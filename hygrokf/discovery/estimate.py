@@ -1,8 +1,8 @@
 """Maximum likelihood of a simulation: its parameters by Gauss–Newton, the variances of its error by scoring.
 
-The objective is −2 ln L of the identification readings under the error model, summed over the quantities, plus
-(z − mean)²/sd² of priors.  Trial steps of all dampings run side by side, so that one pass finds the best of
-them.
+The objective is −2 ln L of the identification readings under the error model, summed over the quantities,
+plus (z − mean)²/sd² of priors.  Trial steps of all dampings run side by side, so that one pass finds the best
+of them.
 
 Shapes: T readings of a quantity, P parameters, d free ones.
 """
@@ -261,7 +261,9 @@ def slopes(
     return found
 
 
-def _normal_equations(one: Estimate, f: Frame, block: Sequence[str], kept: Columns) -> tuple[np.ndarray, np.ndarray]:
+def _normal_equations(
+    one: Estimate, f: Frame, block: Sequence[str], kept: Columns
+) -> tuple[np.ndarray, np.ndarray]:
     """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
     d = len(f.place)
     matrix, gradient = np.zeros((d, d)), np.zeros(d)
@@ -295,7 +297,9 @@ def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, dam
         step[:] = 0.0
         step[free] = -scale * np.linalg.solve(scaled, scale * gradient[free])
         # a step that meets a limit is taken again with that parameter held there
-        beyond = free & ((z + step < f.lower) & (z <= f.lower + 1e-12) | (z + step > f.upper) & (z >= f.upper - 1e-12))
+        beyond = free & (
+            (z + step < f.lower) & (z <= f.lower + 1e-12) | (z + step > f.upper) & (z >= f.upper - 1e-12)
+        )
         if not beyond.any():
             break
         free &= ~beyond

@@ -73,7 +73,9 @@ def final_estimator(one: Estimate) -> Estimator:
 def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
     made = _fitted_by(one, estimator)
-    names, covariance = sandwich(with_variances(replace(made, plain=True)) if estimator == "output-error" else made)
+    names, covariance = sandwich(
+        with_variances(replace(made, plain=True)) if estimator == "output-error" else made
+    )
     limits = {p.name: (p.lower, p.upper) for p in made.simulator.parameters}
     at = tuple(
         name for name in names

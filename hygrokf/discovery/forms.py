@@ -6,17 +6,14 @@ humidistat, is a form of one cause and not a cause of its own.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.data.ambient import at_times
 from hygrokf.data.clocks import sources
-from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.modelling.derived_inputs import operating
 
@@ -94,7 +91,7 @@ class Ground:
         return (first + (last - first) * np.arange(1, DATES + 1) / (DATES + 1)).tolist()
 
 
-def forms(ground: Ground, both: bool = True) -> list[Form]:
+def forms(ground: Ground) -> list[Form]:
     """All forms that a record can show."""
     makers = [*HEAT, *(MOIST if ground.humid else ())]
     return [form for make in makers for form in make(ground)]
@@ -156,15 +153,21 @@ def heater(ground: Ground) -> list[Form]:
     idle = "active_power" in ground.record and bool(ground.quantiles("cabinet_temperature", (0.5,), True))
     for still in (False, True) if idle else (False,):
         where = "standstill" if still else "always"
-        for reads, code in (("cabinet_temperature", "thermostat"), ("cabinet_relative_humidity", "humidistat")):
+        for reads, code in (
+            ("cabinet_temperature", "thermostat"),
+            ("cabinet_relative_humidity", "humidistat"),
+        ):
             if reads not in ground.record:
                 continue
             warm = reads == "cabinet_temperature"
-            levels = ground.quantiles(reads, (0.1, 0.3, 0.5, 0.7, 0.85) if warm else (0.3, 0.5, 0.7, 0.85, 0.95), still)
+            levels = ground.quantiles(
+                reads, (0.1, 0.3, 0.5, 0.7, 0.85) if warm else (0.3, 0.5, 0.7, 0.85, 0.95), still
+            )
             widths = (1.5, 5.0) if warm else (0.04, 0.12)
             grid = tuple(
                 Setting({"throttled_heating": {
-                    "reads": reads, "start": level, "full": level - width if warm else level + width, "idle": still,
+                    "reads": reads, "start": level, "idle": still,
+                    "full": level - width if warm else level + width,
                 }})
                 for level in levels
                 for width in widths
@@ -179,7 +182,9 @@ def cooling(ground: Ground) -> list[Form]:
     found = []
     levels = ground.quantiles("cabinet_temperature", shares)
 
-    def grid(feature: str, levels: Sequence[float], widths: Sequence[float], reads: str) -> tuple[Setting, ...]:
+    def grid(
+        feature: str, levels: Sequence[float], widths: Sequence[float], reads: str
+    ) -> tuple[Setting, ...]:
         return tuple(
             Setting({feature: {"reads": reads, "start": level, "full": level + width}})
             for level in levels
@@ -189,12 +194,13 @@ def cooling(ground: Ground) -> list[Form]:
     warm = grid("venting", levels, (1.5, 5.0), "cabinet_temperature")
     found.append(Form("cooling_switching", "stage", (("throttled_cooling_loss", {}),), grid=warm))
     found.append(Form("cooling_switching", "capacity", (("throttled_cooling", {}),), grid=warm))
-    vents = (("vent_loss", {}),), _joint(ground, ("vent_exchange", {}))
-    found.append(Form("cooling_switching", "vent", *vents, grid=warm))
+    loss: tuple[MechanismSettings, ...] = (("vent_loss", {}),)
+    exchange = _joint(ground, ("vent_exchange", {}))
+    found.append(Form("cooling_switching", "vent", loss, exchange, grid=warm))
     if ground.humid and "cabinet_relative_humidity" in ground.record:
         levels = ground.quantiles("cabinet_relative_humidity", shares)
         damp = grid("venting", levels, (0.04, 0.12), "cabinet_relative_humidity")
-        found.append(Form("cooling_switching", "vent_by_humidity", *vents, grid=damp))
+        found.append(Form("cooling_switching", "vent_by_humidity", loss, exchange, grid=damp))
     return found
 
 
@@ -261,11 +267,12 @@ def clock(ground: Ground) -> list[Form]:
 
 def temperature_offset(ground: Ground) -> list[Form]:
     grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
-    return [
-        Form("temperature_sensor_offset", "date", (("temperature_step", {}),), grid=grid,
+    name = "temperature_sensor_offset"
+    found = [
+        Form(name, "date", (("temperature_step", {}),), grid=grid,
              steps={("after_step", "date_s"): _step_s(ground)}),
-        *([Form("temperature_sensor_offset", "constant", freed="cabinet_temperature_offset")] if ground.humid else []),
     ]  # fmt: skip
+    return [*found, Form(name, "constant", freed="cabinet_temperature_offset")] if ground.humid else found
 
 
 def ambient(ground: Ground) -> list[Form]:
@@ -275,13 +282,15 @@ def ambient(ground: Ground) -> list[Form]:
         "ambient_lag_share": (0.8, 1.2), "breathed_lag_share": (0.8, 1.2),
     }  # fmt: skip
     lags = (2.0, 4.0, 12.0)
-    leads = (("leading_ambient", {}),), _joint(ground, ("breathed_lead", {}))
-    found = [Form("ambient_bias", "smoothed", *leads, together=True)]
+    heat: tuple[MechanismSettings, ...] = (("leading_ambient", {}),)
+    vapour = _joint(ground, ("breathed_lead", {}))
+    found = [Form("ambient_bias", "smoothed", heat, vapour, together=True)]
     if ground.humid:
         # where the temperature alone lags, that is an outer wall
+        both = tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags)
         found.append(
-            Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), (("breathed_lag", {}),), limits=limits,
-                 together=True, grid=tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags))
+            Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), (("breathed_lag", {}),), both,
+                 limits=limits, together=True)
         )  # fmt: skip
         found.append(
             Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
@@ -338,8 +347,8 @@ def drier(ground: Ground) -> list[Form]:
         for width in (0.04, 0.15)
     )
     return [
-        Form("dehumidifier", code, vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),),
-             grid=grid)
+        Form("dehumidifier", code, grid=grid,
+             vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),))
         for code, plate in (("plate", True), ("desiccant", False))
     ]  # fmt: skip
 
@@ -354,9 +363,13 @@ def source(ground: Ground) -> list[Form]:
         Form(name, "wet_surface", vapour=(("wet_surface", {}),)),
     ]
     if "active_power" in ground.record:
-        found.append(Form(name, "standstill", vapour=mechanism("standstill"), grid=(Setting({"standstill": {}}),)))
+        found.append(
+            Form(name, "standstill", vapour=mechanism("standstill"), grid=(Setting({"standstill": {}}),))
+        )
     fading = tuple(
-        Setting({"fading": {"date_s": date, "days": days}}) for date in ground.dates() for days in (2.0, 8.0, 30.0)
+        Setting({"fading": {"date_s": date, "days": days}})
+        for date in ground.dates()
+        for days in (2.0, 8.0, 30.0)
     )
     found.append(
         Form(name, "fading", vapour=mechanism("fading"), grid=fading,
@@ -386,7 +399,7 @@ def humidity_sensor(ground: Ground) -> list[Form]:
 
 
 HEAT: tuple[Callable[[Ground], list[Form]], ...] = (
-    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, doors, clock, temperature_offset, ambient,
+    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, doors, clock,
+    temperature_offset, ambient,
 )  # fmt: skip
 MOIST = (sorption, condensation, rain, drier, source, humidity_sensor)
-__all__ = ["DAY_S", "Form", "Ground", "Setting", "at_times", "forms", "input_path", "math"]

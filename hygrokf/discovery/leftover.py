@@ -99,4 +99,6 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
         return None
     share = float(power.max() / power.sum())
     p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
-    return Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + 1), p, cause) if p < SIGNIFICANT else None
+    return (
+        Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + 1), p, cause) if p < SIGNIFICANT else None
+    )

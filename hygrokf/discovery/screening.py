@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered
-from hygrokf.discovery.estimate import Columns, Errors, Estimate, frame, slopes
-from hygrokf.discovery.forms import Form, Setting
+from hygrokf.discovery.estimate import Columns, Estimate, frame, slopes
+from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
@@ -90,7 +91,7 @@ def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...]
     return Simulator(scene, heat, vapour, own, limits, before.work)
 
 
-def _wider(base: Design, additions: Sequence[tuple[str, Mapping]], features: Mapping[str, Mapping]) -> Design:
+def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mapping[str, Settings]) -> Design:
     if not additions:
         return base
     made = extended(base, additions)
@@ -184,11 +185,18 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
 def _varied(form: Form) -> tuple[str, ...]:
     """Features whose settings differ within the grid and that no controller gives."""
     names = {name for s in form.grid for name in s.features if name not in SWITCHES}
-    return tuple(sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid)))
+    return tuple(
+        sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid))
+    )
 
 
-def _sized(row: Mapping[str, float], sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, float]:
-    return {p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper)) for p in sizes}
+def _sized(
+    row: Mapping[str, float], sizes: Sequence[Parameter], found: Mapping[str, float]
+) -> dict[str, float]:
+    return {
+        p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper))
+        for p in sizes
+    }
 
 
 def _whitened(one: Estimate, quantity: str, columns: np.ndarray) -> np.ndarray:
@@ -265,7 +273,9 @@ def _windows(parent: Parent, form: Form) -> list[Screened]:
     wider = widened(parent.estimate, form, setting)
     sizes = amplitudes(added(parent.estimate, wider))
     row = start_values(parent.estimate, wider, setting)
-    unit = {p.name: np.array([SMALL * size_of(p) * found.size[q]]) for p in sizes for q in wider.affects(p.name)}
+    unit = {
+        p.name: np.array([SMALL * size_of(p) * found.size[q]]) for p in sizes for q in wider.affects(p.name)
+    }
     return _run(parent, replace(form, grid=(setting,)), wider, sizes, [0], [row], {}, unit)
 
 
@@ -296,7 +306,9 @@ def openings(one: Estimate, form: Form, identified: bool) -> Openings:
     for i, q in enumerate(one.quantities):
         r = scene.readings[q]
         there = r.identified == identified
-        known = filtered(one.errors.courses[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan))
+        known = filtered(
+            one.errors.courses[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan)
+        )
         x = known.whitened(wider.simulated(theta, q) - one.simulated[q][:, None])[:, 0]
         e = np.nan_to_num(known.standardised) * known.weight
         place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)
@@ -316,13 +328,13 @@ def openings(one: Estimate, form: Form, identified: bool) -> Openings:
     for _, first, width in sorted(candidates, reverse=True):
         if len(chosen) < MOST_WINDOWS and not used[first : first + width].any():
             used[first : first + width] = True
-            chosen.append((first, width))
-    spans = sorted([scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)] for first, width in chosen)
+            chosen.append((int(first), width))
+    spans = sorted(
+        [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)]
+        for first, width in chosen
+    )
     size = {}
     for i, q in enumerate(one.quantities):
         p, square = (sum(s[i, f + w] - s[i, f] for f, w in chosen) for s in sums)
         size[q] = float(p / square) if chosen and square > 0 else 0.0
     return Openings(spans, price, size)
-
-
-__all__ = ["Errors", "Parent", "Screened", "added", "amplitudes", "chord_gains", "openings", "parent_of", "screened", "start_values", "widened"]

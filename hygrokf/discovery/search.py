@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.discovery.starting_model import renewed
 from hygrokf.discovery.estimate import (
     LIGHT,
     POLISH,
@@ -37,6 +36,7 @@ from hygrokf.discovery.screening import (
     screened,
     widened,
 )
+from hygrokf.discovery.starting_model import renewed
 from hygrokf.physics.parameters import Parameter
 
 THRESHOLD, FURTHER = 10.0, 25.0
@@ -384,9 +384,9 @@ class Search:
             best: Candidate | None = None
             for s in _to_estimate(seen):
                 one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
-                found = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
-                if best is None or found.evidence > best.evidence:
-                    best = found
+                made = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
+                if best is None or made.evidence > best.evidence:
+                    best = made
             self._known.candidates[cause] = mark, best
         found = self._known.candidates[cause][1]
         if found is None or set(found.estimate.simulator.names) >= set(self.parent.simulator.names):

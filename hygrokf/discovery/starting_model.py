@@ -10,6 +10,7 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import filtered
 from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, errors_of, estimate_at, fitted
+from hygrokf.discovery.forms import MechanismSettings
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import Simulator, Work
 from hygrokf.identification.steady_state import heat_release_regression
@@ -42,7 +43,7 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     moist = design(early, kind=CASCADE)
     if moist.humidity is None:
         return heat, None
-    additions = [("breathed_air", {"form": "temperature"})]
+    additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
     mechanisms = moist.mechanisms
     if moist.humidity == "cabinet_relative_humidity":
@@ -87,7 +88,7 @@ def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) ->
     theta = reached[0].theta.copy()
     for q in errors.courses:
         sound = [one for one in reached if free_run_error(one, q) <= np.sqrt(errors.largest[q])]
-        best = min(sound or reached, key=lambda one: (one.deviances[q] if sound else free_run_error(one, q)))
+        best = min(sound or reached, key=lambda one: one.deviances[q] if sound else free_run_error(one, q))
         mine = [i for i, name in enumerate(simulator.names) if q in simulator.affects(name)]
         theta[mine] = best.theta[mine]
     return fitted(estimate_at(simulator, errors, theta))
@@ -104,7 +105,9 @@ def _driven(one: Estimate) -> Estimate:
     if "vapour" not in one.quantities:
         return one
     scene = driven(simulator.scene, smoothed_temperature(one))
-    simulator = Simulator(scene, simulator.heat, simulator.vapour, limits=simulator.limits, work=simulator.work)
+    simulator = Simulator(
+        scene, simulator.heat, simulator.vapour, limits=simulator.limits, work=simulator.work
+    )
     return renewed(replace(one, simulator=simulator))
 
 
@@ -114,9 +117,7 @@ def renewed(one: Estimate) -> Estimate:
     A time constant that ends at a limit is no low pass of the disturbances.
     """
     own = errors_of(one.simulator, one.theta, one.quantities)
-    both = [
-        fitted(estimate_at(one.simulator, errors, one.theta, one.linear)) for errors in (one.errors, own)
-    ]
+    both = [fitted(estimate_at(one.simulator, errors, one.theta, one.linear)) for errors in (one.errors, own)]
     better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in one.quantities}
     if len(set(better.values())) == 1:
         return both[better[one.quantities[0]]]

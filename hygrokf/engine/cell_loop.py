@@ -216,9 +216,7 @@ def cell_text(t: TracedCell) -> str:
     model, g = t.model, t.graph
     owned = [f"own{i}" for i in range(len(model.own))]
     functions = {"exp": "exponential", "log": "logarithm"}
-    w = Writer(
-        "cells", [("i64", "count"), *(("ptr", one) for one in (*ARGUMENTS, *owned))], LANES, functions
-    )
+    w = Writer("cells", [("i64", "count"), *(("ptr", one) for one in (*ARGUMENTS, *owned))], LANES, functions)
     fixed = {t.hours.index: w.load(SCALAR, "%hours")}
     fixed |= {
         one.index: w.load(w.vector, w.at(w.vector, "%theta", i))

@@ -15,8 +15,8 @@ from plants.hidden import hidden_plant
 from scipy.integrate import quad
 
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.starting_model import base_estimate, free_run_error
 from hygrokf.discovery.scene import PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
+from hygrokf.discovery.starting_model import base_estimate, free_run_error
 from hygrokf.engine.cell_loop import TEMPERATURE
 from hygrokf.modelling.design import CASCADE, design
 from hygrokf.physics.psychrometrics import absolute_humidity
