@@ -1,1 +1,1 @@
-"""What `scripts/discovery_battery` runs and prints."""
+"""What `scripts/discovery_trials` runs and prints."""
