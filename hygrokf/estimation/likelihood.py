@@ -151,6 +151,8 @@ class Likelihood:
         except KeyError:
             expect_values(self.model.parameters, values)
             raise
+        except ZeroDivisionError:  # a parameter at a physical limit, such as a resistance of 0
+            return [math.inf] * r.n
         entry = dict(zip(places, found, strict=True))
         bounds = []
         for i in range(r.n):

@@ -420,6 +420,14 @@ def test_rates_that_no_reading_resolves_are_told_with_gap_and_remedy(thermal: ob
     assert math.isfinite(Likelihood(thermal.model, t.window(0, 40)).value(fast))
 
 
+def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -> None:
+    """As where a profile takes another parameter to its physical limit."""
+    with pytest.raises(RatesFault, match="expected finite rates, found others of .*time_constant = 0"):
+        Likelihood(thermal.model, many_gaps(thermal, 40)).value(
+            thermal.values | {"thermal_time_constant": 0.0}
+        )
+
+
 def test_a_model_that_grows_without_limit_is_minus_infinity(thermal: object) -> None:
     case = gapped(thermal, 10.0 * YEAR_H)
     assert case.likelihood.value(case.values | {"heat_disturbance_time": -2.0}) == -math.inf
