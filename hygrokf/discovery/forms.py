@@ -268,9 +268,13 @@ def clock(ground: Ground) -> list[Form]:
 def temperature_offset(ground: Ground) -> list[Form]:
     grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
     name = "temperature_sensor_offset"
+    # the humidity sensor has a temperature of its own: what moves is the one on which the vapour runs
+    moved: Mapping[str, Settings] = {"measured_air": {"step": True}} if ground.humid else {}
     found = [
-        Form(name, "date", (("temperature_step", {}),), grid=grid,
-             steps={("after_step", "date_s"): _step_s(ground)}),
+        Form(
+            name, "date", (("temperature_step", {}),), grid=grid, altered=moved,
+            steps={("after_step", "date_s"): _step_s(ground)},
+        )
     ]  # fmt: skip
     return [*found, Form(name, "constant", freed="cabinet_temperature_offset")] if ground.humid else found
 

@@ -83,7 +83,9 @@ def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...]
     """The simulator with a form of a cause."""
     before = parent.simulator
     heat = _wider(before.heat, form.heat, setting.features)
-    vapour = None if before.vapour is None else _wider(before.vapour, form.vapour, setting.features)
+    vapour = None
+    if before.vapour is not None:
+        vapour = _wider(_altered(before.vapour, form.altered), form.vapour, setting.features)
     scene = before.scene.moved(form.clock, setting.shift_s) if form.clock else before.scene
     limits = {**before.limits, **form.limits}
     if form.freed and vapour is not None:
@@ -91,9 +93,13 @@ def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...]
     return Simulator(scene, heat, vapour, own, limits, before.work)
 
 
+def _altered(base: Design, altered: Mapping[str, Settings]) -> Design:
+    """The design whose own mechanisms have other settings."""
+    mechanisms = tuple((name, {**known, **altered.get(name, {})}) for name, known in base.mechanisms)
+    return replace(base, mechanisms=mechanisms) if altered else base
+
+
 def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mapping[str, Settings]) -> Design:
-    if not additions:
-        return base
     made = extended(base, additions)
     read = set(made.model.inputs)
     return replace(made, features={**made.features, **{k: v for k, v in features.items() if k in read}})
@@ -112,10 +118,19 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
     one = parent.estimate
     if form.freed not in one.simulator.names:
         return []
-    p = one.simulator.parameters[one.simulator.names.index(form.freed)]
+    place = one.simulator.names.index(form.freed)
+    p = one.simulator.parameters[place]
     if p.prior is None or p.prior.sd >= FREE[form.freed]:
         return []
     gain = ((one.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
+    for q in one.simulator.affects(form.freed):
+        # beyond the limit where its accuracy holds it
+        x = _whitened(one, q, parent.columns[q][form.freed][:, None])
+        free = _free_of(parent.basis[q], x)[:, 0]
+        square = float(free @ free)
+        gain += (
+            float(free @ parent.error[q]) ** 2 / square if square > 1e-9 * float(x[:, 0] @ x[:, 0]) else 0.0
+        )
     return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
 
 

@@ -101,7 +101,7 @@ def acts(form: Form, quantities: Sequence[str]) -> set[str]:
         return set(quantities)
     if form.freed:
         return {"vapour"}
-    pairs = (("temperature", form.heat), ("vapour", form.vapour))
+    pairs = (("temperature", form.heat), ("vapour", form.vapour or form.altered))
     return {q for q, mechanisms in pairs if mechanisms and q in quantities}
 
 
