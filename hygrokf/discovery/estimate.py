@@ -16,7 +16,16 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.discovery.error_model import VARIANCES, Course, Filtered, course, filtered, loss, maximised
+from hygrokf.discovery.error_model import (
+    HUBER,
+    VARIANCES,
+    Course,
+    Filtered,
+    course,
+    filtered,
+    loss,
+    maximised,
+)
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
 
@@ -69,7 +78,7 @@ class Estimate:
 
     @cached_property
     def filtered(self) -> dict[str, Filtered]:
-        bound = math.inf if self.plain else 4.0
+        bound = math.inf if self.plain else HUBER
         return {
             q: filtered(self.errors.courses[q], self.variances[q], self.residual(q), bound)
             for q in self.quantities

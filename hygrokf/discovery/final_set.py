@@ -8,7 +8,6 @@ two thirds of the identification period; the one whose free run predicts the las
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -138,14 +137,3 @@ def _prior_information(one: Estimate, place: np.ndarray, logarithmic: np.ndarray
             value = float(one.theta[at])
             found[i] = p.prior.information(value) * (value if logarithmic[i] else 1.0) ** 2
     return np.diag(found)
-
-
-def errors_told(one: Estimate) -> Mapping[str, float]:
-    """Root mean squared error of the free run on held-out readings, by quantity, and of the vapour on the
-    simulated temperature as `simulated_vapour`."""
-    found = {}
-    for q in one.quantities:
-        r = one.simulator.scene.readings[q]
-        error = np.where(r.identified, np.nan, r.value - one.simulated[q])
-        found[q] = float(np.sqrt(np.nanmean(error**2))) if np.isfinite(error).any() else math.nan
-    return found

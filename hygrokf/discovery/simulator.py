@@ -1,14 +1,13 @@
 """Simulations of a model on a scene, many at a time: the readings that each set of parameters gives.
 
 The temperature follows from the model of heat alone, the vapour from the model of vapour on the temperature
-that drives the scene; a controller connects both.  `SIMULATIONS` counts runs: it is the measure of work.
+that drives the scene; a controller connects both.  `Work` counts runs.
 
 Shapes: T readings of a quantity, P parameters, n runs, F edges of parts of cells.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -218,8 +217,3 @@ def _silent(design: Design) -> Model:
 
 def _only_noise(parameters: Sequence[Parameter]) -> bool:
     return bool(parameters) and all(p.noise for p in parameters)
-
-
-def finite(values: np.ndarray) -> bool:
-    """Whether every number is finite; a run that diverges is none."""
-    return bool(np.isfinite(values).all()) and not math.isnan(float(values.sum()))

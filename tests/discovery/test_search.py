@@ -1,0 +1,132 @@
+"""The search by simulation on plants of another make: what is hidden is named, a plant that hides nothing is
+not, and what leaves the search."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants.as_record import to_record
+from plants.hidden import hidden_plant
+
+from hygrokf.discovery.as_fit import fit_of
+from hygrokf.discovery.estimate import Estimate
+from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set
+from hygrokf.discovery.forms import Ground, forms
+from hygrokf.discovery.judgement import judged, levelled, scores
+from hygrokf.discovery.leftover import lines
+from hygrokf.discovery.search import Found, search
+from hygrokf.discovery.starting_model import base_estimate, free_run_error
+
+DAYS = 90.0
+
+
+def found(cause: str, seed: int) -> tuple[object, Found, int]:
+    """A plant, what the search finds in it, and the number of its simulations."""
+    made = hidden_plant(seed, cause, days=DAYS)
+    record = to_record(made)
+    record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
+    base = base_estimate(record)
+    heat = dict(base.simulator.heat.mechanisms)["heat_release"]
+    ground = Ground(record.identification(), True, heat["order"], heat["operation"])
+    ended = search(base, forms(ground))
+    return made, ended, ended.final.simulator.work.simulations
+
+
+@pytest.fixture(scope="module")
+def sunny() -> tuple[object, Found, int]:
+    return found("solar_gain", 9101)
+
+
+@pytest.fixture(scope="module")
+def nothing() -> tuple[object, Found, int]:
+    return found("none", 9102)
+
+
+@pytest.fixture(scope="module")
+def final(sunny: tuple[object, Found, int]) -> FinalSet:
+    one = sunny[1].final
+    return final_set(one, final_estimator(one))
+
+
+def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: tuple[object, Found, int]) -> None:
+    first = sunny[1].accepted[0]
+    assert first.candidate.cause == "solar_gain" and not first.judged.reason
+    assert first.judged.after["temperature"] < 0.9 * first.judged.before["temperature"]
+    assert first.candidate.strength > 25.0
+
+
+def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: tuple[object, Found, int]) -> None:
+    assert nothing[1].accepted == () and lines(nothing[1].final, {}) == []
+
+
+def test_the_same_search_gives_the_same_numbers(nothing: tuple[object, Found, int]) -> None:
+    _, again, count = found("none", 9102)
+    assert again.final.theta.tobytes() == nothing[1].final.theta.tobytes()
+    assert count == nothing[2]
+
+
+def test_base_and_final_set_hold_the_plants_time_constants(
+    nothing: tuple[object, Found, int], sunny: tuple[object, Found, int], final: FinalSet
+) -> None:
+    """Within 15 %: one plant each, and bounds of 95 % are for many."""
+    base = nothing[1].base
+    assert base.values["thermal_time_constant"] == pytest.approx(nothing[0].truth.tau_h, rel=0.15)
+    assert base.values["hygric_k"] == pytest.approx(nothing[0].truth.hygric_constant_h, rel=0.15)
+    assert final.estimate.values["thermal_time_constant"] == pytest.approx(sunny[0].truth.tau_h, rel=0.15)
+    low, high = final.bounds("thermal_time_constant")
+    assert 0.0 < low < final.estimate.values["thermal_time_constant"] < high < 2.0 * low
+
+
+def test_a_final_set_is_a_fit_with_its_numbers(sunny: tuple[object, Found, int], final: FinalSet) -> None:
+    fit = fit_of(sunny[1].base.simulator.scene.record, final)
+    assert fit.results.criterion == final.estimator
+    for name in ("thermal_time_constant", "solar_heat", "hygric_k"):
+        assert fit.values[name] == pytest.approx(final.estimate.values[name], rel=1e-12)
+    entry = fit.results.time_constants["thermal"]
+    assert (entry.lower_h, entry.upper_h) == pytest.approx(final.bounds("thermal_time_constant"), rel=1e-3)
+    # `simulate` of the fit errs as the search's own runs did
+    told = fit.results.errors("validation", "temperature_K").total
+    r = final.estimate.simulator.scene.readings["temperature"]
+    error = np.where(r.identified, np.nan, r.value - final.estimate.simulated["temperature"])
+    assert told == pytest.approx(math.sqrt(np.nanmean(error**2)), rel=0.02)
+
+
+def test_levels_of_a_run_that_is_off_come_back(nothing: tuple[object, Found, int]) -> None:
+    one = nothing[1].base
+    place = one.simulator.names.index("heat_release_operation")
+    theta = one.theta.copy()
+    theta[place] += 3.0
+    off = replace(one, theta=theta, simulated=_simulated(one, theta))
+    assert free_run_error(off, "temperature") > free_run_error(one, "temperature") + 0.5
+    back = levelled(off)
+    assert free_run_error(back, "temperature") < free_run_error(one, "temperature") + 0.05
+    assert back.variances is off.variances
+
+
+def _simulated(one: Estimate, theta: np.ndarray) -> dict[str, np.ndarray]:
+    return {q: one.simulator.simulated(theta[:, None], q)[:, 0] for q in one.quantities}
+
+
+def test_the_held_out_part_refutes_what_is_worse_and_what_gains_nothing(
+    nothing: tuple[object, Found, int],
+) -> None:
+    one = nothing[1].base
+    before = scores(one)
+    assert judged(before, before).reason == "no gain"
+    theta = one.theta.copy()
+    theta[one.simulator.names.index("heat_release_operation")] += 6.0
+    worse = judged(before, scores(replace(one, theta=theta, simulated=_simulated(one, theta))))
+    assert worse.reason == "worse" and worse.after["temperature"] > worse.before["temperature"]
+
+
+def test_a_rhythm_that_no_cause_describes_is_a_line(nothing: tuple[object, Found, int]) -> None:
+    """A heat flow of 12.42 h in the errors, as large as two fifths of them."""
+    one = nothing[1].base
+    r = one.simulator.scene.readings["temperature"]
+    tide = 0.4 * free_run_error(one, "temperature") * np.sin(2.0 * np.pi * r.time_h / 12.42)
+    simulated = {**one.simulated, "temperature": one.simulated["temperature"] + tide}
+    (line,) = lines(replace(one, simulated=simulated), {})
+    assert line.quantity == "temperature" and line.period_h == pytest.approx(12.42, rel=0.01)
