@@ -6,7 +6,7 @@ its own disturbances beside; these maximise its likelihood with everything else 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,21 +22,33 @@ from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.identification.verdict import with_verdicts
 from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.parameters import Coordinates
 
 
-def fit_of(record: Record, final: FinalSet, say: Progress = lambda text: None) -> Fit:
-    """A final set as a fit of the record, whose clocks are corrected as the set says."""
-    simulator = final.estimate.simulator
-    record = shifted(record, *(Shift(s, seconds) for s, seconds in simulator.scene.shifts.items()))
+def fit_of(
+    record: Record, final: FinalSet, say: Progress = lambda text: None, doubts: Sequence[str] = ()
+) -> Fit:
+    """A final set as a fit of the record, whose clocks are corrected as the set says.
+
+    doubts: about the hygric constant, beside those about the record.
+    """
+    record = shifted(record, *clock_shifts(final))
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
     fit = assemble_fit(record, basis, {}, say=say)
-    results = replace(fit.results, criterion=final.estimator)
-    return replace(fit, results=results)
+    known = fit.results.doubted
+    doubted = {**known, "hygric": (*known.get("hygric", ()), *doubts)} if doubts else known
+    results = replace(fit.results, criterion=final.estimator, doubted=doubted)
+    return replace(fit, results=with_verdicts(results))
+
+
+def clock_shifts(final: FinalSet) -> list[Shift]:
+    """The corrections of clocks of a set."""
+    return [Shift(name, seconds) for name, seconds in final.estimate.simulator.scene.shifts.items()]
 
 
 def final_designs(final: FinalSet) -> tuple[Design, ...]:

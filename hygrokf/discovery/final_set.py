@@ -42,11 +42,15 @@ class FinalSet:
     covariance: np.ndarray
     at_bounds: tuple[str, ...]
 
+    def deviation(self, name: str) -> float:
+        """Standard error of a parameter's coordinate, the logarithm where that is one."""
+        i = self.names.index(name)
+        return math.sqrt(max(self.covariance[i, i], 0.0))
+
     def bounds(self, name: str, quantile: float = 1.96) -> tuple[float, float]:
         """95 % bounds of a parameter, in its unit; open where it ended at a limit."""
         p = self.estimate.simulator.parameters[self.estimate.simulator.names.index(name)]
-        value, i = self.estimate.values[name], self.names.index(name)
-        reach = quantile * math.sqrt(max(self.covariance[i, i], 0.0))
+        value, reach = self.estimate.values[name], quantile * self.deviation(name)
         logarithmic = p.positive and name not in self.estimate.linear
         if name in self.at_bounds or not reach < 50.0 * (1.0 if logarithmic else math.inf):
             return (0.0 if logarithmic else -math.inf), math.inf
@@ -55,17 +59,22 @@ class FinalSet:
         return value - reach, value + reach
 
 
-def final_estimator(one: Estimate) -> Estimator:
-    """The estimator whose free run predicts the last third of the identification period better."""
-    early = _until(one, EARLY)
-    both = {name: _fitted_by(early, name) for name in ("likelihood", "output-error")}
+def final_estimator(*models: Estimate) -> Estimator:
+    """The estimator with which the models' free runs predict the last third of the identification period
+    better."""
     ratios = []
-    for q in one.quantities:
-        r = one.simulator.scene.readings[q]
-        late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
-        if late.sum() > 1:
-            errors = [float(np.mean((r.value - made.simulated[q])[late] ** 2)) for made in both.values()]
-            ratios.append(0.5 * math.log(max(errors[1], 1e-12) / max(errors[0], 1e-12)))
+    for one in models:
+        early = _until(one, EARLY)
+        by_likelihood, by_output = _fitted_by(early, "likelihood"), _fitted_by(early, "output-error")
+        for q in one.quantities:
+            r = one.simulator.scene.readings[q]
+            late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
+            if late.sum() > 1:
+                errors = [
+                    max(float(np.mean((r.value - made.simulated[q])[late] ** 2)), 1e-12)
+                    for made in (by_likelihood, by_output)
+                ]
+                ratios.append(0.5 * math.log(errors[1] / errors[0]))
     return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
 
 

@@ -1,4 +1,5 @@
-"""What the causes are as models: forms, each with the mechanisms that it adds and the settings to try.
+"""What the package's causes are as models: forms, each with the mechanisms that it adds and the settings to
+try.
 
 A form is told with its cause.  What is a near image of another form, such as a heater by thermostat or by
 humidistat, is a form of one cause and not a cause of its own.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import wraps
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.modelling.derived_inputs import operating
+from hygrokf.modelling.design import Design
 
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
@@ -66,9 +69,11 @@ class Form:
 
 @dataclass(frozen=True)
 class Ground:
-    """What forms are made from: the identification period, and whether it has humidity."""
+    """What forms are made from: the identification period, the inputs of the base models, whether these have
+    humidity, and their heat release in operation: order of the power, and whether it is one of its own."""
 
     record: Record
+    inputs: frozenset[str]
     humid: bool
     order: int
     operation: bool
@@ -91,10 +96,14 @@ class Ground:
         return (first + (last - first) * np.arange(1, DATES + 1) / (DATES + 1)).tolist()
 
 
-def forms(ground: Ground) -> list[Form]:
-    """All forms that a record can show."""
-    makers = [*HEAT, *(MOIST if ground.humid else ())]
-    return [form for make in makers for form in make(ground)]
+def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
+    """The ground of a record's base designs."""
+    release = dict(heat.mechanisms)["heat_release"]
+    inputs = {name for one in (heat, vapour) if one is not None for name in one.model.inputs}
+    return Ground(
+        record.identification(), frozenset(inputs), vapour is not None, release.get("order", 0),
+        release.get("operation", False),
+    )  # fmt: skip
 
 
 # -- heat and air exchange -----------------------------------------------------------------------------------
@@ -309,6 +318,17 @@ def ambient(ground: Ground) -> list[Form]:
 
 
 # -- moisture ------------------------------------------------------------------------------------------------
+def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[Form]]:
+    """Forms that exist only where the record has humidity."""
+
+    @wraps(forms)
+    def where_there_is(ground: Ground) -> list[Form]:
+        return forms(ground) if ground.humid else []
+
+    return where_there_is
+
+
+@of_vapour
 def sorption(ground: Ground) -> list[Form]:
     found = []
     for slab, hours, limits in (
@@ -325,6 +345,7 @@ def sorption(ground: Ground) -> list[Form]:
     return found
 
 
+@of_vapour
 def condensation(ground: Ground) -> list[Form]:
     grid = tuple(
         Setting(values={"surface_time": h, "surface_undercooling": below, "condensation_rate": rate})
@@ -334,6 +355,7 @@ def condensation(ground: Ground) -> list[Form]:
     return [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
 
 
+@of_vapour
 def rain(ground: Ground) -> list[Form]:
     if "rain" not in ground.record:
         return []
@@ -341,6 +363,7 @@ def rain(ground: Ground) -> list[Form]:
     return [Form("rain_ingress", "all_rain", vapour=(("rain_ingress", {}),), grid=grid)]
 
 
+@of_vapour
 def drier(ground: Ground) -> list[Form]:
     if "cabinet_relative_humidity" not in ground.record:
         return []
@@ -357,6 +380,7 @@ def drier(ground: Ground) -> list[Form]:
     ]  # fmt: skip
 
 
+@of_vapour
 def source(ground: Ground) -> list[Form]:
     def mechanism(when: str) -> tuple[MechanismSettings, ...]:
         return (("internal_moisture_source", {"when": when}),)
@@ -386,6 +410,7 @@ def source(ground: Ground) -> list[Form]:
     return found
 
 
+@of_vapour
 def humidity_sensor(ground: Ground) -> list[Form]:
     if "cabinet_relative_humidity" not in ground.record:
         return []
@@ -400,10 +425,3 @@ def humidity_sensor(ground: Ground) -> list[Form]:
         Form(name, "ceiling", vapour=(("humidity_ceiling", {}),),
              grid=tuple(Setting(values={"humidity_ceiling": level}) for level in levels)),
     ]  # fmt: skip
-
-
-HEAT: tuple[Callable[[Ground], list[Form]], ...] = (
-    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, doors, clock,
-    temperature_offset, ambient,
-)  # fmt: skip
-MOIST = (sorption, condensation, rain, drier, source, humidity_sensor)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import Reason
 from hygrokf.discovery.error_model import HUBER, ahead, filtered, loss
 from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 
@@ -37,14 +38,15 @@ class Scores:
 @dataclass(frozen=True)
 class Judged:
     """A child against its parent on held-out readings, by quantity: z of the daily differences, growth of
-    ln squared error, root mean square errors of the free runs."""
+    ln squared error, root mean square errors of the free runs; days: with readings."""
 
     z: Mapping[str, float]
     growth: Mapping[str, float]
     before: Mapping[str, float]
     after: Mapping[str, float]
     gain: float
-    reason: str
+    days: int
+    reason: Reason
 
 
 def levelled(one: Estimate) -> Estimate:
@@ -81,7 +83,7 @@ def scores(one: Estimate) -> dict[str, Scores]:
 
 
 def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], price: float = 0.0) -> Judged:
-    z, growth, before, after = {}, {}, {}, {}
+    z, growth, before, after, number = {}, {}, {}, {}, 0
     for q, old in parent.items():
         new = child[q]
         both = np.isfinite(old.squares) & np.isfinite(new.squares)
@@ -95,13 +97,14 @@ def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], price: flo
         difference = np.nansum((n - o)[:, :-1] / mean[:-1], axis=1)
         there = both[:, -1]
         days = np.unique(old.day[there])
+        number = max(number, len(days))
         daily = np.array([difference[there & (old.day == d)].mean() for d in days])
         spread = daily.std(ddof=1) / math.sqrt(len(daily)) if len(daily) > 1 else math.inf
         z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
     gain = sum(parent[q].deviance - child[q].deviance for q in parent) - price
-    reason = ""
+    reason: Reason = ""
     if any(v > WORSE_Z for v in z.values()) or any(v > WORSE_GROWTH for v in growth.values()):
         reason = "worse"
     elif z and not any(v <= -WORSE_Z for v in z.values()) and not gain > 0.0:
-        reason = "no gain"
-    return Judged(z, growth, before, after, gain, reason)
+        reason = "no_gain"
+    return Judged(z, growth, before, after, gain, number, reason)

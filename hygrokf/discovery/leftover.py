@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import Line
 from hygrokf.discovery.estimate import Estimate, frame, slopes
 
 SIGNIFICANT = 1e-4
@@ -21,17 +21,6 @@ BIN_H = 1.0
 NEIGHBOURS = 101
 FEWEST = 3 * NEIGHBOURS
 FEWEST_DAYS = 30
-
-
-@dataclass(frozen=True)
-class Line:
-    """A line in a spectrum: its quantity, period [h] and chance [1] without an effect; `cause`: the named
-    cause in whose daily scores it stands, "" in the errors themselves."""
-
-    quantity: str
-    period_h: float
-    p: float
-    cause: str = ""
 
 
 def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:

@@ -187,7 +187,7 @@ class Scene:
         if name in self._base()[0]:
             return self._base()[0][name]
         settings = design.features.get(name)
-        key = json.dumps([name, settings], default=float)
+        key = _key(name, settings)
         if key not in self._cache:
             if settings is not None:
                 value = feature(self.record, name, settings, self.edges_s)
@@ -196,6 +196,11 @@ class Scene:
                 value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
             self._cache[key] = np.asarray(value, dtype=float)
         return self._cache[key]
+
+    def with_inputs(self, given: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
+        """The scene in which inputs of designs have other values (F,) at the edges of parts."""
+        values = {_key(name, design.features.get(name)): value for name, design, value in given}
+        return replace(self, _cache={"": self._base(), **values})
 
     def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> Cells:
         """The inputs of a model over the cells."""
@@ -235,6 +240,10 @@ class Scene:
     def place(self, time_s: np.ndarray) -> np.ndarray:
         """Times [s] in cells from the first one's beginning."""
         return (time_s - self.first_s) / (HOUR_S * self.cell_h)
+
+
+def _key(name: str, settings: Any) -> str:
+    return json.dumps([name, settings], default=float)
 
 
 def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -47,19 +47,29 @@ NEAR, NEAR_SHARE = 30.0, 0.15
 SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
 """Sweeps of jumps, jumps of a sweep that are fitted, and by how much −2 ln L one may be worse at first."""
 CLOSE, CLOSE_Z = 10.0, 2.0
+"""Evidence by which a rival may stay behind, and standard errors of its days, within which it is one."""
+SENSOR = "humidity_sensor_drift"
+WATER = ("internal_moisture_source", "moisture_sorption", "condensation")
+WATER_SHARE = 0.5
+"""Share of the evidence of the sensor's error, in days, from which water is told with it."""
 Chosen = tuple[Form, Setting]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence."""
+    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence.
+
+    alike: codes of the cause's other forms that the record cannot tell from it.
+    """
 
     form: Form
     setting: Setting
     estimate: Estimate
     gains: Mapping[str, float]
+    constants: int
     evidence: float
     in_days: float
+    alike: tuple[str, ...] = ()
 
     @property
     def cause(self) -> str:
@@ -73,11 +83,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Accepted:
-    """A cause that was accepted, what the held-out readings say of it, and its rivals of the round."""
+    """A cause that was accepted, what the held-out readings say of it, its rivals of the round, and by how
+    much the best of all others stayed behind, in days."""
 
     candidate: Candidate
     judged: Judged
     rivals: tuple[Candidate, ...]
+    lead: float
 
     @property
     def chosen(self) -> Chosen:
@@ -86,13 +98,20 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Found:
-    """The end of a search: its base, the model with all accepted causes, what was refuted or left again."""
+    """The end of a search: its base, the model with all accepted causes, what was refuted or left again.
+
+    beside: candidates of the last round; not_judged: causes that the budget left out of it; searched: cause →
+    settings that were tried.
+    """
 
     base: Estimate
     final: Estimate
     accepted: tuple[Accepted, ...] = ()
     refuted: tuple[tuple[Candidate, Judged], ...] = ()
     left: tuple[Candidate, ...] = ()
+    beside: tuple[Candidate, ...] = ()
+    not_judged: tuple[str, ...] = ()
+    searched: Mapping[str, int] = field(default_factory=dict)
 
 
 def acts(form: Form, quantities: Sequence[str]) -> set[str]:
@@ -130,7 +149,7 @@ def _free(one: Estimate, form: Form) -> list[str]:
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
     """What a child is worth beside its parent; evidence in days only where the evidence would do."""
     new = added(parent, one.simulator)
-    gains, evidence = {}, -2.0 * math.log(max(searched, 1)) - setting.price
+    gains, number, evidence = {}, 0, -2.0 * math.log(max(searched, 1)) - setting.price
     for q in one.quantities:
         gains[q] = parent.deviances[q] - one.deviances[q]
         constants = sum(one.simulator.affects(p.name)[0] == q for p in new)
@@ -139,9 +158,10 @@ def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, sea
         paid = gains[q] - constants * math.log(max(readings, 2))
         if form.together and constants and paid <= 0.0:
             evidence = -math.inf
+        number += constants
         evidence += max(0.0, paid)
     factor = day_factor(parent, one) if evidence >= THRESHOLD else 1.0
-    return Candidate(form, setting, one, gains, evidence, evidence / factor)
+    return Candidate(form, setting, one, gains, number, evidence, evidence / factor)
 
 
 def day_factor(parent: Estimate, one: Estimate) -> float:
@@ -194,7 +214,7 @@ def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
             if light.deviance < best.estimate.deviance + 0.5 * WORSE:
                 one = fitted(light, _free(light, best.form), POLISH)
                 if one.deviance < best.estimate.deviance - 0.1:
-                    best = candidate(parent, one, best.form, setting, searched)
+                    best = replace(candidate(parent, one, best.form, setting, searched), alike=best.alike)
         steps = {key: 0.5 * step for key, step in steps.items()}
         if not best.estimate.deviance < before - 1.0 and not steps:
             break
@@ -254,10 +274,12 @@ class _Known:
 
 
 class Search:
-    """A search from a base through the forms of causes."""
+    """A search from a base through the forms of causes, which ends where the budget of simulations does."""
 
-    def __init__(self, base: Estimate, forms: Sequence[Form], say: Callable[[str], None]) -> None:
-        self.base, self.say = base, say
+    def __init__(
+        self, base: Estimate, forms: Sequence[Form], say: Callable[[str], None], budget: float
+    ) -> None:
+        self.base, self.say, self.budget = base, say, budget
         self.forms: dict[str, list[Form]] = {}
         for form in forms:
             self.forms.setdefault(form.cause, []).append(form)
@@ -266,6 +288,8 @@ class Search:
         self.accepted: list[Accepted] = []
         self.refuted: list[tuple[Candidate, Judged]] = []
         self.left: list[Candidate] = []
+        self.beside: list[Candidate] = []
+        self.not_judged: list[str] = []
         self.visited: set[frozenset[str]] = set()
         self._known = _Known()
         self._columns: Columns = {}
@@ -280,12 +304,21 @@ class Search:
             if not self._round():
                 break
             self._judge_again()
-        return Found(self.base, self.parent, tuple(self.accepted), tuple(self.refuted), tuple(self.left))
+        return Found(
+            self.base, self.parent, tuple(self.accepted), tuple(self.refuted), tuple(self.left),
+            tuple(self.beside), tuple(self.not_judged), self.searched,
+        )  # fmt: skip
+
+    @property
+    def spent(self) -> bool:
+        return self.base.simulator.work.simulations >= self.budget
 
     def _round(self) -> bool:
         """Accept the best cause, then the best of the other quantity; returns whether any was accepted."""
-        found = self.candidates()
-        self.say(", ".join(f"{c.cause}/{c.form.code} {c.evidence:.0f}/{c.in_days:.0f}" for c in found))
+        found = self.beside = self.candidates()
+        if self.not_judged:
+            # the best of those that were judged might not be the best
+            return False
         before, taken = scores(levelled(self.parent)), set[str]()
         for one in found:
             mine = acts(one.form, self.parent.quantities)
@@ -297,8 +330,9 @@ class Search:
             if verdict.reason:
                 self.refuted.append((one, verdict))
                 continue
-            rivals = tuple(c for c in found if c.cause != one.cause and alike(one, c))
-            self.accepted.append(Accepted(one, verdict, rivals))
+            rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))
+            self.accepted.append(Accepted(one, verdict, rivals, lead(one, found)))
+            self.say(f"{one.cause}: evidence {one.evidence:.0f}, in days {one.in_days:.0f}")
             self.parent = child
             taken |= mine
         if taken:
@@ -316,31 +350,20 @@ class Search:
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
         after = scores(levelled(foreseen(self.parent, one)))
         mine = acts(one.form, self.parent.quantities)
-        found = judged({q: before[q] for q in mine}, {q: after[q] for q in mine})
-        self.say(f"   {one.cause}: z {found.z} growth {found.growth} {found.reason}")
-        return found
+        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine})
 
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the later ones."""
         for one in list(self.accepted[:-1]):
             others = [a for a in self.accepted if a is not one]
-            without = self._composed([a.chosen for a in others], self.parent)
+            without = composed(self.base, [a.chosen for a in others], self.parent)
             again = candidate(without, self.parent, *one.chosen, self.searched[one.candidate.cause])
             if self._earns(again):
                 continue
-            self.say(f"   left again: {again.cause} {again.evidence:.0f}/{again.in_days:.0f}")
             self.left.append(again)
             self.accepted, self.parent = others, renewed(without)
             for q in acts(one.candidate.form, self.parent.quantities):
                 self._known.version[q] += 1
-
-    def _composed(self, chosen: Sequence[Chosen], near: Estimate) -> Estimate:
-        """The base with some causes, fitted from a larger model's values under the same error models."""
-        one = self.base
-        for form, setting in chosen:
-            one = replace(one, simulator=widened(one, form, setting))
-        theta = one.simulator.vector(near.values)
-        return fitted(estimate_at(one.simulator, near.errors, theta, near.linear, near.variances))
 
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
@@ -348,15 +371,26 @@ class Search:
         parent = parent_of(self.parent)
         self._columns = parent.columns
         seen: dict[str, list[Screened]] = {}
+        self.not_judged = []
         for cause, forms in self.forms.items():
             if cause in gone:
                 continue
+            self.say(f"screening of {cause}")
             mark = self._known.mark(forms, self.parent.quantities)
             if self._known.screened.get(cause, (None,))[0] != mark:
+                if self.spent:
+                    self.not_judged.append(cause)
+                    continue
                 found = [s for form in forms for s in screened(parent, form)]
                 self._known.screened[cause] = mark, sorted(found, key=lambda s: -s.gain)
             seen[cause] = self._known.screened[cause][1]
-        made = {cause: self._candidate(cause, seen[cause]) for cause in self._first(seen)}
+        made: dict[str, Candidate | None] = {}
+        for cause in self._first(seen):
+            if self.spent:
+                self.not_judged.append(cause)
+                continue
+            self.say(f"estimate of {cause}")
+            made[cause] = self._candidate(cause, seen[cause])
         best = {cause: one for cause, one in made.items() if one is not None}
         for q in self.parent.quantities:
             mine = [one for one in best.values() if q in acts(one.form, self.parent.quantities)]
@@ -376,17 +410,20 @@ class Search:
         for q in self.parent.quantities:
             mine = [c for c in ranked if q in acts(seen[c][0].form, self.parent.quantities)]
             first |= dict.fromkeys(mine[:CAUSES])
-        return list(first)
+        # water must not be explained away by an error of its sensor
+        return [*first, *(c for c in WATER if SENSOR in first and c not in first and seen.get(c))]
 
     def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate | None:
         mark = self._known.mark(self.forms[cause], self.parent.quantities)
         if self._known.candidates.get(cause, (None,))[0] != mark:
-            best: Candidate | None = None
+            made = []
             for s in _to_estimate(seen):
                 one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
-                made = candidate(self.parent, one, s.form, s.setting, self.searched[cause])
-                if best is None or made.evidence > best.evidence:
-                    best = made
+                made.append(candidate(self.parent, one, s.form, s.setting, self.searched[cause]))
+            best = max(made, key=lambda one: one.evidence, default=None)
+            if best is not None:
+                near = (c.form.code for c in made if c.form is not best.form and alike(best, c))
+                best = replace(best, alike=tuple(dict.fromkeys(near)))
             self._known.candidates[cause] = mark, best
         found = self._known.candidates[cause][1]
         if found is None or set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
@@ -396,7 +433,9 @@ class Search:
     def _finished(self, one: Candidate, leads: bool) -> Candidate:
         """A candidate at its maximum; the one that leads a quantity jumps."""
         made = fitted(one.estimate, _free(one.estimate, one.form), POLISH)
+        same = one.alike
         one = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
+        one = replace(one, alike=same)
         if leads and one.evidence > 0.0:
             one = jumped(self.parent, one, self.searched[one.cause])
         mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
@@ -413,9 +452,23 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 
-def search(base: Estimate, forms: Sequence[Form], say: Callable[[str], None] = lambda text: None) -> Found:
-    """Name what a base lacks."""
-    return Search(base, forms, say).run()
+def search(
+    base: Estimate,
+    forms: Sequence[Form],
+    say: Callable[[str], None] = lambda text: None,
+    budget: float = math.inf,
+) -> Found:
+    """Name what a base lacks; a round in which the simulations reach the budget names nothing."""
+    return Search(base, forms, say, budget).run()
+
+
+def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate) -> Estimate:
+    """The base with some causes, fitted from a larger model's values under the same error models."""
+    one = base
+    for form, setting in chosen:
+        one = replace(one, simulator=widened(one, form, setting))
+    theta = one.simulator.vector(near.values)
+    return fitted(estimate_at(one.simulator, near.errors, theta, near.linear, near.variances))
 
 
 def foreseen(parent: Estimate, one: Candidate) -> Estimate:
@@ -427,7 +480,7 @@ def foreseen(parent: Estimate, one: Candidate) -> Estimate:
     spans = sorted([*one.setting.features["door_open"]["spans"], *later.spans])
     wider = widened(parent, one.form, Setting({"door_open": {"spans": spans}}))
     e = one.estimate
-    return estimate_at(wider, e.errors, e.theta, e.linear, e.variances)
+    return estimate_at(wider, e.errors, wider.vector(e.values), e.linear, e.variances)
 
 
 def alike(best: Candidate, rival: Candidate) -> bool:
@@ -447,3 +500,17 @@ def _daily(best: Candidate, rival: Candidate, quantity: str) -> np.ndarray:
     found = np.zeros(day.max() + 1)
     np.add.at(found, day, rival.estimate.filtered[quantity].terms - best.estimate.filtered[quantity].terms)
     return found
+
+
+def water(best: Candidate, rival: Candidate) -> bool:
+    """Whether a rival is water that an error of the humidity sensor must not explain away."""
+    return best.cause == SENSOR and rival.cause in WATER and rival.in_days >= WATER_SHARE * best.in_days
+
+
+def lead(best: Candidate, found: Sequence[Candidate]) -> float:
+    """By how much the best of all other causes on the same quantities stays behind, in days."""
+    mine = acts(best.form, best.estimate.quantities)
+    others = [
+        c.in_days for c in found if c.cause != best.cause and acts(c.form, best.estimate.quantities) & mine
+    ]
+    return best.in_days - max([0.0, *others])

@@ -21,11 +21,6 @@ import hygrokf
 from battery.cases import DAYS, Case
 from battery.measured import IDENTIFIED, absent, measured
 from hygrokf.data.record import Record
-from hygrokf.discovery.estimate import Estimate
-from hygrokf.discovery.forms import Ground, forms
-from hygrokf.discovery.judgement import Judged, levelled, scores
-from hygrokf.discovery.search import search
-from hygrokf.discovery.starting_model import base_estimate
 
 
 @lru_cache(maxsize=1)
@@ -107,48 +102,23 @@ def identified_until(record: Record, made: Plant) -> float:
 
 def found(record: Record) -> dict:
     """What is named in a record, what was refuted, free-run errors on held-out readings, and the work."""
-    base = base_estimate(record)
-    release = dict(base.simulator.heat.mechanisms)["heat_release"]
-    ground = Ground(
-        record.identification(),
-        "vapour" in base.quantities,
-        release.get("order", 0),
-        release.get("operation", False),
-    )
-    ended = search(base, forms(ground))
-    names = [
-        {
-            **_told(one.candidate),
-            "rivals": [rival.cause for rival in one.rivals],
-            "worth": worth(one.judged),
-        }
-        for one in ended.accepted
-    ]
-    before, after = (held_out_errors(one) for one in (base, ended.final))
+    results = hygrokf.discover(record).results
     return {
-        "verdict": "named" if names else "none",
-        "names": names,
-        "refuted": [{**_told(one), "reason": judged.reason} for one, judged in ended.refuted],
-        "errors": {q: [before[q], after[q]] for q in before},
-        "simulations": ended.final.simulator.work.simulations,
-    }
+        "verdict": results.verdict,
+        "names": [{**_told(one), "rivals": list(one.ambiguous_with), "confidence": one.confidence,
+                   "worth": one.held_out.improvement} for one in results.causes],
+        "refuted": [{**_told(one), "reason": one.held_out.reason} for one in results.refuted],
+        "errors": {one.quantity: [one.rmse_before, one.rmse_after] for one in results.gains},
+        "lines": [[one.quantity, one.period_h, one.p, one.cause] for one in results.lines],
+        "simulations": results.work.simulations,
+    }  # fmt: skip
 
 
 def _told(one) -> dict:
     return {
-        "cause": one.cause, "form": one.form.code, "evidence": one.evidence, "evidence_in_days": one.in_days,
+        "cause": one.cause, "form": one.form, "evidence": one.evidence.evidence,
+        "evidence_in_days": one.evidence.in_days, "lead": one.evidence.lead,
     }  # fmt: skip
-
-
-def worth(judged: Judged) -> float:
-    """The largest share by which a name lowers a levelled free-run error on held-out readings."""
-    return max((1.0 - judged.after[q] / judged.before[q] for q in judged.before), default=0.0)
-
-
-def held_out_errors(one: Estimate) -> dict[str, float]:
-    """Root mean square errors of the levelled free run on held-out readings: temperature [K], vapour
-    [g/m3]."""
-    return {q: math.sqrt(np.nanmean(s.squares[:, -1])) for q, s in scores(levelled(one)).items()}
 
 
 def plain(value):
