@@ -27,6 +27,9 @@ from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.parameters import Coordinates
 
+RATE_STEP = 1.0
+"""Largest product of a rate and a sub-step: coarser ones change the disturbances' sizes alone."""
+
 
 def fit_of(
     record: Record, final: FinalSet, say: Progress = lambda text: None, doubts: Sequence[str] = ()
@@ -39,7 +42,7 @@ def fit_of(
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
-    fit = assemble_fit(record, basis, {}, say=say)
+    fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
     known = fit.results.doubted
     doubted = {**known, "hygric": (*known.get("hygric", ()), *doubts)} if doubts else known
     results = replace(fit.results, criterion=final.estimator, doubted=doubted)
@@ -69,7 +72,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     """One likelihood at the set's values, with the set's covariance."""
     say("sizes of the disturbances")
     run = prepare_run(base, early)
-    likelihood = Likelihood(base.model, run.timeline)
+    likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
     known = final.estimate.values
     held = {
         p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known
