@@ -26,7 +26,7 @@ SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
 inputs."""
 DATES = 23
-SHIFTS_H = tuple(np.round(np.arange(-1.5, 1.51, 0.125), 4).tolist())
+SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
 AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
@@ -261,14 +261,15 @@ def _hours(workdays: bool, feature: str) -> tuple[Setting, ...]:
 
 
 def clock(ground: Ground) -> list[Form]:
+    """Shifts of each source against the others; of two sources only the difference shows."""
     main = {"cabinet_temperature", "ambient_temperature", "active_power"}
-    names = [name for name, signals in sources(ground.record).items() if main & set(signals)]
-    if len(sources(ground.record)) == 2:
-        names = names[:1]
+    known = sources(ground.record)
+    names = [name for name, signals in known.items() if main & set(signals)]
+    names = names[: {1: 0, 2: 1}.get(len(known))]
     return [
         Form(
-            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H if h),
-            steps={("clock", "shift_s"): 0.0625 * HOUR_S}, clock=name,
+            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H),
+            steps={("clock", "shift_s"): 0.125 * HOUR_S}, clock=name,
         )
         for name in names
     ]  # fmt: skip

@@ -247,7 +247,7 @@ def _nesting_faults(
             )
             return
     acting = {**start, **{name: other[name] for name in null}}
-    moved = replace(wider, scene=_with_waves(wider), _cells={}, _models={})
+    moved = replace(wider, scene=_with_waves(wider), _cells={})
     change = _departure(replace(one, simulated=_simulated(moved, start)), moved, acting)
     if not math.isfinite(change):
         yield "its simulation is not finite near the start values; check divisions, logarithms and bounds"

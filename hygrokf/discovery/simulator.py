@@ -35,9 +35,11 @@ ACCURACY = 2.0
 
 @dataclass
 class Work:
-    """Simulations so far."""
+    """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as long
+    as ten runs."""
 
     simulations: int = 0
+    models: dict[tuple[object, ...], tuple[CellModel, tuple[Model, ...]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,6 @@ class Simulator:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     work: Work = field(default_factory=Work, compare=False)
     _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
-    _models: dict[str, CellModel] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def designs(self) -> tuple[Design, ...]:
@@ -116,20 +117,26 @@ class Simulator:
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
         """The models that a quantity needs."""
-        if quantity not in self._models:
-            heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
-            steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
-            damp = any(self._steering(c)[1] for c in self.controls)
-            if quantity == "temperature" and not damp:
-                vapour = None
-            made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
-            inputs = {name for one in made.models for name in one.inputs}
-            self._models[quantity] = replace(
-                made,
-                controls=tuple(name for name in self.controls if name in inputs),
-                own=tuple(name for name in self.own if name in inputs),
-            )
-        return self._models[quantity]
+        damp = any(self._steering(c)[1] for c in self.controls)
+        models = tuple(one.model for one in self.designs)
+        key = (quantity, damp, self.own, *map(id, models))
+        if key not in self.work.models:
+            # the entry keeps the models, so that their identities stay their own
+            self.work.models[key] = self._cell_model(quantity, damp), models
+        return self.work.models[key][0]
+
+    def _cell_model(self, quantity: str, damp: bool) -> CellModel:
+        heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
+        steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
+        if quantity == "temperature" and not damp:
+            vapour = None
+        made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
+        inputs = {name for one in made.models for name in one.inputs}
+        return replace(
+            made,
+            controls=tuple(name for name in self.controls if name in inputs),
+            own=tuple(name for name in self.own if name in inputs),
+        )
 
     def cells(self, model: CellModel) -> Cells:
         if model.inputs not in self._cells:
