@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
 from hygrokf.discovery.judgement import Judged, judged, scores
-from hygrokf.discovery.search import Accepted, Candidate, Found, composed, foreseen
+from hygrokf.discovery.search import Accepted, Candidate, Found, composed, effect_of, foreseen
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def _judged(
     without = base.estimate
     if others:
         without = final_set(composed(start, others, extended.estimate), estimator).estimate
-    return judged(
-        scores(without), scores(foreseen(without, replace(name.candidate, estimate=extended.estimate)))
-    )
+    child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
+    after = scores(child)
+    return judged(scores(without), after, effect_of(name.candidate.form, without, child, after))
 
 
 def _harm(one: Judged) -> float:

@@ -8,7 +8,7 @@ humidistat, is a form of one cause and not a cause of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import wraps
 
 import numpy as np
@@ -241,7 +241,18 @@ def heat_drift(ground: Ground) -> list[Form]:
     own = {"order": ground.order, "operation": True} if ground.operation else {}
     first, last = ground.span_s
     elapsed = {"elapsed": {"start_s": first, "end_s": last}}
-    return [Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),))]
+    saturating = tuple(
+        Setting({"since": {"date_s": date, "days": days}})
+        for date in (first, *ground.dates())
+        for days in (8.0, 30.0)
+    )
+    return [
+        Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),)),
+        Form(
+            "heat_release_drift", "saturating", (("release_drift", {**own, "flag": "since"}),),
+            grid=saturating, steps={("since", "date_s"): _step_s(ground), ("since", "days"): 4.0},
+        ),
+    ]  # fmt: skip
 
 
 def by_the_clock(ground: Ground) -> list[Form]:
@@ -353,7 +364,11 @@ def condensation(ground: Ground) -> list[Form]:
         for h in (1.0, 4.0, 12.0)
         for below, rate in ((0.3, 0.3), (0.3, 2.0), (1.5, 0.3), (1.5, 2.0), (4.0, 1.0))
     )
-    return [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+    found = [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+    if ground.record.site is not None:
+        night = tuple(replace(one, features={"night_sky": {}}) for one in grid)
+        found.append(Form("condensation", "night_sky", vapour=(("condensation", {"sky": True}),), grid=night))
+    return found
 
 
 @of_vapour
@@ -374,10 +389,13 @@ def drier(ground: Ground) -> list[Form]:
         for at in levels
         for width in (0.04, 0.15)
     )
+    heat: tuple[MechanismSettings, ...] = (("drying_heat", {"flag": "throttled_drying"}),)
     return [
-        Form("dehumidifier", code, grid=grid,
+        Form("dehumidifier", code, heat if warms else (), grid=grid,
              vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),))
-        for code, plate in (("plate", True), ("desiccant", False))
+        for code, plate, warms in (
+            ("plate", True, False), ("plate_warms", True, True), ("desiccant", False, False)
+        )
     ]  # fmt: skip
 
 

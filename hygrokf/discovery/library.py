@@ -43,7 +43,8 @@ LIBRARY: tuple[Cause, ...] = (
         "find and insulate the cold surface; check the drain; keep it above the dew point at standstill",
         "a surface temperature or wetness sensor at the coldest wall",
         condensation,
-        tried="film on a surface with a lag of its own that is colder than the air around the cabinet",
+        tried="film on a surface with a lag of its own, colder than the air around the cabinet always or "
+        "under the night sky",
     ),
     Cause(
         "wall_thermal_mass", "a second thermal mass stores heat beside the converter",
@@ -76,7 +77,8 @@ LIBRARY: tuple[Cause, ...] = (
         "check filters, fans and heat exchangers for fouling; compare losses of the converter",
         "heat flow or coolant temperatures",
         heat_drift,
-        tried="heat release in operation that drifts in proportion to time",
+        tried="heat release in operation that drifts in proportion to time, or from a date on and "
+        "saturating",
     ),
     Cause(
         "humidity_sensor_drift", "the humidity sensor drifts, or its scale is off",
@@ -111,7 +113,8 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",
         "current of the drier", drier,
-        tried="drying above a set-point of the humidity, by a cold plate or a desiccant",
+        tried="drying above a set-point of the humidity, by a desiccant or by a cold plate, which may warm "
+        "the air",
     ),
     Cause(
         "internal_moisture_source", "water evaporates inside",
@@ -148,8 +151,8 @@ LIBRARY: tuple[Cause, ...] = (
         "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
         "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve",
         cooling,
-        tried="a stage whose loss grows with the temperature, cooling of constant power, or a vent that opens "
-        "by temperature or humidity",
+        tried="a stage whose loss grows with the temperature, cooling of constant power, or a vent that "
+        "opens by temperature or humidity",
     ),
 )  # fmt: skip
 

@@ -25,7 +25,7 @@ from hygrokf.discovery.estimate import (
     slopes,
 )
 from hygrokf.discovery.forms import Form, Setting
-from hygrokf.discovery.judgement import Judged, Scores, judged, levelled, scores
+from hygrokf.discovery.judgement import Judged, Scores, difference, judged, levelled, scores
 from hygrokf.discovery.screening import (
     Screened,
     added,
@@ -268,6 +268,11 @@ class _Known:
     screened: dict[str, tuple[tuple[int, ...], list[Screened]]] = field(default_factory=dict)
     candidates: dict[str, tuple[tuple[int, ...], Candidate | None]] = field(default_factory=dict)
 
+    def drop(self, cause: str) -> None:
+        """Forget a cause whose forms changed."""
+        self.screened.pop(cause, None)
+        self.candidates.pop(cause, None)
+
     def mark(self, forms: Sequence[Form], quantities: Sequence[str]) -> tuple[int, ...]:
         mine = set().union(*(acts(form, quantities) for form in forms))
         return tuple(self.version.get(q, 0) for q in quantities if q in mine)
@@ -286,7 +291,7 @@ class Search:
         self.searched = {cause: sum(len(f.grid) for f in one) for cause, one in self.forms.items()}
         self.parent = base
         self.accepted: list[Accepted] = []
-        self.refuted: list[tuple[Candidate, Judged]] = []
+        self._refuted: list[tuple[Candidate, Judged]] = []
         self.left: list[Candidate] = []
         self.beside: list[Candidate] = []
         self.not_judged: list[str] = []
@@ -305,9 +310,18 @@ class Search:
                 break
             self._judge_again()
         return Found(
-            self.base, self.parent, tuple(self.accepted), tuple(self.refuted), tuple(self.left),
+            self.base, self.parent, tuple(self.accepted), self.refuted, tuple(self.left),
             tuple(self.beside), tuple(self.not_judged), self.searched,
         )  # fmt: skip
+
+    @property
+    def refuted(self) -> tuple[tuple[Candidate, Judged], ...]:
+        """The best refuted form of each cause that has no name in the end."""
+        best: dict[str, tuple[Candidate, Judged]] = {}
+        for one, verdict in sorted(self._refuted, key=lambda pair: -pair[0].strength):
+            if one.cause not in self.names:
+                best.setdefault(one.cause, (one, verdict))
+        return tuple(best.values())
 
     @property
     def spent(self) -> bool:
@@ -319,7 +333,7 @@ class Search:
         if self.not_judged:
             # the best of those that were judged might not be the best
             return False
-        before, taken = scores(levelled(self.parent)), set[str]()
+        before, taken, again = scores(levelled(self.parent)), set[str](), False
         for one in found:
             mine = acts(one.form, self.parent.quantities)
             if mine & taken or not self._earns(one) or self.names | {one.cause} in self.visited:
@@ -328,7 +342,11 @@ class Search:
             one = replace(one, estimate=child)
             verdict = self._judged(before, one)
             if verdict.reason:
-                self.refuted.append((one, verdict))
+                # another form of the cause may hold what this one does not
+                self._refuted.append((one, verdict))
+                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
+                self._known.drop(one.cause)
+                again = True
                 continue
             rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))
             self.accepted.append(Accepted(one, verdict, rivals, lead(one, found)))
@@ -339,7 +357,7 @@ class Search:
             self.parent = renewed(self.parent)
             for q in taken:
                 self._known.version[q] = self._known.version.get(q, 0) + 1
-        return bool(taken)
+        return bool(taken) or again
 
     def _earns(self, one: Candidate) -> bool:
         mine = acts(one.form, self.parent.quantities)
@@ -348,9 +366,10 @@ class Search:
         return one.strength >= (FURTHER if mine & named else THRESHOLD)
 
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
-        after = scores(levelled(foreseen(self.parent, one)))
-        mine = acts(one.form, self.parent.quantities)
-        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine})
+        child = levelled(foreseen(self.parent, one))
+        after, mine = scores(child), acts(one.form, self.parent.quantities)
+        effect = effect_of(one.form, self.parent, child, after)
+        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, effect)
 
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the later ones."""
@@ -367,13 +386,13 @@ class Search:
 
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
-        gone = self.names | {one.cause for one, _ in self.refuted}
+        gone = self.names
         parent = parent_of(self.parent)
         self._columns = parent.columns
         seen: dict[str, list[Screened]] = {}
         self.not_judged = []
         for cause, forms in self.forms.items():
-            if cause in gone:
+            if cause in gone or not forms:
                 continue
             self.say(f"screening of {cause}")
             mark = self._known.mark(forms, self.parent.quantities)
@@ -472,15 +491,53 @@ def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate) -> Estima
 
 
 def foreseen(parent: Estimate, one: Candidate) -> Estimate:
-    """The candidate's estimate with the openings of the held-out part, which nothing foresees."""
+    """The candidate's estimate with the openings of the held-out part, which nothing foresees: those that
+    make its readings likelier by more than the price of finding them."""
     if not one.form.windows:
         return one.estimate
     whole = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
-    later = openings(parent, whole, identified=False)
-    spans = sorted([*one.setting.features["door_open"]["spans"], *later.spans])
-    wider = widened(parent, one.form, Setting({"door_open": {"spans": spans}}))
-    e = one.estimate
+    known, e = one.setting.features["door_open"]["spans"], one.estimate
+    found = openings(parent, whole, identified=False)
+    kept: list[list[float]] = []
+    best = _held_out_deviance(e)
+    for span in found.spans:
+        trial = _opened(parent, one, sorted([*known, *kept, span]))
+        if _held_out_deviance(trial) < best - found.price:
+            kept.append(span)
+            best = _held_out_deviance(trial)
+    return _opened(parent, one, sorted([*known, *kept]))
+
+
+def _opened(parent: Estimate, one: Candidate, spans: Sequence[Sequence[float]]) -> Estimate:
+    wider, e = widened(parent, one.form, Setting({"door_open": {"spans": spans}})), one.estimate
     return estimate_at(wider, e.errors, wider.vector(e.values), e.linear, e.variances)
+
+
+def _held_out_deviance(one: Estimate) -> float:
+    return sum(score.deviance for score in scores(one).values())
+
+
+def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:
+    """The difference that a cause itself makes to held-out readings (`difference`); infinite for one without
+    a size."""
+    names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
+    mine = {p for m in (*form.heat, *form.vapour) for p in _parameters(child, m[0])}
+    if not mine & set(names):
+        return math.inf
+    theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in mine}})
+    without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
+    return sum(difference(after, without).values())
+
+
+def _parameters(one: Estimate, mechanism: str) -> list[str]:
+    """The parameters of a mechanism."""
+    return [
+        p.name
+        for design in one.simulator.designs
+        for m in design.model.mechanisms
+        if m.name == mechanism
+        for p in m.parameters
+    ]
 
 
 def alike(best: Candidate, rival: Candidate) -> bool:

@@ -35,8 +35,8 @@ ACCURACY = 2.0
 
 @dataclass
 class Work:
-    """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as long
-    as ten runs."""
+    """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as
+    long as ten runs."""
 
     simulations: int = 0
     models: dict[tuple[object, ...], tuple[CellModel, tuple[Model, ...]]] = field(default_factory=dict)

@@ -111,12 +111,12 @@ def dehumidifier_heat() -> Mechanism:
     )  # fmt: skip
 
 
-def drying_heat() -> Mechanism:
-    """Heat from a drier that no signal reports (input `drying`): its electric power and the heat of
-    condensation [K]."""
+def drying_heat(flag: str = "drying") -> Mechanism:
+    """Heat from a drier that no signal reports (input `drying` or `throttled_drying`): its electric power and
+    the heat of condensation [K]."""
     return _driven_heat(
-        "drying_heat", "drying_heat", "drying", "while the unreported drier runs",
-        "a cabinet that is too warm in the simulation when it is damp",
+        "drying_heat", "drying_heat", flag, "while the unreported drier runs",
+        "a cabinet that is too warm in the simulation when it is damp", settings={"flag": flag},
     )  # fmt: skip
 
 
