@@ -100,7 +100,8 @@ def _inside(low: float, high: float, value: float) -> float:
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     """The covariance of a stage's parameters; logarithms where the coordinate is one."""
-    names = tuple(n for n in coordinates.names if n in final.names and n not in final.at_bounds)
+    open_ = (*final.at_bounds, *final.flat)
+    names = tuple(n for n in coordinates.names if n in final.names and n not in open_)
     place = [final.names.index(n) for n in names]
     values: Mapping[str, float] = final.estimate.values
     linear = final.estimate.linear
@@ -110,4 +111,4 @@ def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     )
     covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
-    return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), (), (), information)
+    return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), final.flat, (), information)

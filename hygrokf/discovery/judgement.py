@@ -76,6 +76,8 @@ def scores(one: Estimate) -> dict[str, Scores]:
         for c, horizon in enumerate(HORIZONS_H):
             last = np.searchsorted(time, time - horizon + 1e-6, side="right") - 1
             fine = (last >= 0) & (time - time[np.maximum(last, 0)] <= OLDEST * horizon + 0.5)
+            if not fine.any():
+                continue
             at, from_ = known[fine], known[last[fine]]
             lead = np.round(r.time_h[at] - r.time_h[from_], 4)
             leads, which = np.unique(lead, return_inverse=True)

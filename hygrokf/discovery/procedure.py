@@ -15,6 +15,7 @@ from hygrokf.data.drawn import drawn
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
+from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery.as_fit import clock_shifts, fit_of
 from hygrokf.discovery.cause import Cause
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 BUDGET = 40_000
 """Simulations after which no further cause is tried."""
+MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
+"""Readings that a simulation explains."""
 WET_SENSOR = (
     "what the model takes as an error of the humidity sensor may be water in the cabinet; compare the sensor "
     "with a second one"
@@ -124,8 +127,26 @@ def discover(
     adopt(library)
     record = mask(record)
     expect_readings(record.identification())
+    expect_movement(record.identification())
     with reporting(progress, "discover") as say:
         return _discovered(record, library, say, budget)
+
+
+def expect_movement(early: Record) -> None:
+    """Check that the cabinet's readings move in the identification period.
+
+    Raises ValueError that names every signal whose middle 98 % are one value.
+    """
+    still = []
+    for series in early.series:
+        known = series.value[np.isfinite(series.value)]
+        if series.signal in MOVING and len(known) and np.ptp(np.quantile(known, (0.01, 0.99))) == 0.0:
+            still.append(
+                f"{series.signal}: expected readings that move, found {known[0]:.6g} "
+                f"{SIGNALS[series.signal].unit} throughout the identification period"
+            )
+    if still:
+        raise ValueError("; ".join(still) + ": check the sensor, or leave the signal out of the case")
 
 
 def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget: int) -> Discovery:
@@ -133,7 +154,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     say("base model")
     start = base_estimate(record)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
-    forms = {cause.name: cause.forms(ground) for cause in library}
+    forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
     found = search(start, [form for one in forms.values() for form in one], say, budget)
     say("parameters of the base and of the extended model")
     ended = concluded(found)
