@@ -111,4 +111,5 @@ def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     )
     covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
-    return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), final.flat, (), information)
+    factor = np.ones(len(names))
+    return Uncertainty(names, information, covariance, covariance, factor, final.flat, (), information)

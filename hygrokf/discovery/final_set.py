@@ -144,7 +144,9 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
     root = scale[:, None] * axes[:, seen] / size[seen]
     inverse = root @ (axes[:, seen] * scale[:, None]).T
     found = inverse @ spread @ inverse.T
-    flat = tuple(n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0)
+    flat = tuple(
+        n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0
+    )
     return names, found, flat
 
 

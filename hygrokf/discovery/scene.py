@@ -186,15 +186,15 @@ class Scene:
             return self.drive
         if name in self._base()[0]:
             return self._base()[0][name]
-        settings = design.features.get(name)
-        key = _key(name, settings)
-        if key not in self._cache:
-            if settings is not None:
-                value = feature(self.record, name, settings, self.edges_s)
-            else:
-                mean = design.actuator_means.get(name)
-                value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
-            self._cache[key] = np.asarray(value, dtype=float)
+        settings, key = design.features.get(name), _key(name, design.features.get(name))
+        if key in self._cache:
+            return np.asarray(self._cache[key])
+        if settings is not None:
+            # of hundreds of settings only the means over cells are kept
+            return np.asarray(feature(self.record, name, settings, self.edges_s), dtype=float)
+        mean = design.actuator_means.get(name)
+        value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
+        self._cache[key] = np.asarray(value, dtype=float)
         return self._cache[key]
 
     def with_inputs(self, given: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
