@@ -20,6 +20,8 @@ SIGNIFICANT = 1e-4
 BIN_H = 1.0
 NEIGHBOURS = 101
 FEWEST = 3 * NEIGHBOURS
+CYCLES = 4
+"""Cycles of a rhythm in the record at least: what comes less often is a course."""
 FEWEST_DAYS = 30
 
 
@@ -53,6 +55,7 @@ def _in_errors(one: Estimate, quantity: str) -> Line | None:
     sums = np.cumsum(np.pad(power, (half + 1, half), mode="reflect"))
     around = (sums[NEIGHBOURS:] - sums[:-NEIGHBOURS] - power) / (NEIGHBOURS - 1)
     ratio = power / np.maximum(around, 1e-300)
+    ratio[: CYCLES - 1] = 0.0
     best = int(np.argmax(ratio))
     # the neighbours' mean is itself uncertain: F with 2 and 2 (neighbours − 1) degrees of freedom
     alone = (1.0 + ratio[best] / (NEIGHBOURS - 1)) ** (1.0 - NEIGHBOURS)
@@ -83,11 +86,11 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
         return None
     ranks = np.argsort(np.argsort(daily)) - 0.5 * (len(daily) - 1)  # single days must not decide
     power = np.abs(np.fft.rfft(ranks)) ** 2
-    power = power[1 : (len(daily) + 1) // 2]
+    power = power[CYCLES : (len(daily) + 1) // 2]
     if not power.sum() > 0.0:
         return None
     share = float(power.max() / power.sum())
     p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
     return (
-        Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + 1), p, cause) if p < SIGNIFICANT else None
+        Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES), p, cause) if p < SIGNIFICANT else None
     )

@@ -267,11 +267,13 @@ class _Known:
     version: dict[str, int] = field(default_factory=dict)
     screened: dict[str, tuple[tuple[int, ...], list[Screened]]] = field(default_factory=dict)
     candidates: dict[str, tuple[tuple[int, ...], Candidate | None]] = field(default_factory=dict)
+    finished: dict[str, tuple[tuple[int, ...], bool]] = field(default_factory=dict)
 
     def drop(self, cause: str) -> None:
         """Forget a cause whose forms changed."""
         self.screened.pop(cause, None)
         self.candidates.pop(cause, None)
+        self.finished.pop(cause, None)
 
     def mark(self, forms: Sequence[Form], quantities: Sequence[str]) -> tuple[int, ...]:
         mine = set().union(*(acts(form, quantities) for form in forms))
@@ -451,14 +453,17 @@ class Search:
 
     def _finished(self, one: Candidate, leads: bool) -> Candidate:
         """A candidate at its maximum; the one that leads a quantity jumps."""
+        mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
+        if self._known.finished.get(one.cause) in ((mark, True), (mark, leads)):
+            return one
         made = fitted(one.estimate, _free(one.estimate, one.form), POLISH)
         same = one.alike
         one = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
         one = replace(one, alike=same)
         if leads and one.evidence > 0.0:
             one = jumped(self.parent, one, self.searched[one.cause])
-        mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
         self._known.candidates[one.cause] = mark, one
+        self._known.finished[one.cause] = mark, leads
         return one
 
 
