@@ -51,7 +51,8 @@ from hygrokf.report.discovery_tables import (
 from hygrokf.report.discovery_text import (
     NO_CHECK,
     NOT_RIGHT,
-    REFUTED,
+    alike_sentence,
+    apart_sentence,
     capital,
     confidence_of,
     evidence_sentence,
@@ -60,7 +61,7 @@ from hygrokf.report.discovery_text import (
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    rivals_sentence,
+    refutation,
     settings_words,
     spoken,
     sure_of,
@@ -231,6 +232,7 @@ def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
 def _cause(cause: CauseFound) -> list[Block]:
     """A cause: meaning, confidence, evidence, held-out test, rivals, what to check, parameters."""
     settings = settings_words(cause.settings)
+    rivals = [text for text in (alike_sentence(cause), apart_sentence(cause)) if text]
     apart = () if cause.told_apart else (("Names nothing", "its class is too long to act on"),)
     rows = [
         ("What it is", cause.statement or spoken(cause.cause)),
@@ -238,7 +240,7 @@ def _cause(cause: CauseFound) -> list[Block]:
         ("Evidence", evidence_sentence(cause.evidence)),
         ("Held-out test", held_out_sentence(cause.held_out)),
         *([("Found by search", "; ".join(settings))] if settings else []),
-        ("Could also be", rivals_sentence(cause) or "no other cause of the library comes near it"),
+        ("Could also be", "; ".join(rivals) or "no other cause of the library comes near it"),
         ("To check", cause.remedy or NO_CHECK),
     ]
     return [
@@ -254,7 +256,7 @@ def _refuted(found: DiscoveryResults) -> tuple[Block, ...]:
     blocks: list[Block | None] = []
     for one in found.refuted:
         rows = [
-            ("Reason", REFUTED[one.held_out.reason]),
+            ("Reason", refutation(one.held_out)),
             ("Evidence", evidence_sentence(one.evidence)),
             ("Held-out test", held_out_sentence(one.held_out)),
         ]
@@ -334,8 +336,8 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
         "controlled over all conditions together.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
         f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
-        "of the likelihood gains, less the price of its constants and of the settings that were tried, and by "
-        "the same for days that are not independent.",
+        "of the likelihood gains, less the price of its constants and of the settings that were tried; and by "
+        "the same where days are not independent.",
         "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
         "3, 12 and 48 h ahead or of the free run grow; they choose nothing else. The bounds of the errors’ "
         "fall take days as independent; they show how much it varies within this period, not in another "

@@ -60,43 +60,40 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
 
 
 def gains_table(found: DiscoveryResults) -> Table:
-    """Free-run errors of both models by quantity, with the best rule that needs no model."""
+    """Free-run errors by quantity, of the base model and of the extended one where there is one, with the
+    best rule that needs no model."""
     rows = []
-    for gain in found.gains:
+    wider = found.extended is not None
+    places = [place_of(found, gain) for gain in found.gains]
+    for gain, place in zip(found.gains, places, strict=True):
         name, symbol = quantity_of(gain.quantity)
-        wider = found.extended is not None
         scored = SCORED_AS.get(gain.quantity)
         rule = best_rule(found.baseline.fit, scored, gain.period) if scored else None
-        changed = wider and not unchanged(gain.rmse_before, gain.rmse_after)
-        known = changed and math.isfinite(gain.lower) and math.isfinite(gain.upper)
-        rows.append(
-            (
-                f"{name}, {place_of(found, gain)}",
-                *_pair(gain.rmse_before, gain.rmse_after, symbol, wider),
-                f"{fixed(gain.lower)} … {fixed(gain.upper)} {symbol}" if known else NONE,
-                NONE if rule is None else f"{fixed(rule.rule)} {symbol} (“{rule.words}”)",
-            )
-        )
+        against = NONE if rule is None else f"{fixed(rule.rule)} {symbol} (“{rule.words}”)"
+        pair = _pair(gain.rmse_before, gain.rmse_after, symbol)
+        known = not unchanged(gain.rmse_before, gain.rmse_after) and math.isfinite(gain.upper - gain.lower)
+        bounds = f"{fixed(gain.lower)} … {fixed(gain.upper)} {symbol}" if known else NONE
+        rows.append((name if place == places[0] else f"{name}, {place}", *pair, bounds, against))
         if math.isfinite(gain.driven_before):
-            driven = _pair(gain.driven_before, gain.driven_after, symbol, wider)
-            rows.append(("  the same, on the measured temperature", *driven, NONE, NONE))
+            driven = _pair(gain.driven_before, gain.driven_after, symbol)
+            rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
+    head = ("", "base model", "extended model", "change", "bounds of the fall", "best rule without a model")
+    kept = range(6) if wider else (0, 1, 5)
     return Table(
-        "Free-run errors",
-        ("", "base model", "extended model", "change", "95 % bounds of the fall", "best rule without a model"),
-        tuple(rows),
-        left=(0, 5),
-        brief=(0, 1, 2, 3),
+        f"Free-run errors on {places[0] if places else 'readings'}",
+        tuple(head[i] for i in kept),
+        tuple(tuple(row[i] for i in kept) for row in rows),
+        left=(0, len(kept) - 1),
+        brief=(0, 1, 2, 3) if wider else (),
         note=(
-            "Root mean squares. Where nothing else is said, the absolute humidity is simulated on the simulated "
-            "temperature, as “hygrokf simulate” does."
+            "Root mean squares; bounds: 95 %. Where nothing else is said, the absolute humidity is simulated "
+            "on the simulated temperature, as “hygrokf simulate” does."
         ),
     )
 
 
-def _pair(before: float, after: float, symbol: str, both: bool) -> tuple[str, str, str]:
-    """Two errors and their change; NONE where there is one model only."""
-    if not both:
-        return f"{fixed(before)} {symbol}", NONE, NONE
+def _pair(before: float, after: float, symbol: str) -> tuple[str, str, str]:
+    """Two errors and their change."""
     change = "±0 %" if unchanged(before, after) else _change(before, after)
     return f"{fixed(before)} {symbol}", f"{fixed(after)} {symbol}", change
 
@@ -107,7 +104,7 @@ def held_out_table(test: HeldOutTest) -> Table:
     for q in test.before:
         name, symbol = quantity_of(q)
         numbers = (round(one.get(q, math.nan), 2) + 0.0 for one in (test.z, test.growth))  # no −0.00
-        pair = _pair(test.before[q], test.after.get(q, math.nan), symbol, True)
+        pair = _pair(test.before[q], test.after.get(q, math.nan), symbol)
         rows.append((name, *pair, *map(fixed, numbers)))
     return Table(
         "Held-out readings, without and with the cause",
@@ -233,27 +230,23 @@ def rejected_table(found: DiscoveryResults) -> Table:
     def worth(evidence: float) -> float:
         return evidence if math.isfinite(evidence) else -math.inf
 
-    rows = tuple(
-        (
-            capital(formed(one.cause, one.form)),
-            *(fixed(one.evidence.gains.get(q, math.nan), 1) for q in ("temperature", "vapour")),
-            *((str(one.evidence.constants), str(one.evidence.searched)) if one.evidence.gains else (NONE, NONE)),
-            fixed(one.evidence.evidence, 1),
-            fixed(one.evidence.in_days, 1),
-            _reason(found, one),
-        )
-        for one in sorted(found.rejected, key=lambda one: -worth(one.evidence.evidence))
-    )
+    rows = []
+    for one in sorted(found.rejected, key=lambda one: -worth(one.evidence.evidence)):
+        known = one.evidence
+        paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
+        gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
+        worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
+        rows.append((capital(formed(one.cause, one.form)), *gains, *paid, *worths, _reason(found, one)))
     return Table(
         "In order of their evidence",
-        ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "why it was left out"),
-        rows,
+        ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "why left out"),
+        tuple(rows),
         left=(0, 7),
         groups=(("", 1), ("2 ln L", 2), ("paid for", 2), ("evidence", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, a difference of maxima. Evidence: this gain less ln N "
-            "for each constant in each quantity and 2 ln of the settings; in days: by how independent the days "
-            "are."
+            "for each constant in each quantity and 2 ln of the settings; in days: by how independent the "
+            "days are."
         ),
     )
 

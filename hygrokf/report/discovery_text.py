@@ -17,6 +17,7 @@ from hygrokf.discovery.discovery_results import (
     Line,
     Settings,
 )
+from hygrokf.discovery.judgement import WORSE_GROWTH, WORSE_Z
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
@@ -70,10 +71,10 @@ FORMS = {
     "standstill": "at standstill",
     "fading": "drying out from a date on",
     "by_the_clock": "in the same hours of the day",
-    "drift": "a drift",
-    "scale_drifts": "a scale that drifts",
+    "drift": "an offset that grows",
+    "scale_drifts": "a scale that goes off",
     "scale": "a scale that is off",
-    "ceiling": "a ceiling",
+    "ceiling": "a ceiling of the readings",
     "as_given": "",
 }
 """Code of a form → words; that of a clock is its source's name and stays as it is."""
@@ -84,11 +85,6 @@ EXCLUSIONS = {
     "later_gone": "it lost its place to a cause that was accepted later",
     "left_to_budget": "not judged: the budget ended the search",
     "no_form": "this record cannot show it",
-}
-REFUTED = {
-    "worse": "with it the errors on held-out readings are larger",
-    "no_gain": "on held-out readings neither the errors fall nor the likelihood grows",
-    "": "no reason is stated",
 }
 ESTIMATORS = {
     "likelihood": "maximise the likelihood of the search",
@@ -168,7 +164,7 @@ def unchanged(before: float, after: float) -> bool:
 def tried(found: DiscoveryResults) -> int:
     """How many causes were judged."""
     judged = {one.cause for one in found.rejected if one.reason not in ("left_to_budget", "no_form")}
-    return len(judged | {one.cause for one in (*found.causes, *found.refuted)})
+    return len(judged | {one.cause for one in found.causes} | {one.cause for one in found.refuted})
 
 
 def unfinished(found: DiscoveryResults) -> str:
@@ -177,6 +173,15 @@ def unfinished(found: DiscoveryResults) -> str:
         return ""
     left = listed(map(spoken, found.work.not_judged))
     return f"The budget of {found.work.budget:,} simulations ended the search; not judged: {left}"
+
+
+def so_far(found: DiscoveryResults) -> str:
+    """What a search found until its budget ended it; empty where the budget did not."""
+    if not unfinished(found):
+        return ""
+    found_none = found.verdict == "none" and not _doubts(found)
+    known = "no cause is named" if found_none else answer(found)
+    return f"so far: {known[:1].lower()}{known[1:]}"
 
 
 def headline(found: DiscoveryResults) -> str:
@@ -216,16 +221,15 @@ def _doubts(found: DiscoveryResults) -> list[str]:
 def verdict_sentences(found: DiscoveryResults) -> list[str]:
     """What follows the first sentence: what is left, the causes with their errors, and what to check."""
     doubts = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
-    causes = [gain_sentence(found, one) for one in found.gains] if found.causes else []
+    errors = errors_sentence(found) if found.causes else ""
     if len(found.causes) == 1:
         (one,) = found.causes
-        check = f"check in the turbine: {one.remedy or NO_CHECK}" if one.told_apart else ""
-        causes = [one.statement, marked(one.held_out), *causes, rivals_sentence(one), check]
+        what = [one.statement, marked(one.held_out)] if one.told_apart else [marked(one.held_out)]
+        causes = [*what, errors, alike_sentence(one), apart_sentence(one), check_sentence(one)]
     else:
         named = (f"{class_of(one)}{sure_of(one)}; {marked(one.held_out)}" for one in found.causes)
-        causes = [*(text.removesuffix("; ") for text in named), *causes]
-    so_far = f"so far: {answer(found)}" if unfinished(found) else ""
-    said = (so_far, *doubts, *meaning(found), *causes, *warnings(found), *advice(found))
+        causes = [*(text.removesuffix("; ") for text in named), errors]
+    said = (so_far(found), *doubts, *meaning(found), *causes, *warnings(found), *advice(found))
     return [sentence(text) for text in said if text]
 
 
@@ -234,6 +238,8 @@ def meaning(found: DiscoveryResults) -> list[str]:
     none_of = f"none of the {tried(found)} causes that were judged"
     if found.verdict == "none" and (doubts := _doubts(found)):
         return [f"{none_of} has enough evidence, yet the base model is wrong", *doubts]
+    if found.verdict == "none" and unfinished(found):
+        return []
     if found.verdict == "none":
         return [f"{none_of} has enough evidence; the errors look like the ordinary disturbances of a cabinet"]
     left = [line_sentence(one) for one in found.lines]
@@ -241,7 +247,7 @@ def meaning(found: DiscoveryResults) -> list[str]:
         left.append(f"{none_of} explains it, so no cause is named")
     if found.refuted:
         names = listed(formed(one.cause, one.form) for one in found.refuted)
-        reasons = [f"{spoken(one.cause)}: {REFUTED[one.held_out.reason]}" for one in found.refuted]
+        reasons = [f"{spoken(one.cause)}: {refutation(one.held_out)}" for one in found.refuted]
         beside = "" if found.verdict == "refuted" else f"held-out readings refute {names}; "
         left.append(beside + "; ".join(reasons))
     return left
@@ -260,8 +266,10 @@ def warnings(found: DiscoveryResults) -> list[str]:
 
 def advice(found: DiscoveryResults) -> list[str]:
     """What to do after a verdict that names no cause, or not the whole one."""
-    said = [f"allow more than {found.work.budget:,} simulations with --budget"] if unfinished(found) else []
-    if found.verdict == "unexplained":
+    said = []
+    if unfinished(found):
+        said.append(f"allow more than {found.work.budget:,} simulations with --budget")
+    elif found.verdict == "unexplained":
         said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
     elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
         said.append("keep the base model; a cause may be missing that this record does not show")
@@ -295,18 +303,19 @@ def place_of(found: DiscoveryResults, gain: Gain) -> str:
     return f"{PERIOD.get(gain.period, gain.period)}{after}"
 
 
-def gain_sentence(found: DiscoveryResults, gain: Gain) -> str:
-    """The free-run error of a quantity without and with the causes."""
-    name, symbol = quantity_of(gain.quantity)
-    before, after = fixed(gain.rmse_before), fixed(gain.rmse_after)
-    if not (math.isfinite(gain.rmse_before) and math.isfinite(gain.rmse_after)):
-        return f"the {name} error of the free run is not known without and with the causes"
-    if unchanged(gain.rmse_before, gain.rmse_after):
-        said = f"stays at {before} {symbol}"
-    else:
-        verb = "falls" if gain.rmse_after < gain.rmse_before else "rises"
-        said = f"{verb} from {before} to {after} {symbol}"
-    return f"the {name} error of the free run {said} ({place_of(found, gain)})"
+def errors_sentence(found: DiscoveryResults) -> str:
+    """The free-run errors of both models by quantity."""
+    said: dict[str, list[str]] = {}
+    for gain in found.gains:
+        name, symbol = quantity_of(gain.quantity)
+        before, after = fixed(gain.rmse_before), fixed(gain.rmse_after)
+        if unchanged(gain.rmse_before, gain.rmse_after):
+            text = f"{name} stays at {before} {symbol}"
+        else:
+            verb = "rises" if gain.rmse_after > gain.rmse_before else "falls"
+            text = f"{name} {verb} from {before} to {after} {symbol}"
+        said.setdefault(place_of(found, gain), []).append(text)
+    return "; ".join(f"free-run error on {place}: {', '.join(texts)}" for place, texts in said.items())
 
 
 def held_out_sentences(found: DiscoveryResults) -> list[str]:
@@ -350,12 +359,21 @@ def marked(one: HeldOutTest) -> str:
     return NOT_BETTER if one.days and one.improvement < LEAST_IMPROVEMENT else ""
 
 
+def refutation(one: HeldOutTest) -> str:
+    """Why held-out readings refute a cause."""
+    if one.reason == "no_gain":
+        return "on held-out readings neither the errors fall nor the likelihood grows"
+    grown = [q for q in one.z if one.z[q] > WORSE_Z or one.growth.get(q, math.nan) > WORSE_GROWTH]
+    names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
+    return f"with it the errors of the {names} on held-out readings grow"
+
+
 def held_out_sentence(one: HeldOutTest) -> str:
     """What held-out readings say of a cause, in short; the table has the numbers."""
     if not one.days:
         return "no readings were held out"
-    mark = marked(one)
-    said = mark or f"a levelled free-run error falls by {percent(one.improvement)}"
+    fall = f"a levelled free-run error falls by {percent(one.improvement)}"
+    said = marked(one) or f"it improves the prediction of held-out readings: {fall}"
     gain = f"; 2 ln L of held-out readings {_grows(one.gain)}" if math.isfinite(one.gain) else ""
     return f"{said}{gain}; {one.days} days with readings"
 
@@ -380,17 +398,27 @@ def evidence_sentence(found: Evidence) -> str:
     return "; ".join(said)
 
 
-def rivals_sentence(cause: CauseFound) -> str:
-    """The causes and forms that this record cannot tell apart, and what could; empty where there are none."""
+def alike_sentence(cause: CauseFound) -> str:
+    """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
         forms = listed((FORMS.get(form, form) or "as given" for form in cause.forms_alike), "or")
-        said.append(f"or {forms}: this record cannot tell these apart")
-    if cause.ambiguous_with:
-        names = listed(map(spoken, (cause.cause, *cause.ambiguous_with)))
-        said.append(f"this record cannot tell {names} apart")
-        said += [f"to tell them apart: {cause.separate_by}"] if cause.separate_by else []
+        said.append(f"in this form or {forms}: this record cannot tell these apart")
+    if cause.ambiguous_with and cause.told_apart:
+        said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
+
+
+def apart_sentence(cause: CauseFound) -> str:
+    """What tells a cause from its rivals; empty without rivals."""
+    needed = cause.ambiguous_with and cause.separate_by
+    return f"to tell {spoken(cause.cause)} from its rivals: {cause.separate_by}" if needed else ""
+
+
+def check_sentence(cause: CauseFound) -> str:
+    """What to check in the turbine; empty for a class that names nothing."""
+    asked = cause.remedy and cause.told_apart and cause.remedy != cause.separate_by
+    return f"check in the turbine for {spoken(cause.cause)}: {cause.remedy}" if asked else ""
 
 
 def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
@@ -438,8 +466,9 @@ def _setting_words(key: str, value: Any, settings: Settings) -> list[str]:
     if key == "date_s":
         return [f"date {date_words(value)}"]
     if key == "shift_s":
+        source = settings.get("source", "the source")
         other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
-        return [f"stamps of {settings.get('source', 'the source')} moved by {fixed(value / 60.0, 1)} min{other}"]
+        return [f"stamps of {source} moved by {fixed(value / 60.0, 1)} min{other}"]
     if key == "days":
         return [f"over {plain_number(value)} days"] if value else []
     if key == "start_h":
