@@ -336,8 +336,8 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
         "controlled over all conditions together.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
         f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
-        "of the likelihood gains, less the price of its constants and of the settings that were tried; and by "
-        "the same where days are not independent.",
+        "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
+        "same must hold by days, which are fewer than readings where they resemble each other.",
         "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
         "3, 12 and 48 h ahead or of the free run grow; they choose nothing else. The bounds of the errors’ "
         "fall take days as independent; they show how much it varies within this period, not in another "

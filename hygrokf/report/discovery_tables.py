@@ -77,17 +77,18 @@ def gains_table(found: DiscoveryResults) -> Table:
         if math.isfinite(gain.driven_before):
             driven = _pair(gain.driven_before, gain.driven_after, symbol)
             rows.append((f"{name}, on the measured temperature", *driven, NONE, NONE))
-    head = ("", "base model", "extended model", "change", "bounds of the fall", "best rule without a model")
+    about = f"free-run error on {places[0] if places else 'readings'}"
+    head = (about, "base model", "extended model", "change", "bounds of the fall", "best rule, no model")
     kept = range(6) if wider else (0, 1, 5)
     return Table(
-        f"Free-run errors on {places[0] if places else 'readings'}",
+        "Root mean squares",
         tuple(head[i] for i in kept),
         tuple(tuple(row[i] for i in kept) for row in rows),
         left=(0, len(kept) - 1),
         brief=(0, 1, 2, 3) if wider else (),
         note=(
-            "Root mean squares; bounds: 95 %. Where nothing else is said, the absolute humidity is simulated "
-            "on the simulated temperature, as “hygrokf simulate” does."
+            "Bounds: 95 %. Where nothing else is said, the absolute humidity is simulated on the simulated "
+            "temperature, as “hygrokf simulate” does."
         ),
     )
 

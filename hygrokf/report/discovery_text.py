@@ -224,8 +224,9 @@ def verdict_sentences(found: DiscoveryResults) -> list[str]:
     errors = errors_sentence(found) if found.causes else ""
     if len(found.causes) == 1:
         (one,) = found.causes
-        what = [one.statement, marked(one.held_out)] if one.told_apart else [marked(one.held_out)]
-        causes = [*what, errors, alike_sentence(one), apart_sentence(one), check_sentence(one)]
+        what = "" if one.ambiguous_with else one.statement
+        alike = (alike_sentence(one), apart_sentence(one))
+        causes = [what, marked(one.held_out), errors, *alike, check_sentence(one)]
     else:
         named = (f"{class_of(one)}{sure_of(one)}; {marked(one.held_out)}" for one in found.causes)
         causes = [*(text.removesuffix("; ") for text in named), errors]
@@ -261,7 +262,8 @@ def warnings(found: DiscoveryResults) -> list[str]:
             f"{percent(found.saturated, 1)} of the humidity readings are at the sensor’s ceiling, so "
             "condensation cannot be excluded"
         )
-    return [*said, repeated_text(found.repeated)] if found.repeated else said
+    known = {name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()}
+    return [*said, repeated_text(known)] if any(known.values()) else said
 
 
 def advice(found: DiscoveryResults) -> list[str]:
