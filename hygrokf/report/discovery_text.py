@@ -172,7 +172,12 @@ def unfinished(found: DiscoveryResults) -> str:
     if not found.work.not_judged:
         return ""
     left = listed(map(spoken, found.work.not_judged))
-    return f"The budget of {found.work.budget:,} simulations ended the search; not judged: {left}"
+    return f"The budget of {_simulations(found)} ended the search; not judged: {left}"
+
+
+def _simulations(found: DiscoveryResults) -> str:
+    """The budget in words."""
+    return f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
 
 
 def so_far(found: DiscoveryResults) -> str:
@@ -270,7 +275,7 @@ def advice(found: DiscoveryResults) -> list[str]:
     """What to do after a verdict that names no cause, or not the whole one."""
     said = []
     if unfinished(found):
-        said.append(f"allow more than {found.work.budget:,} simulations with --budget")
+        said.append(f"allow more than {_simulations(found)} with --budget")
     elif found.verdict == "unexplained":
         said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
     elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
