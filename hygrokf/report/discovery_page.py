@@ -224,24 +224,24 @@ def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
     )
     return section(
         "The causes" if several else "The cause",
-        *(block for one in found.causes for block in _cause(one)),
+        *(block for one in found.causes for block in _cause(found, one)),
         together if several else None,
     )
 
 
-def _cause(cause: CauseFound) -> list[Block]:
+def _cause(found: DiscoveryResults, cause: CauseFound) -> list[Block]:
     """A cause: meaning, confidence, evidence, held-out test, rivals, what to check, parameters."""
     settings = settings_words(cause.settings)
     rivals = [text for text in (alike_sentence(cause), apart_sentence(cause)) if text]
-    apart = () if cause.told_apart else (("Names nothing", "its class is too long to act on"),)
+    named = cause.told_apart
     rows = [
         ("What it is", cause.statement or spoken(cause.cause)),
-        *(apart or [("Confidence", confidence_of(cause))]),
+        ("Confidence", confidence_of(cause)) if named else ("Names nothing", "its class is too long to act on"),
         ("Evidence", evidence_sentence(cause.evidence)),
-        ("Held-out test", held_out_sentence(cause.held_out)),
+        ("Held-out test", held_out_sentence(found, cause.held_out)),
         *([("Found by search", "; ".join(settings))] if settings else []),
         ("Could also be", "; ".join(rivals) or "no other cause of the library comes near it"),
-        ("To check", cause.remedy or NO_CHECK),
+        *([("To check", cause.remedy or NO_CHECK)] if named else []),
     ]
     return [
         Heading(capital(formed(cause.cause, cause.form)), 3),
@@ -258,7 +258,7 @@ def _refuted(found: DiscoveryResults) -> tuple[Block, ...]:
         rows = [
             ("Reason", refutation(one.held_out)),
             ("Evidence", evidence_sentence(one.evidence)),
-            ("Held-out test", held_out_sentence(one.held_out)),
+            ("Held-out test", held_out_sentence(found, one.held_out)),
         ]
         blocks += [
             Heading(capital(formed(one.cause, one.form)), 3),

@@ -50,6 +50,7 @@ FORMS = {
     "date": "from a date on",
     "windows": "single openings",
     "straight": "in proportion to time",
+    "saturating": "from a date on, and less and less",
     "daily": "every day",
     "workdays": "on workdays",
     "smoothed": "a smoothed series",
@@ -63,8 +64,10 @@ FORMS = {
     "slab": "a slab, alike at all temperatures",
     "slab_activated": "a slab, faster when warm",
     "cold_surface": "on a cold surface",
+    "night_sky": "on a surface cooled by the night sky",
     "all_rain": "with all rain",
     "plate": "a cold plate",
+    "plate_warms": "a cold plate whose heat stays in the cabinet",
     "desiccant": "a desiccant",
     "constant": "constant",
     "wet_surface": "a wet surface",
@@ -105,6 +108,7 @@ SCORED_AS = {
 """Quantity of residuals or of the search → scored quantity."""
 NO_CHECK = "nothing is stated"
 NOT_BETTER = "it does not improve the prediction of held-out readings"
+NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
 LEAST_IMPROVEMENT = 0.02
 """Share by which a cause must lower a levelled free-run error, else it is marked."""
 SHORT_DAYS = 14
@@ -231,9 +235,9 @@ def verdict_sentences(found: DiscoveryResults) -> list[str]:
         (one,) = found.causes
         what = "" if one.ambiguous_with else one.statement
         alike = (alike_sentence(one), apart_sentence(one))
-        causes = [what, marked(one.held_out), errors, *alike, check_sentence(one)]
+        causes = [what, marked(found, one.held_out), errors, *alike, check_sentence(one)]
     else:
-        named = (f"{class_of(one)}{sure_of(one)}; {marked(one.held_out)}" for one in found.causes)
+        named = (f"{class_of(one)}{sure_of(one)}; {marked(found, one.held_out)}" for one in found.causes)
         causes = [*(text.removesuffix("; ") for text in named), errors]
     said = (so_far(found), *doubts, *meaning(found), *causes, *warnings(found), *advice(found))
     return [sentence(text) for text in said if text]
@@ -361,9 +365,13 @@ def sure_of(one: CauseFound) -> str:
     return f", confidence {confidence_of(one)}" if one.told_apart else ""
 
 
-def marked(one: HeldOutTest) -> str:
+def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
     """The mark of a cause that does not lower the held-out errors; empty for one that does."""
-    return NOT_BETTER if one.days and one.improvement < LEAST_IMPROVEMENT else ""
+    if not found.held_out_days:
+        return ""
+    if not one.days:
+        return NOT_SEEN
+    return NOT_BETTER if one.improvement < LEAST_IMPROVEMENT else ""
 
 
 def refutation(one: HeldOutTest) -> str:
@@ -375,12 +383,12 @@ def refutation(one: HeldOutTest) -> str:
     return f"with it the errors of the {names} on held-out readings grow"
 
 
-def held_out_sentence(one: HeldOutTest) -> str:
+def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
     """What held-out readings say of a cause, in short; the table has the numbers."""
     if not one.days:
-        return "no readings were held out"
+        return NOT_SEEN if found.held_out_days else "no readings were held out"
     fall = f"a levelled free-run error falls by {percent(one.improvement)}"
-    said = marked(one) or f"it improves the prediction of held-out readings: {fall}"
+    said = marked(found, one) or f"it improves the prediction of held-out readings: {fall}"
     gain = f"; 2 ln L of held-out readings {_grows(one.gain)}" if math.isfinite(one.gain) else ""
     return f"{said}{gain}; {one.days} days with readings"
 

@@ -16,7 +16,6 @@ from builders.discovery_case import (
     BIAS_K,
     ORIGIN_S,
     ambiguous_case,
-    cause,
     discovery_case,
     empty_case,
     long_class_case,
@@ -161,7 +160,8 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
     assert errors.rows == (
         ("temperature", "1.85 K", "1.57 K", "−15 %", "0.13 … 0.31 K",
          "2.10 K (“heat release without heat storage”)"),
-        ("absolute humidity", "0.42 g/m³", "0.42 g/m³", "±0 %", "–", "0.44 g/m³ (“c = c_amb T_amb/T_conv,a”)"),
+        ("absolute humidity", "0.42 g/m³", "0.42 g/m³", "±0 %", "–",
+         "0.44 g/m³ (“c = c_amb T_amb/T_conv,a”)"),
         ("absolute humidity, on the measured temperature", "0.40 g/m³", "0.38 g/m³", "−5.0 %", "–", "–"),
     )  # fmt: skip
     assert held_out_table(found.causes[0].held_out).rows == (
@@ -172,7 +172,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
     for number in ("difference of maxima", "temperature 296.4, absolute humidity 0.2", "2 free constants",
                    "12 settings", "price: 275", "days: 82", "stays 33 behind"):  # fmt: skip
         assert number in evidence, number
-    tested = held_out_sentence(found.causes[0].held_out)
+    tested = held_out_sentence(found, found.causes[0].held_out)
     for number in ("improves the prediction", "falls by 12 %", "grows by 45", "10 days"):
         assert number in tested, number
 
@@ -226,7 +226,7 @@ def test_nothing_found_names_no_cause_and_no_check() -> None:
 def test_what_cannot_be_explained_is_a_warning_with_its_period() -> None:
     card = verdict(unexplained_case())
     assert card.value == "Something is missing; the cause is unknown" and card.tone == "open"
-    assert card.lines[0] == "The errors of the absolute humidity have a period of 12.4 h that no cause explains."
+    assert card.lines[0].endswith("of the absolute humidity have a period of 12.4 h that no cause explains.")
     assert "2 causes" in card.lines[1] and "12.4 h" in words(unexplained_case()).split("What is left")[1]
 
 
@@ -234,14 +234,14 @@ def test_a_line_beside_a_named_cause_comes_before_the_cause() -> None:
     line = {"quantity": "temperature", "period_h": 168.0, "p": 1e-6, "cause": "solar_gain"}
     card = verdict(discovery_case() | {"verdict": "unexplained", "lines": [line]})
     assert card.value == "Something is missing beside solar gain (on the roof)" and card.tone == "open"
-    assert card.lines[0].startswith("The daily scores of solar gain in the temperature have a period of 7.00 d")
+    assert "daily scores of solar gain in the temperature have a period of 7.00 days" in card.lines[0]
     assert card.lines[1].startswith("The sun heats")
 
 
 def test_a_refuted_cause_is_told_with_its_reason_and_numbers() -> None:
     card = verdict(refuted_case())
     assert card.value == "Held-out readings refute unlogged heater (humidistat, at standstill)"
-    assert card.lines[0] == "Unlogged heater: with it the errors of the temperature on held-out readings grow."
+    assert card.lines[0].endswith("heater: with it the errors of the temperature on held-out readings grow.")
     text = words(refuted_case())
     assert "Refuted by held-out readings" in text and "+30 %" in text and "4.40" in text
     assert "after selection" in text and "improves the prediction" not in text
@@ -292,6 +292,16 @@ def test_two_causes_have_a_check_each_and_one_without_use_is_marked() -> None:
     )
     assert "Shade or paint the wall." in text and "Ask what was done on that date." in text
     assert text.count("It does not improve the prediction of held-out readings;") == 1
+
+
+def test_a_cause_of_which_held_out_readings_show_nothing_is_told_as_such() -> None:
+    found = discovery_case()
+    found["causes"][0]["held_out"] = {"gain": 0.1, "days": 0}
+    text = words(found)
+    assert verdict(found).lines[1].startswith("Held-out readings show nothing of it")
+    assert "days with" not in text
+    nothing = words(found | {"held_out_days": 0})
+    assert "show nothing of it" not in nothing and "No readings were held out." in nothing
 
 
 def test_repeated_readings_that_were_set_aside_are_told() -> None:
@@ -463,7 +473,8 @@ def test_what_was_left_out_stands_in_order_of_its_evidence_with_its_reason() -> 
 
 def test_what_is_left_is_told_of_the_extended_model() -> None:
     assert "The errors of the extended model show no structure" in words(discovery_case())
-    left = discovery_case()["misfits"][0] | {"statement": "when it rains, simulated humidity is too low (9 h)"}
+    statement = "when it rains, simulated humidity is too low (9 h)"
+    left = discovery_case()["misfits"][0] | {"statement": statement}
     text = words(discovery_case() | {"left": [left]}).split("What is left")[1]
     assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
     line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
@@ -515,8 +526,9 @@ CODES = ("verdict", "quantity", "kind", "reason")
 def full_case() -> dict:
     """The plain data of a discovery that has a bit of everything."""
     return discovery_case() | {
-        "refuted": refuted_case()["refuted"], "lines": unexplained_case()["lines"], "left": discovery_case()["misfits"],
-        "work": unfinished_case()["work"], "saturated": 0.05, "doubts": ["a doubt"],
+        "refuted": refuted_case()["refuted"], "lines": unexplained_case()["lines"],
+        "left": discovery_case()["misfits"], "work": unfinished_case()["work"], "saturated": 0.05,
+        "doubts": ["a doubt"],
         "repeated": {"cabinet_temperature": [[ORIGIN_S, ORIGIN_S + 7200.0]]},
         "causes": [*discovery_case()["causes"], *ambiguous_case()["causes"]],
     }  # fmt: skip

@@ -161,7 +161,7 @@ def test_water_a_long_class_and_a_budget_are_told_to_a_manager_too() -> None:
     assert "moisture sorption, confidence 48 %" in made.answer
     assert "condensation cannot be excluded" in made.reasons[-1]
     (action,) = made.actions
-    assert action.startswith("To tell humidity sensor drift from its rivals: compare the humidity sensor with")
+    assert action.startswith("To tell humidity sensor drift from its rivals: compare the humidity sensor")
     made = summary_of_discovery(typed(long_class_case()), residuals_case(), None)
     assert made.answer.startswith("Not told apart: solar gain, cooling") and "confidence" not in made.answer
     made = summary_of_discovery(typed(unfinished_case()), residuals_case(), None)

@@ -42,7 +42,7 @@ def summary_of_discovery(
     checks = (make(one) for one in found.causes for make in (check_sentence, apart_sentence))
     actions = [text for text in (*checks, *advice(found)) if text]
     ended = so_far(found)
-    causes = (_cause(one, single and not ended) for one in found.causes)
+    causes = (_cause(found, one, single and not ended) for one in found.causes)
     reasons = (text for text in (ended, *meaning(found), *causes, *warnings(found)) if text)
     wrong = found.verdict == "unexplained" or answer(found) == NOT_RIGHT or bool(ended)
     return Summary(
@@ -65,11 +65,11 @@ def summary_of_discovery(
     )
 
 
-def _cause(one: CauseFound, single: bool) -> str:
+def _cause(found: DiscoveryResults, one: CauseFound, single: bool) -> str:
     """A cause with its confidence where the answer does not state it, its mark and its rivals."""
     what = "" if one.ambiguous_with else one.statement
     about = what if single else f"{class_of(one)}{sure_of(one)}"
-    return "; ".join(text for text in (about, marked(one.held_out), alike_sentence(one)) if text)
+    return "; ".join(text for text in (about, marked(found, one.held_out), alike_sentence(one)) if text)
 
 
 def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
