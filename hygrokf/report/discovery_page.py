@@ -236,7 +236,7 @@ def _cause(found: DiscoveryResults, cause: CauseFound) -> list[Block]:
     named = cause.told_apart
     rows = [
         ("What it is", cause.statement or spoken(cause.cause)),
-        ("Confidence", confidence_of(cause)) if named else ("Names nothing", "its class is too long to act on"),
+        ("Confidence", confidence_of(cause)) if named else ("Names nothing", "the class is too long"),
         ("Evidence", evidence_sentence(cause.evidence)),
         ("Held-out test", held_out_sentence(found, cause.held_out)),
         *([("Found by search", "; ".join(settings))] if settings else []),

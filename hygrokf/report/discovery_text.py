@@ -115,7 +115,7 @@ SHORT_DAYS = 14
 """Held-out days below which little can be refuted."""
 MOST_SATURATED = 0.01
 """Share of readings at the sensor's ceiling from which condensation cannot be excluded."""
-UNCHANGED = 5e-4
+UNCHANGED = 5e-3
 """Relative change of an error that is told as none."""
 MOST_SPANS = 5
 """Stretches of time of a cause that are told."""
@@ -264,8 +264,8 @@ def meaning(found: DiscoveryResults) -> list[str]:
 
 
 def warnings(found: DiscoveryResults) -> list[str]:
-    """Readings that say less than they seem to: saturated and repeated ones."""
-    said = []
+    """The worst error of the extended model, and readings that were saturated or repeated."""
+    said = [f"the extended model still errs: {one.statement}" for one in found.left[:1]]
     if found.saturated > MOST_SATURATED:
         said.append(
             f"{percent(found.saturated, 1)} of the humidity readings are at the sensor’s ceiling, so "
