@@ -403,7 +403,8 @@ def evidence_sentence(found: Evidence) -> str:
         return "no evidence is stated"
     gains = ", ".join(f"{quantity_of(q)[0]} {fixed(gain, 1)}" for q, gain in found.gains.items())
     constants = f"{found.constants} free constant{'' if found.constants == 1 else 's'}"
-    said = [f"2 ln L, a difference of maxima: {gains}", f"{constants}, {found.searched} settings tried"]
+    settings = f"{found.searched} setting{'' if found.searched == 1 else 's'} tried"
+    said = [f"2 ln L, a difference of maxima: {gains}", f"{constants}, {settings}"]
     if math.isfinite(found.evidence):
         said.append(f"evidence after their price: {minus(f'{found.evidence:.0f}')}")
     if math.isfinite(found.in_days):

@@ -475,9 +475,10 @@ def test_what_is_left_is_told_of_the_extended_model() -> None:
     assert "The errors of the extended model show no structure" in words(discovery_case())
     statement = "when it rains, simulated humidity is too low (9 h)"
     left = discovery_case()["misfits"][0] | {"statement": statement}
-    text = words(discovery_case() | {"left": [left]}).split("What is left")[1]
+    found = discovery_case() | {"left": [left]}
+    text = words(found).split("What is left")[1]
     assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
-    assert f"The extended model still errs: {statement}." in verdict(discovery_case() | {"left": [left]}).lines
+    assert verdict(found).lines[-1] == f"The extended model still errs: {statement}."
     line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
     assert "12.4 h" in line_sentence(typed(discovery_case() | {"lines": [line]}).lines[0])
 
