@@ -12,10 +12,10 @@ from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
 from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.residuals import QUANTITIES, UNITS, Residuals
+from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.wording import fixed, one_line, sentence
+from hygrokf.identification.wording import one_line, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -39,7 +39,6 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_tables import (
-    constants_sentences,
     constants_table,
     findings_table,
     gains_table,
@@ -124,7 +123,6 @@ def discovery_blocks(
         *section(
             "What the simulation gets wrong",
             Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
-            *(Prose(line) for line in _on_the_whole(before)),
             table_or(
                 findings_table(found.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
@@ -196,24 +194,6 @@ def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
 
 
 # --- sections --------------------------------------------------------------------------------
-
-
-def _on_the_whole(before: Residuals | None) -> list[str]:
-    """Mean and root mean square of the free run's errors in the identification period, which no condition
-    shows."""
-    if before is None:
-        return []
-    said = []
-    for quantity in QUANTITIES:
-        error = -before.error(quantity)[~before.validation]
-        error = error[np.isfinite(error)]
-        if len(error):
-            mean, unit = float(error.mean()), UNITS[quantity]
-            side = "too high" if mean > 0 else "too low"
-            rmse = f"{fixed(before.rmse(quantity))} {unit} (RMSE)"
-            said.append(f"{TITLES[quantity]} by {rmse}, {fixed(abs(mean))} {unit} {side} on average")
-    where = "In the identification period the free run of the base model misses the "
-    return [sentence(where + "; the ".join(said))] if said else []
 
 
 def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
@@ -291,9 +271,8 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    table = constants_table(found)
-    said = [Prose(line) for line in constants_sentences(found)]
-    return section("The time constants without and with the cause", *said, table, *_verdicts(found))
+    heading = "The time constants without and with the cause" if found.extended else "The time constants"
+    return section(heading, constants_table(found), *_verdicts(found))
 
 
 def _verdicts(found: DiscoveryResults) -> list[Block | None]:

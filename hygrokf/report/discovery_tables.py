@@ -14,8 +14,7 @@ from hygrokf.discovery.discovery_results import (
 )
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import best_rule, verdicts
-from hygrokf.identification.verdict_terms import REJECT
+from hygrokf.identification.verdict import best_rule
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import Table
@@ -158,40 +157,6 @@ def constants_table(found: DiscoveryResults) -> Table | None:
         groups=(("", 1), ("base model", 3), ("extended model", 3), ("", 1)),
         brief=(0, 1, 2, 4, 5, 7),
     )
-
-
-def constants_sentences(found: DiscoveryResults) -> list[str]:
-    """How far off the base model's time constants were, and whether their bounds held the better value."""
-    said = []
-    base, extended = models(found)
-    for name in PARTS:
-        first, last = base.time_constants.get(name), extended.time_constants.get(name)
-        verdict = verdicts(extended).get(name)
-        if first is None or last is None or verdict is None:
-            continue
-        value, after, low, high = first.value_h, last.value_h, first.lower_h, first.upper_h
-        if not (math.isfinite(value) and math.isfinite(after) and after > 0 and value > 0):
-            continue
-        if verdict.verdict == REJECT:
-            said.append(
-                f"The {name} time constant of the extended model is {verdict.words} either, so it does not "
-                f"show how wrong the base model's is: {verdict.why}."
-            )
-            continue
-        off = value / after - 1.0
-        if abs(off) < 0.005:
-            said.append(f"The {name} time constant stays the same.")
-            continue
-        bounds = ""
-        if math.isfinite(low) and math.isfinite(high):
-            inside = low <= after <= high
-            held = "held" if inside else "did not hold"
-            bounds = f", {'but' if inside else 'and'} its bounds {held} the value of the extended model"
-        direction = "too long" if off > 0 else "too short"
-        said.append(
-            f"Without the cause the {name} time constant was {signed_percent(off)[1:]} {direction}{bounds}."
-        )
-    return said
 
 
 def scores_table(found: DiscoveryResults, period: str) -> Table | None:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from builders.damage import EVIL, at, expect_alone, expect_escaped, expect_narrow, nodes, put
 from builders.discovery_case import (
-    BIAS_K,
     ORIGIN_S,
     ambiguous_case,
     discovery_case,
@@ -48,7 +47,6 @@ from hygrokf.report.discovery_page import (
     write_discovery_report,
 )
 from hygrokf.report.discovery_tables import (
-    constants_sentences,
     constants_table,
     findings_table,
     gains_table,
@@ -177,11 +175,9 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
         assert number in tested, number
 
 
-def test_the_time_span_and_the_mean_error_are_stated(whole: str) -> None:
+def test_the_time_span_is_stated(whole: str) -> None:
     text = Page(whole).text
     assert "2020-07-15T00:00Z to 2020-08-23T23:00Z; searched up to 2020-08-14T00:00Z" in text
-    rms = residuals_case().rmse("temperature")
-    assert f"temperature by {rms:.2f} K (RMSE), {BIAS_K:.2f} K too high on average" in text
 
 
 def test_the_page_is_a_pure_function_of_its_data(whole: str) -> None:
@@ -425,20 +421,6 @@ def test_levels_of_controllers_are_told_in_degrees() -> None:
     assert row[1:4] == ("15.0", "14.0 … 16.0", "°C")
 
 
-@pytest.mark.parametrize(
-    ("after", "said"),
-    [
-        (1.19, ("14 % too long", "did not hold")),
-        (1.70, ("20 % too short", "did not hold")),
-        (1.40, ("2.9 % too short", "but its bounds held")),
-    ],
-)
-def test_the_time_constants_tell_by_how_much_the_base_was_wrong(after: float, said: tuple[str, ...]) -> None:
-    found = discovery_case()
-    found["extended"]["time_constants"]["thermal"]["value_h"] = after
-    assert all(part in constants_sentences(typed(found))[0] for part in said)
-
-
 def test_open_bounds_have_no_change() -> None:
     found = discovery_case()
     found["extended"]["time_constants"]["thermal"] |= {"upper_h": None, "verdict": "caution"}
@@ -588,7 +570,7 @@ def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
             del found[which]["rmse"][period]["absolute_humidity_g_m3"]
     after = replace(before, time_h=before.time_h + 0.5)
     text = Page(page_html(discovery_blocks(typed(found), before, after))).text
-    assert "There are no errors of the absolute humidity to show" in text and "misses the temperature" in text
+    assert "There are no errors of the absolute humidity to show" in text
     assert len(figure_error_course(before, after).axes) == 1
 
 
