@@ -146,9 +146,8 @@ class HeldOutTest:
     @property
     def improvement(self) -> float:
         """[1] largest share by which a quantity's free-run error falls; 0 without held-out readings."""
-        return max(
-            (1.0 - self.after[q] / self.before[q] for q in self.before if self.before[q] > 0), default=0.0
-        )
+        known = [(old, self.after[q]) for q, old in self.before.items() if old > 0 and q in self.after]
+        return max((1.0 - new / old for old, new in known), default=0.0)
 
 
 @dataclass(frozen=True)

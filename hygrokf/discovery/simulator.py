@@ -90,9 +90,12 @@ class Simulator:
         switch = SWITCHES[name](**settings)
         warm = switch.reads == TEMPERATURE
         low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
+        does = ("starts", "stops") if isinstance(switch, Switch) else ("begins to act", "acts fully")
         return tuple(
-            Parameter(f"{name}_{word}", unit, level, low, high)
-            for word, level in zip(CONTROL, switch.levels, strict=False)
+            Parameter(
+                f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {what}"
+            )
+            for word, level, what in zip(CONTROL, switch.levels, does, strict=False)
         )  # type: ignore[return-value]
 
     def _steering(self, name: str) -> tuple[float, float, float]:

@@ -12,10 +12,10 @@ from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
 from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.residuals import QUANTITIES, UNITS, Residuals
+from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.wording import fixed, one_line, sentence
+from hygrokf.identification.wording import one_line, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -39,9 +39,10 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_tables import (
-    constants_sentences,
     constants_table,
     findings_table,
+    gains_table,
+    held_out_table,
     parameters_table,
     rejected_table,
     scores_table,
@@ -49,19 +50,22 @@ from hygrokf.report.discovery_tables import (
 from hygrokf.report.discovery_text import (
     NO_CHECK,
     NOT_RIGHT,
+    alike_sentence,
+    apart_sentence,
+    capital,
     confidence_of,
-    error_sentences,
     evidence_sentence,
-    gain_sentence,
+    formed,
     headline,
-    remainder,
-    remainder_driver,
-    rivals_sentence,
+    held_out_sentence,
+    held_out_sentences,
+    line_sentence,
+    refutation,
     settings_words,
     spoken,
-    title,
+    sure_of,
     tried,
-    untried,
+    unfinished,
     verdict_sentences,
 )
 from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
@@ -70,6 +74,7 @@ from hygrokf.report.figures.residual_structure import (
     drivers_caption,
     figure_day_hour,
     figure_drivers,
+    figure_error_course,
     figure_innovations,
     telling_drivers,
 )
@@ -78,6 +83,7 @@ from hygrokf.report.page import page_html
 from hygrokf.version import __version__
 
 EPISODE_FIGURES = 3
+ERRORS = "Errors before and after"
 BY = "By driver, by day and hour, and by period"
 TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
@@ -117,19 +123,19 @@ def discovery_blocks(
         *section(
             "What the simulation gets wrong",
             Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
-            *(Prose(line) for line in _on_the_whole(before)),
             table_or(
-                findings_table(found),
+                findings_table(found.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
             ),
             *rest,
         ),
         *_causes(found),
-        *_errors(found),
+        *_refuted(found),
+        *_errors(found, before, after),
         *_constants(found),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
-        *section("Unexplained errors", *(Prose(line) for line in _left(found))),
-        *section("Causes tried and rejected", *_rejected(found)),
+        *_left(found),
+        *section("Causes left out", _rejected(found)),
     )
     return Page(
         "Discovery report",
@@ -158,122 +164,115 @@ def _verdict_card(found: DiscoveryResults) -> Card:
     """The verdict with its sentences; of a single cause, with its confidence."""
     heading, lines = headline(found), tuple(verdict_sentences(found))
     sure = ""
-    if found.verdict == "named" and len(found.causes) == 1:
-        sure = f"confidence {confidence_of(found.causes[0])}"
-    said = f"{heading}{f' ({sure})' if sure else ''}. {' '.join(lines)}"
-    warned = found.verdict == "unexplained" or heading == NOT_RIGHT
+    if found.verdict in ("named", "ambiguous") and len(found.causes) == 1:
+        sure = sure_of(found.causes[0])
+    said = f"{heading}{sure}. {' '.join(lines)}"
+    warned = found.verdict == "unexplained" or heading == NOT_RIGHT or bool(unfinished(found))
     return Card(
-        "Verdict", heading, said, bounds=sure, lines=lines, wide=True, words=True,
+        "Verdict", heading, said, bounds=sure.removeprefix(", "), lines=lines, wide=True, words=True,
         tone="open" if warned else "plain",
     )  # fmt: skip
 
 
 def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
-    """What a terminal shows: verdict, findings, causes, refuted names, time constants, and what is left."""
+    """What a terminal shows: verdict, findings, causes, refuted names, errors, time constants, what is
+    left."""
     findings = Items(tuple(one.statement for one in found.findings))
-    blocks: list[Block | None] = [
+    out = len(found.rejected)
+    return present(
         Cards((verdict,)),
         Prose(f"{FREE_RUN} {INNOVATIONS}"),
         Heading("What the simulation gets wrong"),
         findings if found.findings else Prose("No significant and material error."),
-    ]
-    for cause in found.causes:
-        blocks += _cause(cause)
-    for one in found.refuted:
-        blocks += [
-            Heading(f"Refuted by the held-out period: {spoken(one.cause)}"),
-            Prose(sentence(gain_sentence(one.gain))),
-        ]
-    blocks += _verdicts(found)
-    left = _left(found)
-    blocks += [Heading("Unexplained errors"), Items(left)] if remainder(found) else []
-    out = len(found.rejected)
-    causes = "cause" if out == 1 else "causes"
-    blocks.append(Prose(f"Tried and rejected: {out} {causes} (discovery.json has the evidence)."))
-    blocks += [Prose(sentence(untried(found)))] if untried(found) else []
-    return present(*blocks)
+        *_causes(found),
+        *_refuted(found),
+        *section(ERRORS, gains_table(found), *map(Prose, held_out_sentences(found))),
+        *_verdicts(found),
+        *_left(found),
+        Prose(f"Left out: {out} cause{'' if out == 1 else 's'} (discovery.json has the evidence)."),
+    )
 
 
 # --- sections --------------------------------------------------------------------------------
 
 
-def _on_the_whole(before: Residuals | None) -> list[str]:
-    """Mean and root mean square of the free run's errors in the identification period, which no condition
-    shows."""
-    if before is None:
-        return []
-    said = []
-    for quantity in QUANTITIES:
-        error = -before.error(quantity)[~before.validation]
-        error = error[np.isfinite(error)]
-        if len(error):
-            mean, unit = float(error.mean()), UNITS[quantity]
-            side = "too high" if mean > 0 else "too low"
-            rmse = f"{fixed(before.rmse(quantity))} {unit} (RMSE)"
-            said.append(f"{TITLES[quantity]} by {rmse}, {fixed(abs(mean))} {unit} {side} on average")
-    where = "In the identification period the free run of the base model misses the "
-    return [sentence(where + "; the ".join(said))] if said else []
-
-
 def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
-    if not found.causes:
-        return ()
     several = len(found.causes) > 1
     together = Prose(
-        "In the order of their acceptance, each in addition to those before it. The gain of the extended "
-        "model was measured with all of them together."
+        "In the order of their acceptance, each beside those before it. The errors are those of the extended "
+        "model with all of them together."
     )
     return section(
         "The causes" if several else "The cause",
+        *(block for one in found.causes for block in _cause(found, one)),
         together if several else None,
-        *(block for one in found.causes for block in _cause(one)),
     )
 
 
-def _cause(cause: CauseFound) -> list[Block]:
-    """A cause: meaning, confidence, evidence, gain, rivals and what to check."""
-    rivals, settings = rivals_sentence(cause), settings_words(cause.settings)
+def _cause(found: DiscoveryResults, cause: CauseFound) -> list[Block]:
+    """A cause: meaning, confidence, evidence, held-out test, rivals, what to check, parameters."""
+    settings = settings_words(cause.settings)
+    rivals = [text for text in (alike_sentence(cause), apart_sentence(cause)) if text]
+    named = cause.told_apart
     rows = [
         ("What it is", cause.statement or spoken(cause.cause)),
-        ("Confidence", confidence_of(cause)),
+        ("Confidence", confidence_of(cause)) if named else ("Names nothing", "the class is too long"),
         ("Evidence", evidence_sentence(cause.evidence)),
-        ("Gain", gain_sentence(cause.gain)),
+        ("Held-out test", held_out_sentence(found, cause.held_out)),
         *([("Found by search", "; ".join(settings))] if settings else []),
-        ("Could also be", rivals or "no other cause of the library comes near it"),
-        ("To check", cause.remedy or NO_CHECK),
+        ("Could also be", "; ".join(rivals) or "no other cause of the library comes near it"),
+        *([("To check", cause.remedy or NO_CHECK)] if named else []),
     ]
-    form = f" ({cause.form})" if cause.form else ""
     return [
-        Heading(f"{title(cause.cause)}{form}", 3),
+        Heading(capital(formed(cause.cause, cause.form)), 3),
         Facts(tuple((term, sentence(said)) for term, said in rows)),
         table_or(parameters_table(cause), "The cause has no parameters of its own: it corrects time stamps."),
+        *present(held_out_table(cause.held_out)),
     ]
 
 
-def _errors(found: DiscoveryResults) -> tuple[Block, ...]:
-    note = Prose(
-        "The tables show both models as identified by their innovations, as the fit’s own page does. For the "
-        "gain of a cause each model may also have its parameters moved toward the least free-run error, if "
-        "that simulates the identification period better. The gain may therefore be smaller.",
-        "note",
-    )
-    said = tuple(error_sentences(found))
+def _refuted(found: DiscoveryResults) -> tuple[Block, ...]:
+    """The causes that held-out readings refute, with reason and numbers."""
+    blocks: list[Block | None] = []
+    for one in found.refuted:
+        rows = [
+            ("Reason", refutation(one.held_out)),
+            ("Evidence", evidence_sentence(one.evidence)),
+            ("Held-out test", held_out_sentence(found, one.held_out)),
+        ]
+        blocks += [
+            Heading(capital(formed(one.cause, one.form)), 3),
+            Facts(tuple((term, sentence(said)) for term, said in rows)),
+            held_out_table(one.held_out),
+        ]
+    return section("Refuted by held-out readings", *blocks)
+
+
+def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> tuple[Block, ...]:
+    course = None
+    if before is not None and after is not None and before.validation.any():
+        course = Figure(
+            "error-course",
+            "The error on held-out readings, day by day",
+            "The green course should stay below the red one, on most days and not on a few.",
+            lambda: figure_error_course(before, after),
+        )
     return section(
-        "Errors before and after",
-        Items(said) if said else None,
+        ERRORS,
+        table_or(gains_table(found), "No errors of a free run are known."),
+        *map(Prose, held_out_sentences(found)),
+        course,
         table_or(
             scores_table(found, "validation"),
             "There is no held-out period with readings (`until` is not stated).",
         ),
         table_or(scores_table(found, "identification"), "Nothing was scored in the identification period."),
-        note if any(one.gain is not None and one.gain.known for one in found.causes) else None,
     )
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    table = constants_table(found)
-    said = [Prose(line) for line in constants_sentences(found)]
-    return section("The time constants without and with the cause", *said, table, *_verdicts(found))
+    heading = "The time constants without and with the cause" if found.extended else "The time constants"
+    return section(heading, constants_table(found), *_verdicts(found))
 
 
 def _verdicts(found: DiscoveryResults) -> list[Block | None]:
@@ -286,46 +285,45 @@ def _verdicts(found: DiscoveryResults) -> list[Block | None]:
     return blocks
 
 
-def _left(found: DiscoveryResults) -> tuple[str, ...]:
-    left, driver = remainder(found), remainder_driver(found)
-    if not left:
-        which = "base model" if found.extended is None else "extended model"
-        return (
-            f"Nothing: the errors of the {which} show no structure under any tested condition, no repeated "
-            "readings of the day before, and no excursions to one side.",
+def _left(found: DiscoveryResults) -> tuple[Block, ...]:
+    """Lines in the spectra, and the errors of the extended model where there is one."""
+    lines = Items(tuple(sentence(line_sentence(one)) for one in found.lines)) if found.lines else None
+    errors = None
+    if found.extended is not None:
+        errors = table_or(
+            findings_table(found.left, "of the extended model"),
+            "The errors of the extended model show no structure under any tested condition.",
         )
-    return (sentence(left), *([sentence(driver)] if driver else []))
+    return section("What is left", lines, errors)
 
 
-def _rejected(found: DiscoveryResults) -> tuple[Block, ...]:
-    said, table = untried(found), rejected_table(found)
-    folded = Details(f"{len(table.rows)} causes, and why each was rejected", (table,))
-    return (
-        *([Prose(sentence(said))] if said else []),
-        folded if table else Prose("No other cause was tried.", "missing"),
-    )
+def _rejected(found: DiscoveryResults) -> Block:
+    table = rejected_table(found)
+    if not table:
+        return Prose("No other cause was tried.", "missing")
+    return Details(f"{len(table.rows)} causes, and why each was left out", (table,))
 
 
 def _method(found: DiscoveryResults) -> tuple[Block, ...]:
     count = tried(found)
     which = "base" if found.extended is None else "extended"
     lines = (
-        "The base model was identified on the identification period by its innovations, and again by its "
-        "free run. A block bootstrap, which keeps the autocorrelation of the errors, tested the errors of "
-        "the free run under every condition: episodes, regimes, hour, season, level, rate and lag of every "
-        "driver, steps and drifts. The rate of false discoveries is controlled over all conditions together.",
-        f"{count} {'cause was' if count == 1 else 'causes were'} tried, each in several forms and settings, "
-        "with all parameters estimated again every time. A cause is accepted if its gain in likelihood "
-        "exceeds the penalty for its parameters and for the settings searched, if the squared error of the "
-        "free run falls materially, also without the days that gained most, and if no free run gets worse. "
-        "The other causes are then tried again in addition to it. p-values are corrected for the number of "
-        "causes and settings.",
-        "The held-out period took no part in any choice. The bounds of a gain come from a bootstrap of "
-        "blocks of days: they show how much the gain varies within this period, not in another season.",
-        "Confidence is the estimated probability that the named cause, or a cause that this record cannot "
-        "distinguish from it, is right. It depends on the distance to the rivals and on the lasting gain, "
-        "and was calibrated on simulated plants alone. A cause that is not in the library cannot be named, "
-        "and a cause with a similar effect may be named instead: check in the turbine before acting on it.",
+        "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
+        "enters as flows of heat and vapour, with a spectrum of its own. A block bootstrap, which keeps the "
+        "autocorrelation of the errors, tested the errors under every condition: episodes, regimes, hour, "
+        "season, level, rate and lag of every driver, steps and drifts. The rate of false discoveries is "
+        "controlled over all conditions together.",
+        f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
+        f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
+        "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
+        "same must hold by days, which are fewer than readings where they resemble each other.",
+        "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
+        "3, 12 and 48 h ahead or of the free run grow; they choose nothing else. The bounds of the errors’ "
+        "fall take days as independent; they show how much it varies within this period, not in another "
+        "season.",
+        "Confidence is how often a name with such evidence and such a lead over its rivals was right on "
+        "simulated plants. A cause that is not in the library cannot be named, and a cause with a similar "
+        "effect may be named instead: check in the turbine before acting on it.",
     )
     version = found.version or "(version not stated)"
     return (
@@ -358,7 +356,7 @@ def _events(found: DiscoveryResults, before: Residuals, after: Residuals | None)
     return [
         Figure(
             f"event-{place}",
-            f"{title(cause.cause)}: when",
+            f"{capital(spoken(cause.cause))}: when",
             said,
             partial(figure_episodes, before, event, after),
         )

@@ -292,23 +292,29 @@ def _verdict(row: Row, part: str) -> str:
 
 
 def _verdicts(done: Sequence[Row]) -> tuple[Block, ...]:
-    """The verdicts of a fleet's discoveries, and the turbines of each accepted cause."""
+    """The verdicts of a fleet's discoveries, and the turbines of each named cause."""
     if not any("verdict" in row for row in done):
         return ()
     verdicts = Counter(text_of(row, "verdict") for row in done)
     causes = Counter(one for row in done for one in text_of(row, "causes").split())
     rows = tuple(
         (
-            one.replace("_", " "),
+            one.replace("_", " ").replace("/", " or "),
             str(count),
             ", ".join(text_of(r, "turbine") for r in done if one in text_of(r, "causes").split()),
         )
         for one, count in causes.most_common()
     )
-    table = Table("Accepted causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
-    counts = ", ".join(f"{verdicts[v]} {v}" for v in ("none", "named", "unexplained") if verdicts[v])
+    table = Table("Named causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
+    kinds = ("none", "named", "ambiguous", "unexplained", "refuted")
+    counts = ", ".join(f"{verdicts[v]} {v}" for v in kinds if verdicts[v])
+    ended = [text_of(row, "turbine") for row in done if text_of(row, "not_judged")]
+    budget = f"The budget of simulations ended the search before every cause was judged: {', '.join(ended)}."
     return section(
-        "What the simulations lack", Prose(f"Verdicts: {counts}."), table_or(table, "No cause was accepted.")
+        "What the simulations lack",
+        Prose(budget) if ended else None,
+        Prose(f"Verdicts: {counts}."),
+        table_or(table, "No cause was named."),
     )
 
 

@@ -632,9 +632,9 @@ def test_results_are_plain_data() -> None:
 @pytest.mark.slow
 def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: Path) -> None:
     file = park / "discoveries.toml"
-    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\n')
     of_all = run(f"fleet {file} --out {tmp_path} --workers 1 --json")
-    of_one = run(f"discover {park}/T2/case.toml --out {tmp_path}/alone --starts 1 --json")
+    of_one = run(f"discover {park}/T2/case.toml --out {tmp_path}/alone --json")
     assert (of_all.status, of_one.status) == (0, 0)
     row, found = json.loads(of_all.out)["rows"][1], json.loads(of_one.out)
     assert row["verdict"] == found["verdict"]

@@ -55,6 +55,21 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
     assert "<h2>Outliers<" not in page_html(fleet_blocks(table("fit", rows[-1:])))
 
 
+def test_the_page_of_discoveries_counts_verdicts_and_names_classes() -> None:
+    found = (("named", "solar_gain"), ("ambiguous", "condensation/moisture_sorption"), ("refuted", ""),
+             ("named", "solar_gain exchange_step"))  # fmt: skip
+    rows = [
+        {"turbine": f"W{place}", "status": "done", "verdict": verdict, "causes": causes, "not_judged": ""}
+        for place, (verdict, causes) in enumerate(found)
+    ]
+    rows[2]["not_judged"] = "clock_shift"
+    text = page_html(fleet_blocks(table("discover", rows)))
+    assert "Verdicts: 2 named, 1 ambiguous, 1 refuted." in text
+    assert "condensation or moisture sorption" in text and "W0, W3" in text
+    assert "The budget of simulations ended the search before every cause was judged: W2." in text
+    assert "The budget" not in page_html(fleet_blocks(table("discover", rows[:2])))
+
+
 def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
     text = page_text(fleet_blocks(table("fit", rows)))

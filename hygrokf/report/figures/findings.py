@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Finding
+from hygrokf.discovery.discovery_results import LASTING_KINDS, CauseFound, DiscoveryResults, Finding
 from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, hourly
 from hygrokf.identification.wording import one_line
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.report.discovery_text import PARTS
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -48,8 +47,6 @@ if TYPE_CHECKING:
 CONDITION = "#f3e3c0"
 COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 AMBIENT_NAME = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
-LASTING = ("step", "drift", "season")
-"""Kinds of finding that are seen over months, not in episodes."""
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
 """[h] shown on either side of an episode: at least, at most; in between half of the episode."""
@@ -74,14 +71,10 @@ def events(found: DiscoveryResults) -> list[tuple[CauseFound, Finding]]:
     result = []
     for cause in found.causes:
         spans = tuple((float(a), float(b)) for a, b in cause.settings.get("spans", ()) if a < b)
-        shares = {
-            PARTS[part]: share
-            for part, share in cause.evidence.free_run_gain.items()
-            if part in PARTS and np.isfinite(share)
-        }
-        statement = cause.statement.split(";")[0]
-        if spans and shares and statement:
-            quantity = max(shares, key=lambda name: shares[name])
+        gains, statement = cause.evidence.gains, cause.statement.split(";")[0]
+        if spans and gains and statement:
+            most = max(gains, key=lambda name: gains[name])
+            quantity = TEMPERATURE if most == TEMPERATURE else HUMIDITY
             event = Finding(
                 quantity, "", "", 0.0, UNITS[quantity], "", float("nan"), len(spans), len(spans), 0.0,
                 statement, 0.0, 0.0, None, "episode", spans=spans,
@@ -104,7 +97,7 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
     whole record."""
     quantity = finding.quantity
     _measured(residuals, quantity)
-    if finding.kind in LASTING:
+    if finding.kind in LASTING_KINDS:
         return _lasting(residuals, finding, after)
     windows = _windows(finding, residuals)
     if not windows:
@@ -147,7 +140,7 @@ def episode_panels(residuals: Residuals, finding: Finding, after: Residuals | No
     """The upper row of `figure_episodes`, or the only panel of a lasting finding."""
     quantity = finding.quantity
     _measured(residuals, quantity)
-    if finding.kind in LASTING:
+    if finding.kind in LASTING_KINDS:
         draw = partial(_lasting_course, residuals=residuals, finding=finding, after=after)
         return Panels((draw,), height_in=2.5, handles=partial(_lasting_handles, after is not None))
     windows = _windows(finding, residuals)

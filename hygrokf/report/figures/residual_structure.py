@@ -34,6 +34,7 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     NothingToShow,
     area_handle,
+    calendar,
     calendar_ticks,
     days,
     empty,
@@ -242,6 +243,63 @@ def _band_handles(overlaid: bool) -> list[Artist]:
     if overlaid:
         handles.insert(1, line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4))
     return handles
+
+
+# --- course of the error ---------------------------------------------------------------------
+
+
+def figure_error_course(before: Residuals, after: Residuals) -> Figure:
+    """Root mean square of the free run's error on each held-out day, of the base and of the extended model,
+    by quantity; shaded where one lies below the other."""
+    # a corrected clock can move an instant past midnight
+    numbers = np.concatenate([np.floor(one.time_s[one.validation] / DAY_S) for one in (before, after)])
+    if not len(numbers):
+        raise NothingToShow("No readings were held out.")
+    day = np.arange(numbers.min(), numbers.max() + 1.0)
+    every = {q: [_daily_rms(one, q, day) for one in (before, after)] for q in QUANTITIES}
+    courses = {q: pair for q, pair in every.items() if all(np.isfinite(one).any() for one in pair)}
+    if not courses:
+        raise NothingToShow("No held-out readings can be compared with the simulations.")
+    with styled():
+        height = 0.62 + 1.35 * len(courses)
+        figure = new_figure(height)
+        grid = figure.add_gridspec(
+            len(courses), 1, hspace=0.32, left=0.072, right=0.995, top=1.0 - 0.26 / height,
+            bottom=0.36 / height,
+        )  # fmt: skip
+        for row, (quantity, (base, extended)) in enumerate(courses.items()):
+            axes = figure.add_subplot(grid[row])
+            for better, colour in ((extended < base, AFTER), (extended > base, SIMULATED)):
+                # a step of its own for each day, so that the areas end where the days do
+                axes.fill_between(
+                    np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)), np.repeat(base, 2),
+                    np.repeat(extended, 2), where=np.repeat(better, 2), color=colour, alpha=0.14, linewidth=0,
+                )  # fmt: skip
+            for value, colour in ((base, SIMULATED), (extended, AFTER)):
+                axes.stairs(value, np.append(day, day[-1] + 1.0), baseline=None, color=colour, linewidth=1.2)
+            axes.set_ylim(0.0, 1.08 * float(np.nanmax([base, extended])) or 1.0)
+            axes.locator_params(axis="y", nbins=5)
+            calendar(axes, (DAY_S * day[0], DAY_S * (day[-1] + 1.0)), 12, labels=row == len(courses) - 1)
+            upright(axes, f"RMS [{UNITS[quantity]}]")
+            axes.set_title(TITLE[quantity])
+        handles = (
+            line_handle(SIMULATED, "base model"),
+            line_handle(AFTER, "extended model"),
+            area_handle(AFTER, "smaller with the cause", 0.2),
+            area_handle(SIMULATED, "larger", 0.2),
+        )
+        figure_key(figure, handles)
+    return figure
+
+
+def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
+    """Root mean square (n,) of the error on held-out days (n,) since 1970; NaN on those without a reading."""
+    error = residuals.error(quantity)
+    chosen = residuals.validation & np.isfinite(error)
+    place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
+    number = np.bincount(place, minlength=len(days))
+    total = np.bincount(place, weights=error[chosen] ** 2, minlength=len(days))
+    return np.sqrt(np.divide(total, number, out=np.full(len(days), np.nan), where=number > 0))
 
 
 # --- day and hour ----------------------------------------------------------------------------

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.verdict import best_rule, inherited
-from hygrokf.identification.wording import NONE, QUANTITIES, fixed, sentence
-from hygrokf.report.blocks import SYNTHETIC_PAGE, Table
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.wording import sentence
+from hygrokf.report.blocks import SYNTHETIC_PAGE
 from hygrokf.report.discovery_page import spans_text
+from hygrokf.report.discovery_tables import gains_table
 from hygrokf.report.discovery_text import (
     NOT_RIGHT,
     advice,
-    confidence_of,
+    alike_sentence,
+    answer,
+    apart_sentence,
+    check_sentence,
+    class_of,
     headline,
-    listed,
+    marked,
     meaning,
-    quantity_of,
-    scored_error,
-    short_gain,
-    spoken,
-    title,
-    untried,
+    so_far,
+    sure_of,
+    unfinished,
+    warnings,
 )
 from hygrokf.report.figures.lead import lead_of_discovery
 from hygrokf.report.summary.content import Summary, drawable, known, made_by, named
@@ -35,17 +37,22 @@ def summary_of_discovery(
 
     before, after: residuals of the base and of the extended model.
     """
-    single = found.verdict == "named" and len(found.causes) == 1
-    sure = f" (confidence {confidence_of(found.causes[0])})" if single else ""
-    actions = [text for text in (*map(_check, found.causes), *advice(found), untried(found)) if text]
+    single = found.verdict in ("named", "ambiguous") and len(found.causes) == 1
+    sure = sure_of(found.causes[0]) if single and not unfinished(found) else ""
+    checks = (make(one) for one in found.causes for make in (check_sentence, apart_sentence))
+    actions = [text for text in (*checks, *advice(found)) if text]
+    ended = so_far(found)
+    causes = (_cause(found, one, single and not ended) for one in found.causes)
+    reasons = (text for text in (ended, *meaning(found), *causes, *warnings(found)) if text)
+    wrong = found.verdict == "unexplained" or answer(found) == NOT_RIGHT or bool(ended)
     return Summary(
         "Summary of a discovery",
         named(found.name),
         "What does the model of this cabinet lack?",
         f"{headline(found)}{sure}.",
         "",
-        tuple(map(sentence, (*(text for one in found.causes for text in _cause(one)), *meaning(found)))),
-        _gains(found) if found.causes else _errors(found),
+        tuple(map(sentence, reasons)),
+        gains_table(found),
         drawable(lambda: lead_of_discovery(found, before, after)),
         tuple(map(sentence, actions or _otherwise(found))),
         (
@@ -53,26 +60,16 @@ def summary_of_discovery(
             *known("Period", " ".join(spans_text(before))),
             made_by(found.version),
         ),
-        "open" if found.verdict == "unexplained" or headline(found) == NOT_RIGHT else "plain",
+        "open" if wrong else "plain",
         SYNTHETIC_PAGE if found.synthetic else "",
     )
 
 
-def _cause(one: CauseFound) -> tuple[str, ...]:
-    rivals = listed(spoken(name) for name in one.ambiguous_with)
-    return (
-        one.statement or spoken(one.cause),
-        short_gain(one.gain),
-        *([f"this record cannot distinguish it from {rivals}"] if rivals else []),
-    )
-
-
-def _check(one: CauseFound) -> str:
-    """What to check in the turbine, and the measurement that separates a cause from its rivals."""
-    about = f"Check in the turbine for {spoken(one.cause)}: {one.remedy}" if one.remedy else ""
-    rivals = listed(spoken(name) for name in one.ambiguous_with)
-    apart = f"To distinguish it from {rivals}: {one.separate_by}" if rivals and one.separate_by else ""
-    return ". ".join(text for text in (about, apart) if text)
+def _cause(found: DiscoveryResults, one: CauseFound, single: bool) -> str:
+    """A cause with its confidence where the answer does not state it, its mark and its rivals."""
+    what = "" if one.ambiguous_with else one.statement
+    about = what if single else f"{class_of(one)}{sure_of(one)}"
+    return "; ".join(text for text in (about, marked(found, one.held_out), alike_sentence(one)) if text)
 
 
 def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
@@ -82,34 +79,3 @@ def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
         return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
     reasons = [reason for one in inherited(found.baseline.fit).values() for reason in one.reasons]
     return ("do not rely on the base model", *(one for one in remedies(reasons) if one != LACKING))
-
-
-def _gains(found: DiscoveryResults) -> Table:
-    """The error without and with each cause, and the bounds of its fall."""
-    rows = []
-    for one in found.causes:
-        gain = one.gain
-        if gain is None or not gain.known:
-            rows.append((title(one.cause), NONE, NONE, NONE, confidence_of(one)))
-            continue
-        name, unit = quantity_of(gain.quantity)
-        low, high = fixed(gain.lower), fixed(gain.upper)
-        bounds = f"{low} … {high} {unit}" if NONE not in (low, high) else NONE
-        errors = (f"{fixed(gain.rmse_before)} {unit}", f"{fixed(gain.rmse_after)} {unit}")
-        rows.append((f"{title(one.cause)}: {name} error", *errors, bounds, confidence_of(one)))
-    head = ("", "without it", "with it", "95 % bounds of the fall", "confidence")
-    return Table("The numbers", head, tuple(rows))
-
-
-def _errors(found: DiscoveryResults) -> Table:
-    """The errors of the base model, as no cause is named."""
-    rows = []
-    for quantity in SCORED:
-        error, _, period = scored_error(found, quantity)
-        if error == error:
-            name, unit = QUANTITIES[quantity]
-            rule = best_rule(found.baseline.fit, quantity, period)
-            where = "held-out period" if period == "validation" else "identification period"
-            simple = NONE if rule is None else f"{fixed(rule.rule)} {unit} (“{rule.words}”)"
-            rows.append((f"{name} error, {where}", f"{fixed(error)} {unit}", simple))
-    return Table("The numbers", ("", "base model", "best rule without a model"), tuple(rows), left=(0, 2))
