@@ -240,8 +240,11 @@ def _jumps(
             if feature == "clock":
                 yield replace(setting, shift_s=setting.shift_s + sign * step), values
                 continue
+            # a date outside the record would be another constant
+            first = best.form.steps[feature, key]
+            tried = [one.features[feature][key] for one in best.form.grid]
             settings = dict(setting.features[feature])
-            settings[key] = max(settings[key] + sign * step, 0.0)
+            settings[key] = float(np.clip(settings[key] + sign * step, min(tried) - first, max(tried) + first))
             yield replace(setting, features={**setting.features, feature: settings}), values
 
 
@@ -374,8 +377,8 @@ class Search:
         return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, effect)
 
     def _judge_again(self) -> None:
-        """Leave causes that no longer earn their place beside the later ones."""
-        for one in list(self.accepted[:-1]):
+        """Leave causes that no longer earn their place beside the others, under the renewed error models."""
+        for one in list(self.accepted):
             others = [a for a in self.accepted if a is not one]
             without = composed(self.base, [a.chosen for a in others], self.parent)
             again = candidate(without, self.parent, *one.chosen, self.searched[one.candidate.cause])
