@@ -185,7 +185,7 @@ def fitted(
         rounds, tolerance = effort
         for i in range(rounds):
             before = sum(one.deviances[q] for q in block)
-            one = with_variances(_stepped(one, names, block, {} if i else kept or {}), block)
+            one = with_variances(_stepped(one, names, block, kept or {}), block)
             if not sum(one.deviances[q] for q in block) < before - tolerance:
                 break
     return one
