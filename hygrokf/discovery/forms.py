@@ -302,10 +302,9 @@ def temperature_offset(ground: Ground) -> list[Form]:
 
 def ambient(ground: Ground) -> list[Form]:
     # all of the air that surrounds the cabinet lags; a share of it is an outer wall
-    limits = {
-        "ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0),
-        "ambient_lag_share": (0.8, 1.2), "breathed_lag_share": (0.8, 1.2),
-    }  # fmt: skip
+    times, shares = (SLOWEST_H, 24.0), (0.8, 1.2)
+    intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
+    limits = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
     lags = (2.0, 4.0, 12.0)
     heat: tuple[MechanismSettings, ...] = (("leading_ambient", {}),)
     vapour = _joint(ground, ("breathed_lead", {}))
@@ -318,7 +317,7 @@ def ambient(ground: Ground) -> list[Form]:
                  limits=limits, together=True)
         )  # fmt: skip
         found.append(
-            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
+            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=intake,
                  grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
         )  # fmt: skip
         found += [

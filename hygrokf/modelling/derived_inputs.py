@@ -215,11 +215,21 @@ FEATURES: dict[str, Feature] = {
 
 
 def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
-    """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
+    """Values (T,) of a feature at the instants `time` (T,) [s] of a run.
+
+    Raises ValueError where its function returns something else, or a value that is not finite.
+    """
     function, hold = FEATURES[name]
     if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
-    return function(record, time, **settings)
+    found = np.asarray(function(record, time, **settings))
+    if found.shape != time.shape or found.dtype.kind not in "bif":
+        raise ValueError(
+            f"{name}: expected {len(time)} values, found shape {found.shape} of type {found.dtype}"
+        )
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite values, found {found[~np.isfinite(found)][0]}")
+    return found
 
 
 def without_settings(inputs: Iterable[str]) -> dict[str, dict[str, Any]]:

@@ -39,7 +39,7 @@ PAGE = document("own_cause.md")
 WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
 FILE = """
 import hygrokf
-from hygrokf.physics.expression import exp
+from hygrokf.physics.expression import exp, log
 from hygrokf.discovery.forms import Form
 
 def parameter(name, null=0.0, **more):
@@ -191,12 +191,9 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
 
 
 def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() -> None:
-    names = (
-        "moisture_sorption condensation wall_thermal_mass wind_driven_exchange rain_ingress "
-        "humidity_sensor_drift"
-    )
-    for name in names.split():
-        assert len(named(name).variants(trial_baseline())) and variant_faults(named(name)) == []
+    for cause in LIBRARY:
+        # the trial record has a door's contact
+        assert cause.name == "door_opening" or form_faults(cause) == [], cause.name
 
 
 # -- faults --------------------------------------------------------------------------------------------------
@@ -252,8 +249,8 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         ),
         (
             "C = hygrokf.cause_of('stove', hygric=made(stove), **WORDS)",
-            "it changes nothing in the simulation, whatever its parameters; contribute to one "
-            "of heat_release",
+            "it changes nothing in the simulated vapour, whatever its parameters; contribute to one of "
+            "heat_release",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove, (parameter('stove_heat', None),)), **WORDS)",
@@ -330,7 +327,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.stove_heat * "
             "u.glow}, inputs=('glow',)), features={'glow': (lambda record, time: 'no', 'linear')}, **WORDS)",
-            "glow: expected 721 values, found shape ()",
+            "glow: expected 17281 values, found shape ()",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove), features={'after_step': {}}, **WORDS)",
@@ -351,6 +348,47 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('oven', {}),))])",
             "form 'f': unknown mechanism 'oven': name one of the package, or add it to the cause's "
             "mechanisms",
+        ),
+        (
+            "C = hygrokf.cause_of('stove', thermal=made(stove), hygric=made(lambda p, x, u, q: "
+            "{'heat_release': p.damp}, ('damp',), 'damp'), **WORDS)",
+            "it changes nothing in the simulated vapour, whatever its parameters",
+        ),
+        (
+            "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.stove_heat * "
+            "exp(u.auxiliary_power)}), **WORDS)",
+            "(stove_heat = 0), found a simulation that is not finite; every effect must vanish there",
+        ),
+        (
+            "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': "
+            "log(1.0 - p.stove_heat)}), **WORDS)",
+            "the simulated temperature is not finite near the start values; check divisions, logarithms and",
+        ),
+        (
+            "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.stove_heat * "
+            "u.glow}, inputs=('glow',)), features={'glow': (lambda record, time: time * float('nan'), "
+            "'linear')}, **WORDS)",
+            "glow: expected finite values, found nan",
+        ),
+        (
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', "
+            "{'size': 2}),))], mechanisms={'stove': made(stove)})",
+            "form 'f': TypeError: ",
+        ),
+        (
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', {}),), "
+            "grid=(), steps={('after_step', 'date_s'): 3600.0})], mechanisms={'stove': made(stove)})",
+            "form 'f': expected a grid of at least one Setting, found none",
+        ),
+        (
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', {}),), "
+            "steps={('after_step', 'date_s'): 3600.0})], mechanisms={'stove': made(stove)})",
+            "steps: expected a setting of a feature in every point of the grid, found 'date_s' of 'after_step'",
+        ),
+        (
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', {}),), "
+            "limits={'stov_heat': (0.0, 1.0)})], mechanisms={'stove': made(stove)})",
+            "values of unknown parameters stov_heat; it has stove_heat",
         ),
         (
             "def factory(size):\n    return None\nC = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: "
