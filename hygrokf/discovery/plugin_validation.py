@@ -11,7 +11,7 @@ import functools
 import math
 import re
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -36,7 +36,6 @@ from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
-from hygrokf.physics.parameters import Parameter
 
 SAME = 1e-5
 """[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
@@ -221,7 +220,9 @@ def _faults_of(form: Form) -> list[str]:
         own = {p.name: p for p in added(one, wider)}
         unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
         if unknown:
-            faults.append(f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}")
+            faults.append(
+                f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}"
+            )
         faults += _nesting_faults(one, wider, form, start_values(one, wider, form.grid[0]))
     except Exception as fault:
         faults.append(exception_text(fault))
@@ -239,10 +240,10 @@ def _nesting_faults(
         found = max(_departures(one, wider, given).values())
         if not found <= SAME:
             at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
-            differs = f"differs by {100.0 * found:.3g} % of its spread" if found < math.inf else "is not finite"
+            differs = f"differs by {100.0 * found:.3g} % of its spread"
             yield (
-                f"expected the base model at the null value ({at}), found a simulation that {differs}; every "
-                "effect must vanish there"
+                f"expected the base model at the null value ({at}), found a simulation that "
+                f"{differs if found < math.inf else 'is not finite'}; every effect must vanish there"
             )
             return
     acting = {**start, **{name: other[name] for name in null}}
