@@ -154,6 +154,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     say("base model")
     start = base_estimate(record)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
+    # quantiles of too few readings leave a form without settings
     forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
     found = search(start, [form for one in forms.values() for form in one], say, budget)
     say("parameters of the base and of the extended model")
