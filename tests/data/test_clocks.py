@@ -12,7 +12,6 @@ import pytest
 from hygrokf.data.clocks import Shift, cabinet_moved, shifted, sources, turns_within
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
-from hygrokf.discovery.held_out import difference_bounds
 
 HOUR_S = 3600.0
 
@@ -58,17 +57,6 @@ def test_a_shift_that_would_turn_time_back_drops_what_comes_twice() -> None:
     late = shifted(record, Shift("a", -HOUR_S, summer=True))["cabinet_temperature"]
     assert (np.diff(late.time) > 0).all() and len(late.time) < len(time)
     assert not turns_within(record.window(float(time[0]), float(time[60])))
-
-
-def test_bounds_of_a_gain_pair_the_same_readings() -> None:
-    """To the second; an hour's logger whose stamps are 50 min later has no instant in common with itself."""
-    random = np.random.default_rng(1)
-    time = 1.6e9 + HOUR_S * np.arange(60 * 24.0)
-    error = random.standard_normal(len(time))
-
-    low, high = difference_bounds((time, error), (time + 0.3, 0.5 * error))
-    assert 0.3 < low < 0.5 < high < 0.7
-    assert np.isnan(difference_bounds((time, error), (time + 3000.0, 0.5 * error))).all()
 
 
 def test_only_constant_corrections_of_the_cabinet_move_its_readings() -> None:

@@ -383,7 +383,8 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', {}),), "
             "steps={('after_step', 'date_s'): 3600.0})], mechanisms={'stove': made(stove)})",
-            "steps: expected a setting of a feature in every point of the grid, found 'date_s' of 'after_step'",
+            "steps: expected a setting of a feature in every point of the grid, found 'date_s' of "
+            "'after_step'",
         ),
         (
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda ground: [Form('stove', 'f', (('stove', {}),), "

@@ -154,7 +154,9 @@ def spliced(early: Series, late: Series, at_s: float) -> Series:
 def test_a_change_that_is_taken_back_is_refuted_and_one_that_lasts_is_named() -> None:
     """An exchange that changes within the identification period, and is as before in the validation
     period."""
-    changed, plain = (dry(identified(hidden_plant(9710, one, days=80.0))) for one in ("exchange_step", "none"))
+    changed, plain = (
+        dry(identified(hidden_plant(9710, one, days=80.0))) for one in ("exchange_step", "none")
+    )
     assert changed.until_s is not None
     cabinet = spliced(changed["cabinet_temperature"], plain["cabinet_temperature"], changed.until_s)
     refuted = discover(changed.replace_series(cabinet), library=STEP)
