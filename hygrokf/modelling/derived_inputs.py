@@ -112,13 +112,6 @@ def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
     return wind_tenth(record, time) ** 2
 
 
-def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
-    """Excess of the rain signal over a threshold, in its own unit; gaps count as dry."""
-    series = record["rain"]
-    value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
-    return np.maximum(value - above, 0.0)
-
-
 def scheduled(
     record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
 ) -> np.ndarray:
@@ -197,7 +190,6 @@ FEATURES: dict[str, Feature] = {
     "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
-    "heavy_rain": (heavy_rain, MEAN),
     "standstill": (standstill, MEAN),
     "after_step": (after_step, MEAN),
     "door_open": (door_open, MEAN),
@@ -207,7 +199,6 @@ FEATURES: dict[str, Feature] = {
     "venting": (throttled, MEAN),
     "throttled_drying": (throttled, MEAN),
     "scheduled": (scheduled, MEAN),
-    "open_hours": (scheduled, MEAN),
     "drying": (drying, MEAN),
     **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
 }
