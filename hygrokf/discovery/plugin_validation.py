@@ -52,7 +52,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 
 # -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
-    """A record with every signal: sines of many periods in ordinary ranges."""
+    """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
     hour = np.arange(24 * DAYS + 1.0)
     series = []
     for place, signal in enumerate(SIGNALS.values()):
@@ -63,7 +63,8 @@ def trial_record() -> Record:
             value = (value > 0.9).astype(float)
         if signal.name == "active_power":
             value = np.maximum(value, 0.0)
-        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source="trial record"))
+        source = "cabinet" if signal.name.startswith("cabinet_") else "plant"
+        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source=source))
     return Record("trial record", tuple(series), Site(55.0, 8.0, 0.0), rated_power_W=2e6)
 
 
