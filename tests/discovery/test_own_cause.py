@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -167,6 +167,23 @@ def test_a_cause_of_a_mechanism_of_the_package_brings_nothing_of_its_own() -> No
     (form,) = cause.forms(trial_ground())
     assert (form.heat, form.vapour) == ((("wind_loss", {}),), (("wind_exchange", {}),))
     assert form.grid[0].features == {"wind_tenth": {}} and form_faults(cause) == []
+
+
+def test_the_vapour_cannot_read_what_the_heats_base_model_derives_from_the_power() -> None:
+    """It would be named and could not be simulated afterwards; its standstill is a feature."""
+
+    def source(read: str) -> Callable[[], hygrokf.Mechanism]:
+        parameter = hygrokf.Parameter("leak", "g/m3/h", 0.1, -1.0, 1.0, null=0.0, meaning="a leak")
+        return lambda: hygrokf.Mechanism(
+            "leak", (parameter,), inputs=(read,),
+            contributions=lambda p, x, u, q: {"vapour_release": p.leak * getattr(u, read)},
+        )  # fmt: skip
+
+    forms = {
+        read: cause_of("leaking", hygric=source(read), **WORDS).forms(trial_ground())
+        for read in ("power_1", "active_power", "standstill")
+    }
+    assert forms["power_1"] == [] and forms["active_power"] and forms["standstill"]
 
 
 def test_every_signal_of_the_table_can_be_an_input() -> None:
