@@ -185,6 +185,13 @@ def test_a_few_days_of_readings_have_an_answer() -> None:
     assert "cooling_switching" in no_form  # too few readings for thresholds
 
 
+def test_readings_that_stand_still_are_refused_in_words(in_the_sun: Record) -> None:
+    still = in_the_sun["cabinet_temperature"]
+    still = replace(still, value=np.full(len(still.time), 293.15))
+    with pytest.raises(ValueError, match=r"cabinet_temperature: expected readings that move, found 293\.15"):
+        discover(in_the_sun.replace_series(still), library=SUN)
+
+
 def test_repeated_and_saturated_readings_are_counted() -> None:
     record = identified(hidden_plant(10, "none", days=20.0))
     warm, damp = record["cabinet_temperature"], record["cabinet_relative_humidity"]
