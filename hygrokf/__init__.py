@@ -71,7 +71,6 @@ _MOVED = {
     "Site": "data.record.Site",
     "Timeline": "engine.timeline.Timeline",
     "TurbineType": "identification.turbine_type.TurbineType",
-    "Variant": "discovery.cause.Variant",
     "covariances": "estimation.inference.covariances",
     "describe": "cases.summary.describe",
     "describe_text": "report.record_text.describe_text",

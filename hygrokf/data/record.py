@@ -49,6 +49,7 @@ class Series:
     longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
     lost: [s] spans (start, end) in which its connection was lost, in order: a held value of before is unknown
         in them.
+    saturated: readings that were masked because a humidity sensor was at its ceiling.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -66,6 +67,7 @@ class Series:
     response_time_s: float | None = None
     longest_hold_s: float | None = None
     lost: tuple[tuple[float, float], ...] = ()
+    saturated: int = 0
 
     def __post_init__(self) -> None:
         faults: list[str] = []

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hygrokf.data.ambient import ambient_absolute_humidity
@@ -88,7 +88,10 @@ def cause_of(
 
     def forms(ground: Ground) -> list[Form]:
         there = {key: one for key, one in mechanisms.items() if ground.humid or key == "thermal"}
-        if not there or any(_lacking(ground, one, settings, needs) for one in there.values()):
+        for key, one in there.items():
+            if _lacking(ground, ground.inputs[key != "thermal"], one, settings, needs):
+                return []
+        if not there:
             return []
         added: dict[str, tuple[MechanismSettings, ...]] = {
             key: ((one.name, {}),) for key, one in there.items()
@@ -105,10 +108,11 @@ def cause_of(
 
 
 def _lacking(
-    ground: Ground, mechanism: Mechanism, features: Mapping[str, Settings], needs: Sequence[str]
-) -> set[str]:
-    """Signals that a mechanism or its features read and a record does not have."""
-    there = {*ALWAYS, *features, *ground.record.signals, *ground.inputs}
+    ground: Ground, inputs: Iterable[str], mechanism: Mechanism, features: Mapping[str, Settings],
+    needs: Sequence[str],
+) -> set[str]:  # fmt: skip
+    """Signals that a mechanism or its features read and neither a record nor a base model's inputs have."""
+    there = {*ALWAYS, *features, *ground.record.signals, *inputs}
     if ambient_absolute_humidity(ground.record) is not None:
         there.add("ambient_absolute_humidity")
     return {*mechanism.inputs, *needs} - there

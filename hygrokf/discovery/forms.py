@@ -69,11 +69,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Ground:
-    """What forms are made from: the identification period, the inputs of the base models, whether these have
-    humidity, and their heat release in operation: order of the power, and whether it is one of its own."""
+    """What forms are made from: the identification period, the inputs of the base model of the heat and of
+    that of the vapour, whether there is one, and the heat release in operation: order of the power, and
+    whether it is one of its own."""
 
     record: Record
-    inputs: frozenset[str]
+    inputs: tuple[frozenset[str], frozenset[str]]
     humid: bool
     order: int
     operation: bool
@@ -99,9 +100,9 @@ class Ground:
 def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
     """The ground of a record's base designs."""
     release = dict(heat.mechanisms)["heat_release"]
-    inputs = {name for one in (heat, vapour) if one is not None for name in one.model.inputs}
+    inputs = [frozenset(() if one is None else one.model.inputs) for one in (heat, vapour)]
     return Ground(
-        record.identification(), frozenset(inputs), vapour is not None, release.get("order", 0),
+        record.identification(), (inputs[0], inputs[1]), vapour is not None, release.get("order", 0),
         release.get("operation", False),
     )  # fmt: skip
 
@@ -302,10 +303,9 @@ def temperature_offset(ground: Ground) -> list[Form]:
 
 def ambient(ground: Ground) -> list[Form]:
     # all of the air that surrounds the cabinet lags; a share of it is an outer wall
-    limits = {
-        "ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0),
-        "ambient_lag_share": (0.8, 1.2), "breathed_lag_share": (0.8, 1.2),
-    }  # fmt: skip
+    times, shares = (SLOWEST_H, 24.0), (0.8, 1.2)
+    intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
+    limits = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
     lags = (2.0, 4.0, 12.0)
     heat: tuple[MechanismSettings, ...] = (("leading_ambient", {}),)
     vapour = _joint(ground, ("breathed_lead", {}))
@@ -318,7 +318,7 @@ def ambient(ground: Ground) -> list[Form]:
                  limits=limits, together=True)
         )  # fmt: skip
         found.append(
-            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
+            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=intake,
                  grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
         )  # fmt: skip
         found += [

@@ -119,7 +119,10 @@ def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], effect: fl
         both = np.isfinite(old.squares) & np.isfinite(new.squares)
         if not both.any():
             continue
-        o, n = (np.where(both, s.squares, np.nan) for s in (old, new))
+        # a short record has no errors at the longer horizons
+        some = both.any(axis=0)
+        both = both[:, some]
+        o, n = (np.where(both, s.squares[:, some], np.nan) for s in (old, new))
         mean = np.nanmean(o, axis=0)
         ratio = np.nanmean(n, axis=0) / mean
         growth[q] = float(np.nanmean(np.log(np.maximum(ratio, 1e-12))))

@@ -11,7 +11,7 @@ import functools
 import math
 import re
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -36,7 +36,6 @@ from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
-from hygrokf.physics.parameters import Parameter
 
 SAME = 1e-5
 """[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
@@ -53,23 +52,19 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 
 # -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
-    """A record with every signal: sines of many periods in ordinary ranges.
-
-    The door is open too seldom to be an input of the base model; otherwise no opening would be left to find.
-    """
+    """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
     hour = np.arange(24 * DAYS + 1.0)
     series = []
     for place, signal in enumerate(SIGNALS.values()):
         low, high = _RANGES.get(signal.name, _RANGES[signal.unit])
         wave = 0.35 * np.sin(2.0 * np.pi * hour / 24.0 + place)
         value = low + (high - low) * (0.5 + wave + 0.15 * np.sin(2.0 * np.pi * hour / (31.0 + 3.0 * place)))
-        if signal.name == "preheating":
+        if signal.name in ("preheating", "door_open"):
             value = (value > 0.9).astype(float)
-        if signal.name == "door_open":
-            value = (np.arange(len(value)) % 200 == 100).astype(float)
         if signal.name == "active_power":
             value = np.maximum(value, 0.0)
-        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source="trial record"))
+        source = "cabinet" if signal.name.startswith("cabinet_") else "plant"
+        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source=source))
     return Record("trial record", tuple(series), Site(55.0, 8.0, 0.0), rated_power_W=2e6)
 
 
@@ -206,8 +201,7 @@ def form_faults(cause: Cause) -> list[str]:
 
 def _faults_of(form: Form) -> list[str]:
     one = trial_estimate()
-    settings = {key: value for setting in form.grid for key, value in setting.features.items()}
-    faults = [f"feature {fault}" for fault in feature_faults(settings)]
+    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features)]
     faults += [
         f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
         for name, _ in (*form.heat, *form.vapour)
@@ -215,47 +209,59 @@ def _faults_of(form: Form) -> list[str]:
     ]
     if not form.grid:
         faults.append("expected a grid of at least one Setting, found none")
+    faults += [
+        f"steps: expected a setting of a feature in every point of the grid, found {key!r} of {name!r}"
+        for name, key in form.steps
+        if not form.clock and any(key not in s.features.get(name, {}) for s in form.grid)
+    ]
     if faults or not (form.heat or form.vapour):
         return faults
     try:
         wider = widened(one, form, form.grid[0])
-        own = added(one, wider)
-        given = {name for setting in form.grid for name in setting.values}
-        unknown = sorted(given - set(wider.names))
+        own = {p.name: p for p in added(one, wider)}
+        unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
         if unknown:
-            names = ", ".join(sorted(p.name for p in own))
-            faults.append(f"values of unknown parameters {', '.join(unknown)}; it has {names}")
-        faults += _nesting_faults(one, wider, own, start_values(one, wider, form.grid[0]))
+            faults.append(
+                f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}"
+            )
+        faults += _nesting_faults(one, wider, form, start_values(one, wider, form.grid[0]))
     except Exception as fault:
         faults.append(exception_text(fault))
     return faults
 
 
 def _nesting_faults(
-    one: Estimate, wider: Simulator, own: Sequence[Parameter], start: Mapping[str, float]
+    one: Estimate, wider: Simulator, form: Form, start: Mapping[str, float]
 ) -> Iterator[str]:
-    """Faults of a mechanism that is not nested in the base: `start` are values without an effect."""
+    """Faults of a form that is not nested in the base, or has no effect beside it."""
+    own = added(one, wider)
     null = {p.name: p.null for p in own if p.null is not None}
     other = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own}
-    for given in (start, {**start, **other, **null}):
-        found = _departure(one, wider, given)
+    for given in ({**start, **null}, {**start, **other, **null}):
+        found = max(_departures(one, wider, given).values())
         if not found <= SAME:
             at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
+            differs = f"differs by {100.0 * found:.3g} % of its spread"
             yield (
-                f"expected the base model at the null value ({at}), found a simulation that differs by "
-                f"{100.0 * found:.3g} % of its spread; every effect must vanish there"
+                f"expected the base model at the null value ({at}), found a simulation that "
+                f"{differs if found < math.inf else 'is not finite'}; every effect must vanish there"
             )
             return
     acting = {**start, **{name: other[name] for name in null}}
     moved = replace(wider, scene=_with_waves(wider), _cells={})
-    change = _departure(replace(one, simulated=_simulated(moved, start)), moved, acting)
-    if not math.isfinite(change):
-        yield "its simulation is not finite near the start values; check divisions, logarithms and bounds"
-    elif change <= 1e-3 * SAME:
-        yield (
-            "it changes nothing in the simulation, whatever its parameters; contribute to one of "
-            + ", ".join(SUMS)
-        )
+    still = replace(one, simulated=_simulated(moved, {**start, **null}))
+    changes = _departures(still, moved, acting)
+    for quantity, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)):
+        if mechanisms and not changes[quantity] < math.inf:
+            yield (
+                f"the simulated {quantity} is not finite near the start values; check divisions, logarithms "
+                "and bounds"
+            )
+        elif mechanisms and changes[quantity] <= 1e-3 * SAME:
+            yield (
+                f"it changes nothing in the simulated {quantity}, whatever its parameters; contribute to one "
+                f"of {', '.join(SUMS)}"
+            )
 
 
 def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, np.ndarray]:
@@ -263,10 +269,14 @@ def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, n
     return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
 
 
-def _departure(one: Estimate, wider: Simulator, values: Mapping[str, float]) -> float:
-    """Largest difference of a simulation from the base's, as a share of that one's spread."""
-    made = _simulated(wider, values)
-    return max(float(np.max(np.abs(made[q] - y)) / np.std(y)) for q, y in one.simulated.items())
+def _departures(one: Estimate, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Largest difference of each quantity's simulation from the base's, as a share of that one's spread;
+    infinite where a simulation is not finite."""
+    made, found = _simulated(wider, values), {}
+    for q, base in one.simulated.items():
+        share = float(np.max(np.abs(made[q] - base)) / np.std(base))
+        found[q] = share if math.isfinite(share) else math.inf
+    return found
 
 
 def _with_waves(simulator: Simulator) -> Scene:

@@ -37,7 +37,6 @@ from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.scene import SATURATED
 from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import FURTHER, SENSOR, THRESHOLD, WATER, Accepted, Candidate, Found, search
 from hygrokf.discovery.starting_model import base_estimate
@@ -150,10 +149,12 @@ def expect_movement(early: Record) -> None:
 
 
 def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget: int) -> Discovery:
+    saturated = _saturated(record)
     record, repeated = without_repeats(record)
     say("base model")
     start = base_estimate(record)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
+    # quantiles of too few readings leave a form without settings
     forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
     found = search(start, [form for one in forms.values() for form in one], say, budget)
     say("parameters of the base and of the extended model")
@@ -183,7 +184,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         lines=tuple(left),
         work=Work(start.simulator.work.simulations, budget, found.not_judged),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
-        saturated=_saturated(record),
+        saturated=saturated,
         own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
@@ -265,6 +266,6 @@ def _saturated(record: Record) -> float:
     """[1] share of the humidity readings at the upper end of the sensor's range."""
     if "cabinet_relative_humidity" not in record:
         return math.nan
-    value = record["cabinet_relative_humidity"].value
-    known = value[np.isfinite(value)]
-    return float(np.mean(known >= SATURATED)) if len(known) else math.nan
+    humidity = record["cabinet_relative_humidity"]
+    count = len(humidity.known[0]) + humidity.saturated
+    return humidity.saturated / count if count else math.nan

@@ -62,7 +62,6 @@ SIGNAL_OF = {
     "night_sky": "global_horizontal_irradiance",
     "wind_tenth": "wind_speed",
     "wind_square": "wind_speed",
-    "heavy_rain": "rain",
 }
 """Derived input → the signal whose clock it has."""
 

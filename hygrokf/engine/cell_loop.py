@@ -139,7 +139,7 @@ class TracedCell:
         """Move the states of a model in `state`, one after the other; returns them in the middle."""
 
         def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
-            made = model.evaluate([at[one] for one in model.states], inputs, self.values).rates
+            made = model.system.drift([at[one] for one in model.states], inputs, self.values)
             return [self.graph.lift(one) for one in made]
 
         floors = dict(zip(model.states, model.amounts, strict=True))

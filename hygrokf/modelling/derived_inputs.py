@@ -112,13 +112,6 @@ def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
     return wind_tenth(record, time) ** 2
 
 
-def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
-    """Excess of the rain signal over a threshold, in its own unit; gaps count as dry."""
-    series = record["rain"]
-    value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
-    return np.maximum(value - above, 0.0)
-
-
 def scheduled(
     record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
 ) -> np.ndarray:
@@ -197,7 +190,6 @@ FEATURES: dict[str, Feature] = {
     "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
-    "heavy_rain": (heavy_rain, MEAN),
     "standstill": (standstill, MEAN),
     "after_step": (after_step, MEAN),
     "door_open": (door_open, MEAN),
@@ -207,7 +199,6 @@ FEATURES: dict[str, Feature] = {
     "venting": (throttled, MEAN),
     "throttled_drying": (throttled, MEAN),
     "scheduled": (scheduled, MEAN),
-    "open_hours": (scheduled, MEAN),
     "drying": (drying, MEAN),
     **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
 }
@@ -215,11 +206,21 @@ FEATURES: dict[str, Feature] = {
 
 
 def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
-    """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
+    """Values (T,) of a feature at the instants `time` (T,) [s] of a run.
+
+    Raises ValueError where its function returns something else, or a value that is not finite.
+    """
     function, hold = FEATURES[name]
     if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
-    return function(record, time, **settings)
+    found = np.asarray(function(record, time, **settings))
+    if found.shape != time.shape or found.dtype.kind not in "bif":
+        raise ValueError(
+            f"{name}: expected {len(time)} values, found shape {found.shape} of type {found.dtype}"
+        )
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite values, found {found[~np.isfinite(found)][0]}")
+    return found
 
 
 def without_settings(inputs: Iterable[str]) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,7 @@ import math
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,8 +19,10 @@ from plants.plant import Plant
 
 import hygrokf
 from battery.cases import DAYS, Case
-from battery.measured import IDENTIFIED, absent, measured
+from battery.measured import IDENTIFIED, absent, before_the_last_fifth, measured
+from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
+from hygrokf.discovery.procedure import Discovery
 
 
 @lru_cache(maxsize=1)
@@ -51,30 +53,31 @@ def run_case(case: Case) -> dict:
         "names": [],
         "refuted": [],
         "errors": {},
+        "lines": [],
+        "last_fifth": {},
         "simulations": None,
         "cpu_s": 0.0,
     }
     if line["skipped"]:
         return line
-    begin = time.process_time()
     try:
-        record, line["hidden"] = make(case)
-        begin = time.process_time()
-        line |= found(record)
+        record, line["hidden"], whole = make(case)
+        line |= found(record, whole)
     except Exception as broken:  # trials count failures, they do not stop at them
         line["failure"] = {
             "type": type(broken).__name__,
             "message": str(broken),
             "trace": traceback.format_exc()[-3000:],
         }
-    line["cpu_s"] = time.process_time() - begin
     return plain(line)
 
 
-def make(case: Case) -> tuple[Record, list[dict]]:
-    """The record of a case and the accounts of what is hidden in it."""
+def make(case: Case) -> tuple[Record, list[dict], Record | None]:
+    """The record of a case, the accounts of what is hidden in it, and of a measured one, which is cut before
+    its last fifth, the whole."""
     if case.known:
-        return measured(case.known.record, case.known.variant), []
+        cut, whole = before_the_last_fifth(measured(case.known.record, case.known.variant))
+        return cut, [], whole
     if case.null:
         made = null_plant(case.plant_seed, case.null, days=DAYS)
     else:
@@ -84,7 +87,8 @@ def make(case: Case) -> tuple[Record, list[dict]]:
             case.plant_seed, cause, form=form, halved=case.halved, days=DAYS, second=second
         )
     record = to_record(made)
-    return to_record(made, until_s=identified_until(record, made)), [asdict(one) for one in made.truth.hidden]
+    record = to_record(made, until_s=identified_until(record, made))
+    return record, [asdict(one) for one in made.truth.hidden], None
 
 
 def identified_until(record: Record, made: Plant) -> float:
@@ -100,9 +104,12 @@ def identified_until(record: Record, made: Plant) -> float:
     return record.start_s + min(max(IDENTIFIED, latest + 1.0 / 7.0), 0.95) * span
 
 
-def found(record: Record) -> dict:
-    """What is named in a record, what was refuted, free-run errors on held-out readings, and the work."""
-    results = hygrokf.discover(record).results
+def found(record: Record, whole: Record | None = None) -> dict:
+    """What is named in a record, what was refuted, free-run errors on held-out readings and on those of the
+    whole record that were cut off, and the work."""
+    begin = time.process_time()
+    discovery = hygrokf.discover(record)
+    results, spent = discovery.results, time.process_time() - begin
     return {
         "verdict": results.verdict,
         "names": [{**_told(one), "rivals": list(one.ambiguous_with), "confidence": one.confidence,
@@ -110,8 +117,26 @@ def found(record: Record) -> dict:
         "refuted": [{**_told(one), "reason": one.held_out.reason} for one in results.refuted],
         "errors": {one.quantity: [one.rmse_before, one.rmse_after] for one in results.gains},
         "lines": [[one.quantity, one.period_h, one.p, one.cause] for one in results.lines],
+        "last_fifth": {} if whole is None else afterwards(discovery, whole, record.end_s),
         "simulations": results.work.simulations,
+        "cpu_s": spent,
     }  # fmt: skip
+
+
+def afterwards(discovery: Discovery, whole: Record, from_s: float) -> dict[str, list[float]]:
+    """Free-run errors [K], [g/m³] of the base and of the told model on readings after an instant [s], by
+    quantity."""
+    later = replace(whole, until_s=from_s)
+    shifts = [
+        Shift(one.settings["source"], one.settings["shift_s"])
+        for one in discovery.results.causes
+        if "shift_s" in one.settings
+    ]
+    base = hygrokf.evaluate(discovery.base, later)
+    told = hygrokf.evaluate(discovery.extended, shifted(later, *shifts)) if discovery.extended else base
+    quantities = ("temperature_K", "absolute_humidity_g_m3")
+    pairs = {q: [one.errors("validation", q).total for one in (base, told)] for q in quantities}
+    return {q: pair for q, pair in pairs.items() if np.isfinite(pair).all()}
 
 
 def _told(one) -> dict:

@@ -638,7 +638,9 @@ def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: P
     assert (of_all.status, of_one.status) == (0, 0)
     row, found = json.loads(of_all.out)["rows"][1], json.loads(of_one.out)
     assert row["verdict"] == found["verdict"]
-    assert row["causes"].split() == [one["cause"] for one in found["causes"]]
+    assert row["causes"].split() == [
+        "/".join((one["cause"], *one["ambiguous_with"])) for one in found["causes"]
+    ]
     assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
     final = found["extended"] or found["baseline"]
     assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]

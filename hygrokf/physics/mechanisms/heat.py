@@ -286,12 +286,11 @@ def throttled_cooling() -> Mechanism:
     )  # fmt: skip
 
 
-def vent_loss(flag: str = "venting") -> Mechanism:
-    """Heat loss through a vent that opens in proportion to a reading (input `venting`) or on a schedule
-    (`open_hours`)."""
+def vent_loss() -> Mechanism:
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`)."""
     return _loss(
-        "vent_loss", "vent_conductance", flag, "while the vent is open",
-        "a cabinet that is too warm in the simulation while the vent is open", settings={"flag": flag},
+        "vent_loss", "vent_conductance", "venting", "while the vent is open",
+        "a cabinet that is too warm in the simulation while the vent is open",
     )  # fmt: skip
 
 
