@@ -7,13 +7,15 @@ choice is made again.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
 from hygrokf.discovery.judgement import Judged, judged, scores
-from hygrokf.discovery.search import Accepted, Candidate, Found, composed, effect_of, foreseen
+from hygrokf.discovery.search import Accepted, Candidate, Found, beside, composed, effect_of, foreseen
 
 
 @dataclass(frozen=True)
@@ -65,10 +67,12 @@ def _judged(
     if others:
         without = final_set(composed(start, others, extended.estimate), estimator).estimate
     child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
-    after = scores(child)
-    return judged(scores(without), after, effect_of(name.candidate.form, without, child, after))
+    after, effect = scores(child), math.inf
+    if not beside(name.candidate, list(itertools.takewhile(lambda a: a is not name, accepted))):
+        effect = effect_of(name.candidate.form, without, child, after)
+    return judged(scores(without), after, effect)
 
 
 def _harm(one: Judged) -> float:
     """By how much a name grows the errors, where it is refuted."""
-    return max(one.growth.values(), default=0.0) if one.reason else -float("inf")
+    return max(one.growth.values(), default=0.0) if one.reason else -math.inf

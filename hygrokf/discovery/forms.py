@@ -360,9 +360,9 @@ def sorption(ground: Ground) -> list[Form]:
 @of_vapour
 def condensation(ground: Ground) -> list[Form]:
     grid = tuple(
-        Setting(values={"surface_time": h, "surface_undercooling": below, "condensation_rate": rate})
+        Setting(values={"surface_time": h, "surface_undercooling": below})
         for h in (1.0, 4.0, 12.0)
-        for below, rate in ((0.3, 0.3), (0.3, 2.0), (1.5, 0.3), (1.5, 2.0), (4.0, 1.0))
+        for below in (0.3, 1.5, 4.0)
     )
     found = [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
     if ground.record.site is not None:

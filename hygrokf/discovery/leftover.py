@@ -33,7 +33,10 @@ def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
         for (q, name), daily in scores.items():
             if name in names and (line := _in_days(q, cause, daily)) is not None:
                 found.append(line)
-    return sorted(found, key=lambda line: line.p)
+    best: dict[tuple[str, str], Line] = {}
+    for line in sorted(found, key=lambda line: line.p):
+        best.setdefault((line.quantity, line.cause), line)
+    return list(best.values())
 
 
 def _in_errors(one: Estimate, quantity: str) -> Line | None:
@@ -91,6 +94,5 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
         return None
     share = float(power.max() / power.sum())
     p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
-    return (
-        Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES), p, cause) if p < SIGNIFICANT else None
-    )
+    period = 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES)
+    return Line(quantity, period, p, cause) if p < SIGNIFICANT else None

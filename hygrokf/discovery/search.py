@@ -169,7 +169,7 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
     squares of the days' scores."""
     new = {p.name for p in added(parent, one.simulator)}
     if not new:
-        return 1.0
+        return _factor_of_gains(parent, one)
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
     mine = np.array([one.simulator.names[i] in new for i in f.place])
     information, spread = np.zeros((2, mine.sum(), mine.sum()))
@@ -189,6 +189,15 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
         information += x.T @ x
         spread += daily.T @ daily
     return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())
+
+
+def _factor_of_gains(parent: Estimate, one: Estimate) -> float:
+    """The same of a child without parameters of its own, from the days' gains: with independent readings the
+    variance of their sum is four times the sum."""
+    gains = [_daily(one, parent, q) for q in one.quantities]
+    total = sum(float(g.sum()) for g in gains)
+    spread = sum(float(((g - g.mean()) ** 2).sum()) for g in gains)
+    return max(1.0, spread / (4.0 * total)) if total > 0.0 else 1.0
 
 
 def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
@@ -244,7 +253,8 @@ def _jumps(
             first = best.form.steps[feature, key]
             tried = [one.features[feature][key] for one in best.form.grid]
             settings = dict(setting.features[feature])
-            settings[key] = float(np.clip(settings[key] + sign * step, min(tried) - first, max(tried) + first))
+            wanted = settings[key] + sign * step
+            settings[key] = float(np.clip(wanted, min(tried) - first, max(tried) + first))
             yield replace(setting, features={**setting.features, feature: settings}), values
 
 
@@ -365,15 +375,13 @@ class Search:
         return bool(taken) or again
 
     def _earns(self, one: Candidate) -> bool:
-        mine = acts(one.form, self.parent.quantities)
-        named = set[str]().union(*(acts(a.candidate.form, self.parent.quantities) for a in self.accepted
-                                   if a.candidate.cause != one.cause))  # fmt: skip
-        return one.strength >= (FURTHER if mine & named else THRESHOLD)
+        others = [a for a in self.accepted if a.candidate.cause != one.cause]
+        return one.strength >= (FURTHER if beside(one, others) else THRESHOLD)
 
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
         child = levelled(foreseen(self.parent, one))
         after, mine = scores(child), acts(one.form, self.parent.quantities)
-        effect = effect_of(one.form, self.parent, child, after)
+        effect = math.inf if beside(one, self.accepted) else effect_of(one.form, self.parent, child, after)
         return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, effect)
 
     def _judge_again(self) -> None:
@@ -525,6 +533,14 @@ def _held_out_deviance(one: Estimate) -> float:
     return sum(score.deviance for score in scores(one).values())
 
 
+def beside(one: Candidate, accepted: Sequence[Accepted]) -> bool:
+    """Whether a quantity on which a candidate acts has a name already: what is left there is more often that
+    one's misfit than another cause."""
+    quantities = one.estimate.quantities
+    mine = acts(one.form, quantities)
+    return any(mine & acts(a.candidate.form, quantities) for a in accepted)
+
+
 def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:
     """The difference that a cause itself makes to held-out readings (`difference`); infinite for one without
     a size."""
@@ -555,15 +571,15 @@ def alike(best: Candidate, rival: Candidate) -> bool:
         return False
     if best.evidence - rival.evidence < CLOSE:
         return True
-    daily = np.concatenate([_daily(best, rival, q) for q in sorted(shared)])
+    daily = np.concatenate([_daily(best.estimate, rival.estimate, q) for q in sorted(shared)])
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z
 
 
-def _daily(best: Candidate, rival: Candidate, quantity: str) -> np.ndarray:
+def _daily(best: Estimate, rival: Estimate, quantity: str) -> np.ndarray:
     """(days,) by how much −2 ln L of the rival exceeds that of the best."""
-    day = np.floor(best.estimate.simulator.scene.readings[quantity].time_h / 24.0).astype(int)
+    day = np.floor(best.simulator.scene.readings[quantity].time_h / 24.0).astype(int)
     found = np.zeros(day.max() + 1)
-    np.add.at(found, day, rival.estimate.filtered[quantity].terms - best.estimate.filtered[quantity].terms)
+    np.add.at(found, day, rival.filtered[quantity].terms - best.filtered[quantity].terms)
     return found
 
 
