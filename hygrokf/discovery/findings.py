@@ -33,9 +33,7 @@ MATERIAL = 0.2
 SENSORS = 0.6
 """[1] share of a finding's square that the sensors may explain; beyond it the error is theirs."""
 CERTAIN = 1e-8
-DOUBTS = 3
-"""Conditions, those with the smallest p above `CERTAIN`, that are tested again under variances without their
-own effect."""
+"""p above which a slow condition is tested again under variances without its own effect."""
 MOST = 8
 """Findings that are reported."""
 SEEN = 0.5
@@ -45,14 +43,14 @@ NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 @dataclass
 class _State:
-    """The errors of one quantity beside the findings so far; p of each condition, columns of each."""
+    """The errors of one quantity beside the findings so far; columns and ln p of each condition."""
 
     quantity: str
     rmse: float
     white: Whitened
     conditions: list[Condition]
     columns: list[np.ndarray] = field(default_factory=list)
-    p: np.ndarray = field(default_factory=lambda: np.empty(0))
+    log_p: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
@@ -85,7 +83,7 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
         adjusted = _adjusted(states)
         changed = []
         for state, q in zip(states, adjusted, strict=True):
-            surest = int(np.argmin(state.p))
+            surest = int(np.argmin(state.log_p))
             if q[surest] > level:
                 continue
             one = _described(hours, state, surest, float(q[surest]))
@@ -101,22 +99,25 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
 
 
 def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
-    """p of every condition, and of the likeliest step."""
-    white = state.white
-    date, tried, likely = white.change()
-    step = step_at(hours, date, likely * hours.step_h <= 1.0)
-    state.conditions = [*known, step]
-    state.columns = [white.columns(one.basis, one.flow) for one in state.conditions]
-    table = white.whitened(np.column_stack(state.columns))
-    ends = np.cumsum([one.shape[1] for one in state.columns])
-    price = np.array([float(tried if one is step else 1) for one in state.conditions])
-    parts = np.split(table, ends[:-1], axis=1)
-    state.p = np.minimum(1.0, price * [white.p(part) for part in parts])
-    doubtful = [i for i in np.argsort(state.p, kind="stable") if CERTAIN < state.p[i]][:DOUBTS]
-    for i in doubtful:
-        again = white.rejudged(state.columns[i])
-        p = again.p(again.whitened(state.columns[i]))
-        state.p[i] = min(state.p[i], price[i] * p)
+    """ln p of every condition, and of the likeliest step."""
+    white, change = state.white, state.white.change()
+    state.conditions = [*known, step_at(hours, change.first, change.sharp)]
+    state.columns = [white.columns(one.basis, one.flow) for one in known]
+    step = white.columns(state.conditions[-1].basis, False)
+    state.columns.append(white.low_passed(step) if change.flow else step)
+
+    def judged(under: Whitened, chosen: Sequence[int]) -> np.ndarray:
+        parts = [state.columns[i] for i in chosen]
+        ends = np.cumsum([part.shape[1] for part in parts])[:-1]
+        table = np.split(under.whitened(np.column_stack(parts)), ends, axis=1)
+        found = [under.log_p(x, change.first if i == len(known) else None)
+                 for i, x in zip(chosen, table, strict=True)]  # fmt: skip
+        return np.minimum(0.0, found + np.where(np.array(chosen) == len(known), math.log(change.tried), 0.0))
+
+    state.log_p = judged(white, range(len(state.conditions)))
+    for i, one in enumerate(state.conditions):
+        if one.group == "calendar" and math.log(CERTAIN) < state.log_p[i]:
+            state.log_p[i] = min(state.log_p[i], judged(white.rejudged(state.columns[i]), [i])[0])
 
 
 def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
@@ -125,7 +126,7 @@ def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
         return []
     groups = [one.group for one in states[0].conditions]
     weights = np.array([1.0 / groups.count(group) for group in groups])
-    q = benjamini_hochberg(np.concatenate([one.p for one in states]), np.tile(weights, len(states)))
+    q = benjamini_hochberg(np.exp(np.concatenate([one.log_p for one in states])), np.tile(weights, len(states)))
     return list(q.reshape(len(states), -1))
 
 
@@ -164,7 +165,7 @@ def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | 
     half = 1800.0 * hours.step_h
     found = Finding(
         state.quantity, where, when, abs(size), UNITS[state.quantity], "too low" if size > 0 else "too high",
-        duration, int((means >= SEEN * abs(size)).sum()), len(episodes), share, "", float(state.p[number]), q,
+        duration, int((means >= SEEN * abs(size)).sum()), len(episodes), share, "", math.exp(state.log_p[number]), q,
         condition.driver or None, condition.kind, condition.curve(error, hours.step_h),
         tuple(
             (float(hours.time_s[a] - half), float(hours.time_s[b - 1] + half))

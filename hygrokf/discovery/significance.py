@@ -29,6 +29,20 @@ EDGE = 0.05
 INTERVAL = 4.0
 """Statistic by which a date is worse than the best at the end of its 95 % interval."""
 
+SHARP_H = 1.0
+"""[h] longest interval of a date that is sure."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
+    sure to the hour."""
+
+    first: int
+    flow: bool
+    tried: int
+    sharp: bool
+
 
 @dataclass(frozen=True)
 class Whitened:
@@ -91,22 +105,33 @@ class Whitened:
         white = self.known.whitened(columns)
         return white - self.basis @ (self.basis.T @ white)
 
-    def p(self, white: np.ndarray) -> float:
-        """p that the error is free of a condition, of its whitened columns (n, k)."""
+    def log_p(self, white: np.ndarray, onset: int | None = None) -> float:
+        """ln p that the error is free of a condition, of its whitened columns (n, k).
+
+        onset: the bin of a sudden change.  Innovations count in full where the change explains them better
+        than a stray reading or a shock in this bin would.
+        """
         from scipy.stats import chi2
 
         root = _root(white.T @ white)
         if root is None:
-            return 1.0
-        x = white @ root
-        score = x.T @ _clipped(self.e)
-        size, rank = float(score @ score), len(score)
-        p = float(chi2.sf(size, rank))
-        if p > POSSIBLE:
-            return p
+            return 0.0
+        x, e = white @ root, self.e
+        if onset is None or _square(x.T @ e) < self._shock(onset) + INTERVAL:
+            e = _clipped(e)
+        size, rank = _square(x.T @ e), x.shape[1]
+        if chi2.sf(size, rank) > POSSIBLE:
+            return float(chi2.logsf(size, rank))
         left = _clipped(self.e - x @ (x.T @ self.e))
         daily = np.add.reduceat(x * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
-        return float(chi2.sf(size / max(1.0, float((daily**2).sum()) / rank), rank))
+        return float(chi2.logsf(size / max(1.0, _square(daily) / rank), rank))
+
+    def _shock(self, at: int) -> float:
+        """Statistic of a stray reading in a bin, or of a shock that the process itself forgets."""
+        stray = np.zeros((len(self.e), 1))
+        stray[at] = 1.0
+        white = self.whitened(stray)[:, 0]
+        return max(float(self.e[at] ** 2), float(white @ self.e) ** 2 / max(_square(white), 1e-300))
 
     def effect(self, columns: np.ndarray) -> np.ndarray:
         """(n,) what columns (n, k) explain of the error, by generalised least squares."""
@@ -130,9 +155,8 @@ class Whitened:
         variances = maximised(self.known.course, rest, self.largest, self.known.variances)
         return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
 
-    def change(self) -> tuple[int, int, int]:
-        """The likeliest bin at which the readings, or a flow, change for good; the dates that were tried, and
-        those of the 95 % interval.
+    def change(self) -> Change:
+        """The likeliest lasting change of the readings, or of a flow.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
         what is behind t.  Its information is that in a record without holes.
@@ -151,12 +175,11 @@ class Whitened:
         within = within[np.isfinite(self.error[within])]
         square = np.cumsum(white[:, :, None] * white[:, None, :], axis=0)[count - 1 - within]
         beside = sums[within, :, 1:]
-        square = square - beside @ np.swapaxes(beside, 1, 2)
-        square += 1e-6 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-        score = sums[within, :, 0]
-        value = np.einsum("ni,ni->n", score, np.linalg.solve(square, score[:, :, None])[:, :, 0])
-        value = np.where(np.linalg.det(square) > 0.0, value, 0.0)
-        return int(within[np.argmax(value)]), len(within), int((value > value.max() - INTERVAL).sum())
+        square = np.einsum("nii->ni", square - beside @ np.swapaxes(beside, 1, 2))
+        value = np.where(square > 0.0, sums[within, :, 0] ** 2 / np.maximum(square, 1e-300), 0.0)
+        best, flow = np.unravel_index(np.argmax(value), value.shape)
+        likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
+        return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""
@@ -165,6 +188,10 @@ class Whitened:
         told = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
         noise = self.known.variances[0] * self.known.course.shape
         return np.where(seen, (innovation - told) / noise, 0.0)
+
+
+def _square(values: np.ndarray) -> float:
+    return float(np.sum(values**2))
 
 
 def _clipped(e: np.ndarray) -> np.ndarray:
