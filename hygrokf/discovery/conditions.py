@@ -82,7 +82,7 @@ class Condition:
     @property
     def flow(self) -> bool:
         """Whether a flow under the condition leaves another course than a change of the readings."""
-        return self.group in ("episodes", "drivers")
+        return self.group in ("episodes", "drivers") and self.kind != "lag"
 
     def worst(self, effect: np.ndarray) -> tuple[int, int]:
         """First and last bin of the stretch of bins whose effect (n,), NaN = unknown, differs most from the

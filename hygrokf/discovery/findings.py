@@ -106,18 +106,20 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     step = white.columns(state.conditions[-1].basis, False)
     state.columns.append(white.low_passed(step) if change.flow else step)
 
-    def judged(under: Whitened, chosen: Sequence[int]) -> np.ndarray:
-        parts = [state.columns[i] for i in chosen]
-        ends = np.cumsum([part.shape[1] for part in parts])[:-1]
-        table = np.split(under.whitened(np.column_stack(parts)), ends, axis=1)
-        found = [under.log_p(x, change.first if i == len(known) else None)
-                 for i, x in zip(chosen, table, strict=True)]  # fmt: skip
-        return np.minimum(0.0, found + np.where(np.array(chosen) == len(known), math.log(change.tried), 0.0))
 
-    state.log_p = judged(white, range(len(state.conditions)))
+    def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
+        if one.kind != "step":
+            return under.log_p(table)
+        return min(0.0, under.log_p(table, change.first) + math.log(change.tried))
+
+    ends = np.cumsum([one.shape[1] for one in state.columns])[:-1]
+    tables = np.split(white.whitened(np.column_stack(state.columns)), ends, axis=1)
+    found = [log_p(white, *pair) for pair in zip(state.conditions, tables, strict=True)]
     for i, one in enumerate(state.conditions):
-        if one.group == "calendar" and math.log(CERTAIN) < state.log_p[i]:
-            state.log_p[i] = min(state.log_p[i], judged(white.rejudged(state.columns[i]), [i])[0])
+        if one.group == "calendar" and found[i] > math.log(CERTAIN):
+            again = white.rejudged(state.columns[i])
+            found[i] = min(found[i], log_p(again, one, again.whitened(state.columns[i])))
+    state.log_p = np.array(found)
 
 
 def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:

@@ -16,14 +16,15 @@ Source: Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 
-POSSIBLE = 0.05
-"""p above which the scatter of the days does not matter any more."""
+POSSIBLE = math.log(0.05)
+"""ln p above which the scatter of the days does not matter any more."""
 EDGE = 0.05
 """[1] share of the record at either end in which no change is looked for."""
 INTERVAL = 4.0
@@ -77,7 +78,7 @@ class Whitened:
     def _with(self, error: np.ndarray, variances: np.ndarray, nuisance: np.ndarray) -> Whitened:
         known = filtered(self.known.course, variances, error)
         white = known.whitened(nuisance)
-        root = _root(white.T @ white)
+        root = _root(white)
         basis = white[:, :0] if root is None else white @ root
         e = np.nan_to_num(known.standardised)
         return replace(
@@ -103,7 +104,8 @@ class Whitened:
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, k) in the innovations, without the nuisance."""
         white = self.known.whitened(columns)
-        return white - self.basis @ (self.basis.T @ white)
+        white -= self.basis @ (self.basis.T @ white)
+        return white
 
     def log_p(self, white: np.ndarray, onset: int | None = None) -> float:
         """ln p that the error is free of a condition, of its whitened columns (n, k).
@@ -111,20 +113,18 @@ class Whitened:
         onset: the bin of a sudden change.  Innovations count in full where the change explains them better
         than a stray reading or a shock in this bin would.
         """
-        from scipy.stats import chi2
-
-        root = _root(white.T @ white)
+        root = _root(white)
         if root is None:
             return 0.0
-        x, e = white @ root, self.e
-        if onset is None or _square(x.T @ e) < self._shock(onset) + INTERVAL:
-            e = _clipped(e)
-        size, rank = _square(x.T @ e), x.shape[1]
-        if chi2.sf(size, rank) > POSSIBLE:
-            return float(chi2.logsf(size, rank))
-        left = _clipped(self.e - x @ (x.T @ self.e))
-        daily = np.add.reduceat(x * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
-        return float(chi2.logsf(size / max(1.0, _square(daily) / rank), rank))
+        full, rank = _square(root.T @ (white.T @ self.e)), root.shape[1]
+        size = _square(root.T @ (white.T @ _clipped(self.e)))
+        if onset is not None and full > self._shock(onset) + INTERVAL:
+            size = full
+        if _log_tail(size, rank) > POSSIBLE:
+            return _log_tail(size, rank)
+        left = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
+        daily = np.add.reduceat(white * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
+        return _log_tail(size / max(1.0, _square(daily @ root) / rank), rank)
 
     def _shock(self, at: int) -> float:
         """Statistic of a stray reading in a bin, or of a shock that the process itself forgets."""
@@ -136,7 +136,7 @@ class Whitened:
     def effect(self, columns: np.ndarray) -> np.ndarray:
         """(n,) what columns (n, k) explain of the error, by generalised least squares."""
         white = self.whitened(columns)
-        root = _root(white.T @ white)
+        root = _root(white)
         if root is None:
             return np.zeros(len(columns))
         return columns @ (root @ (root.T @ (white.T @ self.e)))
@@ -198,8 +198,10 @@ def _clipped(e: np.ndarray) -> np.ndarray:
     return np.clip(e, -HUBER, HUBER)
 
 
-def _root(gram: np.ndarray) -> np.ndarray | None:
-    """R (k, r) with R'GR = 1 in the directions that a Gram matrix resolves; None without any."""
+def _root(white: np.ndarray) -> np.ndarray | None:
+    """R (k, r) that makes columns (n, k) orthonormal in the directions that they resolve; None without
+    any."""
+    gram = white.T @ white
     scale = np.sqrt(np.diag(gram))
     used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
     if not used.any():
@@ -208,6 +210,16 @@ def _root(gram: np.ndarray) -> np.ndarray | None:
     value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = value > 1e-6 * value[-1]
     return vector[:, kept] / np.sqrt(value[kept]) / scale[:, None]
+
+
+def _log_tail(value: float, freedom: int) -> float:
+    """ln of the chance that χ² with so many degrees of freedom exceeds a value."""
+    from scipy.special import chdtrc, gammaln
+
+    p = float(chdtrc(freedom, value))
+    if p > 0.0:
+        return math.log(p)
+    return (0.5 * freedom - 1.0) * math.log(0.5 * value) - 0.5 * value - float(gammaln(0.5 * freedom))
 
 
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
