@@ -83,13 +83,14 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
         adjusted = _adjusted(states)
         changed = []
         for state, q in zip(states, adjusted, strict=True):
-            surest = int(np.argmin(state.log_p))
-            if q[surest] > level:
+            surest = _surest(state, q, level)
+            if surest is None:
                 continue
-            one = _described(hours, state, surest, float(q[surest]))
+            number, effect = surest
+            one = _described(hours, state, number, effect, float(q[number]))
             if one is not None:
                 found.append(one)
-            _take_out(state, surest)
+            _take_out(state, number)
             changed.append(state)
         if not changed:
             break
@@ -110,7 +111,7 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
-        return min(0.0, under.log_p(table, change.first) + math.log(change.tried))
+        return min(0.0, under.log_p(table, change.full) + math.log(change.tried))
 
     ends = np.cumsum([one.shape[1] for one in state.columns])[:-1]
     tables = np.split(white.whitened(np.column_stack(state.columns)), ends, axis=1)
@@ -132,6 +133,23 @@ def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
     return list(q.reshape(len(states), -1))
 
 
+def _surest(state: _State, q: np.ndarray, level: float) -> tuple[int, np.ndarray] | None:
+    """The surest condition whose effect the free run shows, and that effect (n,); None where there is none.
+
+    Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run
+    is none of it: the model makes up for it in the mean.
+    """
+    error = state.white.error
+    known = np.isfinite(error)
+    for i in np.argsort(state.log_p, kind="stable"):
+        if q[i] <= level:
+            effect = state.white.effect(state.columns[i])
+            inside = effect[known] - effect[known].mean()
+            if 2.0 * inside @ error[known] > inside @ inside:
+                return int(i), np.where(known, effect, np.nan)
+    return None
+
+
 def _take_out(state: _State, number: int) -> None:
     """What the condition explains; its bins, and all on the same driver, are tested no more."""
     condition = state.conditions[number]
@@ -144,11 +162,10 @@ def _take_out(state: _State, number: int) -> None:
     state.white = state.white.without(state.columns[number], np.column_stack([bins, *kin]))
 
 
-def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | None:
+def _described(hours: Hours, state: _State, number: int, effect: np.ndarray, q: float) -> Finding | None:
     """The finding in numbers and words; None where it is immaterial."""
     condition, error = state.conditions[number], state.white.error
     known = np.isfinite(error)
-    effect = np.where(known, state.white.effect(state.columns[number]), np.nan)
     first, last = condition.worst(effect)
     inside = condition.inside(first, last)
     under, rest = known & inside, known & ~inside & (condition.bins >= 0)

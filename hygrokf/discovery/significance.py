@@ -30,6 +30,8 @@ EDGE = 0.05
 INTERVAL = 4.0
 """Statistic by which a date is worse than the best at the end of its 95 % interval."""
 
+LEAD = 2.0
+"""Statistic by which a change must explain the readings better than something that does not last."""
 SHARP_H = 1.0
 """[h] longest interval of a date that is sure."""
 
@@ -37,12 +39,13 @@ SHARP_H = 1.0
 @dataclass(frozen=True)
 class Change:
     """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
-    sure to the hour."""
+    sure to the hour, and whether innovations count in full."""
 
     first: int
     flow: bool
     tried: int
     sharp: bool
+    full: bool
 
 
 @dataclass(frozen=True)
@@ -107,31 +110,19 @@ class Whitened:
         white -= self.basis @ (self.basis.T @ white)
         return white
 
-    def log_p(self, white: np.ndarray, onset: int | None = None) -> float:
-        """ln p that the error is free of a condition, of its whitened columns (n, k).
-
-        onset: the bin of a sudden change.  Innovations count in full where the change explains them better
-        than a stray reading or a shock in this bin would.
-        """
+    def log_p(self, white: np.ndarray, full: bool = False) -> float:
+        """ln p that the error is free of a condition, of its whitened columns (n, k); full: innovations count
+        in full."""
         root = _root(white)
         if root is None:
             return 0.0
-        full, rank = _square(root.T @ (white.T @ self.e)), root.shape[1]
-        size = _square(root.T @ (white.T @ _clipped(self.e)))
-        if onset is not None and full > self._shock(onset) + INTERVAL:
-            size = full
+        e, rank = self.e if full else _clipped(self.e), root.shape[1]
+        size = _square(root.T @ (white.T @ e))
         if _log_tail(size, rank) > POSSIBLE:
             return _log_tail(size, rank)
         left = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
         daily = np.add.reduceat(white * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
         return _log_tail(size / max(1.0, _square(daily @ root) / rank), rank)
-
-    def _shock(self, at: int) -> float:
-        """Statistic of a stray reading in a bin, or of a shock that the process itself forgets."""
-        stray = np.zeros((len(self.e), 1))
-        stray[at] = 1.0
-        white = self.whitened(stray)[:, 0]
-        return max(float(self.e[at] ** 2), float(white @ self.e) ** 2 / max(_square(white), 1e-300))
 
     def effect(self, columns: np.ndarray) -> np.ndarray:
         """(n,) what columns (n, k) explain of the error, by generalised least squares."""
@@ -159,27 +150,35 @@ class Whitened:
         """The likeliest lasting change of the readings, or of a flow.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
-        what is behind t.  Its information is that in a record without holes.
+        what is behind t.  Its information is that in a record without holes.  Innovations count in full where
+        the change explains them better than a stray reading at its date, or a shock that the process itself
+        forgets.
         """
         from scipy.signal import lfilter
 
         count, left = len(self.e), np.exp(-self.step_h / self.tau_h)
-        ahead = np.column_stack([self._adjoint(one) for one in (_clipped(self.e), *self.basis.T)])[::-1]
+        told = np.column_stack([self._adjoint(one) for one in (self.e, _clipped(self.e), *self.basis.T)])
+        ahead = told[::-1]
         direct = np.cumsum(ahead, axis=0)
         sums = np.stack([direct, direct - left * lfilter([1.0], [1.0, -left], ahead, axis=0)], axis=1)[::-1]
         first = round(EDGE * count)
-        step = (np.arange(count) >= first).astype(float)[:, None]
+        place = np.arange(count)
+        step, stray = (place >= first)[:, None].astype(float), (place == first)[:, None].astype(float)
         steady = filtered(self.known.course, self.known.variances, np.zeros(count))
-        white = steady.whitened(np.column_stack([step, self.low_passed(step)]))[first:]
-        within = np.arange(first, count - first)
+        white = steady.whitened(np.column_stack([step, self.low_passed(step), stray]))[first:]
+        within = place[first : count - first]
         within = within[np.isfinite(self.error[within])]
-        square = np.cumsum(white[:, :, None] * white[:, None, :], axis=0)[count - 1 - within]
-        beside = sums[within, :, 1:]
-        square = np.einsum("nii->ni", square - beside @ np.swapaxes(beside, 1, 2))
-        value = np.where(square > 0.0, sums[within, :, 0] ** 2 / np.maximum(square, 1e-300), 0.0)
+        square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - within]
+        square = square - (sums[within, :, 2:] ** 2).sum(axis=2)
+        safe = np.where(square > 0.0, square, np.inf)
+        whole, bounded = (sums[within, :, one] ** 2 / safe for one in range(2))
+        shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))[within]
+        full = whole > shock[:, None] + LEAD
+        value = np.where(full, whole, bounded)
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
+        sharp = likely * self.step_h <= SHARP_H
+        return Change(int(within[best]), bool(flow), value.size, sharp, bool(full[best, flow]))
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""
