@@ -81,7 +81,7 @@ class Condition:
 
     @property
     def flow(self) -> bool:
-        """Whether a flow under the condition leaves another course than a change of the readings."""
+        """Whether a flow under the condition leaves a course of its own, unlike that of a lag or a wave."""
         return self.group in ("episodes", "drivers") and self.kind != "lag"
 
     def worst(self, effect: np.ndarray) -> tuple[int, int]:

@@ -23,6 +23,8 @@ import numpy as np
 
 from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 
+SLOWER = 4.0
+"""[1] time constant of a slower mass over that of the low pass."""
 POSSIBLE = math.log(0.05)
 """ln p above which the scatter of the days does not matter any more."""
 EDGE = 0.05
@@ -90,18 +92,20 @@ class Whitened:
 
     def columns(self, condition: np.ndarray, flow: bool) -> np.ndarray:
         """Columns (n, k) of a condition (n, m), NaN = unknown, less their means; with `flow` also those that
-        it leaves if it acts as a flow."""
+        it leaves if it acts as a flow on the air, or on a slower mass."""
         there = np.isfinite(condition)
         known = np.where(there, condition, 0.0)
         mean = known.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
         centred = np.where(there, known - mean, 0.0)
-        return np.column_stack([centred, self.low_passed(centred)]) if flow else centred
+        if not flow:
+            return centred
+        return np.column_stack([centred, self.low_passed(centred), self.low_passed(centred, SLOWER)])
 
-    def low_passed(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (n, k) behind the low pass: τ dz/dt = −z + column."""
+    def low_passed(self, columns: np.ndarray, slower: float = 1.0) -> np.ndarray:
+        """Columns (n, k) behind the low pass: τ dz/dt = −z + column, with τ by so much longer."""
         from scipy.signal import lfilter
 
-        left = np.exp(-self.step_h / self.tau_h)
+        left = np.exp(-self.step_h / (slower * self.tau_h))
         return lfilter([1.0 - left], [1.0, -left], columns, axis=0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
