@@ -40,7 +40,7 @@ MONTH_H = 240.0
 SECTORS = 12
 SHORTEST_H = 6.0
 """[h] shortest time for which a condition must hold to be tested."""
-LARGEST_PART = 0.6
+LARGEST_PART = 0.5
 """[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
 GROUPS = {
     "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes",
