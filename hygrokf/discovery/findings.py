@@ -111,7 +111,7 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
-        return min(0.0, under.log_p(table, change.full) + math.log(change.tried))
+        return min(0.0, under.log_p(table, full=True) + math.log(change.tried))
 
     ends = np.cumsum([one.shape[1] for one in state.columns])[:-1]
     tables = np.split(white.whitened(np.column_stack(state.columns)), ends, axis=1)

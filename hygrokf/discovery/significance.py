@@ -32,6 +32,10 @@ EDGE = 0.05
 INTERVAL = 4.0
 """Statistic by which a date is worse than the best at the end of its 95 % interval."""
 
+ROUNDING = 1e-12
+"""Share of a column's square beside the nuisance that is rounding."""
+NEAR = 2
+"""Bins around a change within which something that does not last may explain it."""
 LEAD = 2.0
 """Statistic by which a change must explain the readings better than something that does not last."""
 SHARP_H = 1.0
@@ -41,13 +45,12 @@ SHARP_H = 1.0
 @dataclass(frozen=True)
 class Change:
     """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
-    sure to the hour, and whether innovations count in full."""
+    sure to the hour."""
 
     first: int
     flow: bool
     tried: int
     sharp: bool
-    full: bool
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,9 @@ class Whitened:
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, k) in the innovations, without the nuisance."""
         white = self.known.whitened(columns)
+        before = np.einsum("ni,ni->i", white, white)
         white -= self.basis @ (self.basis.T @ white)
+        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * before] = 0.0
         return white
 
     def log_p(self, white: np.ndarray, full: bool = False) -> float:
@@ -154,14 +159,15 @@ class Whitened:
         """The likeliest lasting change of the readings, or of a flow.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
-        what is behind t.  Its information is that in a record without holes.  Innovations count in full where
-        the change explains them better than a stray reading at its date, or a shock that the process itself
-        forgets.
+        what is behind t.  Its information is that in a record without holes.  Innovations count in full, so a
+        change must explain them better than a stray reading near its date, or a shock that the process itself
+        forgets, does.
         """
+        from scipy.ndimage import maximum_filter1d
         from scipy.signal import lfilter
 
         count, left = len(self.e), np.exp(-self.step_h / self.tau_h)
-        told = np.column_stack([self._adjoint(one) for one in (self.e, _clipped(self.e), *self.basis.T)])
+        told = np.column_stack([self._adjoint(one) for one in (self.e, *self.basis.T)])
         ahead = told[::-1]
         direct = np.cumsum(ahead, axis=0)
         sums = np.stack([direct, direct - left * lfilter([1.0], [1.0, -left], ahead, axis=0)], axis=1)[::-1]
@@ -173,16 +179,14 @@ class Whitened:
         within = place[first : count - first]
         within = within[np.isfinite(self.error[within])]
         square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - within]
-        square = square - (sums[within, :, 2:] ** 2).sum(axis=2)
+        square = square - (sums[within, :, 1:] ** 2).sum(axis=2)
         safe = np.where(square > 0.0, square, np.inf)
-        whole, bounded = (sums[within, :, one] ** 2 / safe for one in range(2))
-        shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))[within]
-        full = whole > shock[:, None] + LEAD
-        value = np.where(full, whole, bounded)
+        value = sums[within, :, 0] ** 2 / safe
+        shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))
+        value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] + LEAD] = 0.0
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        sharp = likely * self.step_h <= SHARP_H
-        return Change(int(within[best]), bool(flow), value.size, sharp, bool(full[best, flow]))
+        return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""
