@@ -151,9 +151,7 @@ def _flag(
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     column = flag.astype(float) if share is None else share
     bins = np.where(flag, 0, 1)
-    return Condition(
-        kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True
-    )
+    return Condition(kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:

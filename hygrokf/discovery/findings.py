@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -65,7 +65,8 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
     another.  A finding must be significant (weighted Benjamini–Hochberg: episodes, hour, calendar and drivers
     have equal shares of the level), material (0.2 RMSE) and more than the sensors' accuracy explains.
 
-    A quantity with errors in fewer than 72 hours has no findings.
+    A quantity with errors in fewer than 72 hours has no findings.  Raises KeyError for one whose time
+    constant the residuals do not hold.
     """
     hours = binned(residuals, BIN_H)
     known = conditions(hours)
@@ -107,7 +108,6 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     step = white.columns(state.conditions[-1].basis, False)
     state.columns.append(white.low_passed(step) if change.flow else step)
 
-
     def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
@@ -129,7 +129,8 @@ def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
         return []
     groups = [one.group for one in states[0].conditions]
     weights = np.array([1.0 / groups.count(group) for group in groups])
-    q = benjamini_hochberg(np.exp(np.concatenate([one.log_p for one in states])), np.tile(weights, len(states)))
+    p = np.exp(np.concatenate([one.log_p for one in states]))
+    q = benjamini_hochberg(p, np.tile(weights, len(states)))
     return list(q.reshape(len(states), -1))
 
 
@@ -184,8 +185,9 @@ def _described(hours: Hours, state: _State, number: int, effect: np.ndarray, q: 
     half = 1800.0 * hours.step_h
     found = Finding(
         state.quantity, where, when, abs(size), UNITS[state.quantity], "too low" if size > 0 else "too high",
-        duration, int((means >= SEEN * abs(size)).sum()), len(episodes), share, "", math.exp(state.log_p[number]), q,
-        condition.driver or None, condition.kind, condition.curve(error, hours.step_h),
+        duration, int((means >= SEEN * abs(size)).sum()), len(episodes), share, "",
+        math.exp(state.log_p[number]), q, condition.driver or None, condition.kind,
+        condition.curve(error, hours.step_h),
         tuple(
             (float(hours.time_s[a] - half), float(hours.time_s[b - 1] + half))
             for a, b in (episodes[i] for i in np.argsort(-means, kind="stable"))

@@ -30,14 +30,12 @@ POSSIBLE = math.log(0.05)
 EDGE = 0.05
 """[1] share of the record at either end in which no change is looked for."""
 INTERVAL = 4.0
-"""Statistic by which a date is worse than the best at the end of its 95 % interval."""
+"""Statistic by which one explanation must lead another to be clearly better: that of a 95 % interval."""
 
 ROUNDING = 1e-12
 """Share of a column's square beside the nuisance that is rounding."""
 NEAR = 2
 """Bins around a change within which something that does not last may explain it."""
-LEAD = 2.0
-"""Statistic by which a change must explain the readings better than something that does not last."""
 SHARP_H = 1.0
 """[h] longest interval of a date that is sure."""
 
@@ -159,9 +157,9 @@ class Whitened:
         """The likeliest lasting change of the readings, or of a flow.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
-        what is behind t.  Its information is that in a record without holes.  Innovations count in full, so a
-        change must explain them better than a stray reading near its date, or a shock that the process itself
-        forgets, does.
+        what is behind t.  Its information is that in a record without holes.  Innovations count in full;
+        dates near which a stray reading, or a shock that the process itself forgets, explains them clearly
+        better are left out.
         """
         from scipy.ndimage import maximum_filter1d
         from scipy.signal import lfilter
@@ -183,7 +181,7 @@ class Whitened:
         safe = np.where(square > 0.0, square, np.inf)
         value = sums[within, :, 0] ** 2 / safe
         shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))
-        value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] + LEAD] = 0.0
+        value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
         return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
