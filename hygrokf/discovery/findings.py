@@ -84,15 +84,13 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
         adjusted = _adjusted(states)
         changed = []
         for state, q in zip(states, adjusted, strict=True):
-            surest = _surest(state, q, level)
-            if surest is None:
-                continue
-            number, effect = surest
-            one = _described(hours, state, number, effect, float(q[number]))
-            if one is not None:
-                found.append(one)
-            _take_out(state, number)
-            changed.append(state)
+            for number in np.argsort(state.log_p, kind="stable"):
+                one = _described(hours, state, number, float(q[number])) if q[number] <= level else None
+                if one is not None:
+                    found.append(one)
+                    _take_out(state, number)
+                    changed.append(state)
+                    break
         if not changed:
             break
     rmse = {state.quantity: state.rmse for state in states}
@@ -134,23 +132,6 @@ def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
     return list(q.reshape(len(states), -1))
 
 
-def _surest(state: _State, q: np.ndarray, level: float) -> tuple[int, np.ndarray] | None:
-    """The surest condition whose effect the free run shows, and that effect (n,); None where there is none.
-
-    Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run
-    is none of it: the model makes up for it in the mean.
-    """
-    error = state.white.error
-    known = np.isfinite(error)
-    for i in np.argsort(state.log_p, kind="stable"):
-        if q[i] <= level:
-            effect = state.white.effect(state.columns[i])
-            inside = effect[known] - effect[known].mean()
-            if 2.0 * inside @ error[known] > inside @ inside:
-                return int(i), np.where(known, effect, np.nan)
-    return None
-
-
 def _take_out(state: _State, number: int) -> None:
     """What the condition explains; its bins, and all on the same driver, are tested no more."""
     condition = state.conditions[number]
@@ -163,10 +144,18 @@ def _take_out(state: _State, number: int) -> None:
     state.white = state.white.without(state.columns[number], np.column_stack([bins, *kin]))
 
 
-def _described(hours: Hours, state: _State, number: int, effect: np.ndarray, q: float) -> Finding | None:
-    """The finding in numbers and words; None where it is immaterial."""
+def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | None:
+    """The finding in numbers and words; None where it is immaterial, or where the free run does not show it.
+
+    Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run
+    is none of it: the model makes up for it in the mean.
+    """
     condition, error = state.conditions[number], state.white.error
     known = np.isfinite(error)
+    effect = np.where(known, state.white.effect(state.columns[number]), np.nan)
+    course = effect[known] - effect[known].mean()
+    if 2.0 * course @ error[known] <= course @ course:
+        return None
     first, last = condition.worst(effect)
     inside = condition.inside(first, last)
     under, rest = known & inside, known & ~inside & (condition.bins >= 0)
