@@ -125,7 +125,6 @@ def test_nothing_hidden_hardly_anything_found() -> None:
 
 @pytest.mark.slow
 def test_at_most_one_in_twenty_records_without_an_effect_has_a_finding() -> None:
-    """150 records of two quantities: 2 had one."""
     assert np.mean([bool(findings(made(seed))) for seed in range(100, 250)]) <= 0.05
 
 
