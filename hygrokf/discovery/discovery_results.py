@@ -42,8 +42,8 @@ class Finding:
 
     quantity: "temperature" or "humidity"; unit: K or g/m³.
     where, when: the condition in words, empty for any.
-    size: typical error under the condition less that elsewhere (less that in the hours around it where the
-        condition sets in sharply); direction: of the simulation.
+    size: mean effect under the condition less that elsewhere, by generalised least squares under the error
+        model; direction: of the simulation.
     duration_h: [h] for how long of an episode, or NaN.
     n_episodes: in which it is seen, of n_possible.
     sensor_share: [1] of its square that the sensors' accuracy explains.
