@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.data.clocks import Shift, shifted
+from hygrokf.data.clocks import shifted
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
 from hygrokf.discovery.final_set import FinalSet
@@ -38,7 +38,7 @@ def fit_of(
 
     doubts: about the hygric constant, beside those about the record.
     """
-    record = shifted(record, *clock_shifts(final))
+    record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
@@ -47,11 +47,6 @@ def fit_of(
     doubted = {**known, "hygric": (*known.get("hygric", ()), *doubts)} if doubts else known
     results = replace(fit.results, criterion=final.estimator, doubted=doubted)
     return replace(fit, results=with_verdicts(results))
-
-
-def clock_shifts(final: FinalSet) -> list[Shift]:
-    """The corrections of clocks of a set."""
-    return [Shift(name, seconds) for name, seconds in final.estimate.simulator.scene.shifts.items()]
 
 
 def final_designs(final: FinalSet) -> tuple[Design, ...]:

@@ -13,9 +13,9 @@ from functools import wraps
 
 import numpy as np
 
-from hygrokf.data.clocks import sources
+from hygrokf.data.clocks import in_america, sources
 from hygrokf.data.record import Record
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.modelling.derived_inputs import operating
 from hygrokf.modelling.design import Design
@@ -28,6 +28,8 @@ inputs."""
 DATES = 23
 SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
+IN_SUMMER = ":summer_time"
+"""What follows the source in the code of a clock that is off in summer time only."""
 AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 
@@ -49,7 +51,8 @@ class Form:
     heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
     steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
-    freed: parameter of the base that loses its prior; together: whether every quantity must gain.
+    summer: whether they do in summer time only; freed: parameter of the base that loses its prior.
+    together: whether every quantity must gain.
     windows: whether its `door_open` is sought in the innovations.
     """
 
@@ -62,6 +65,7 @@ class Form:
     steps: Mapping[tuple[str, str], float] = field(default_factory=dict)
     altered: Mapping[str, Settings] = field(default_factory=dict)
     clock: str = ""
+    summer: bool = False
     freed: str = ""
     together: bool = False
     windows: bool = False
@@ -278,13 +282,21 @@ def clock(ground: Ground) -> list[Form]:
     known = sources(ground.record)
     names = [name for name, signals in known.items() if main & set(signals)]
     names = names[: {1: 0, 2: 1}.get(len(known))]
-    return [
+    found = [
         Form(
             "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H),
             steps={("clock", "shift_s"): 0.125 * HOUR_S}, clock=name,
         )
         for name in names
     ]  # fmt: skip
+    summer = summer_time(ground.record["cabinet_temperature"].time, in_america(ground.record))
+    if summer.all() or not summer.any():
+        return found
+    hours = (Setting(shift_s=-HOUR_S), Setting(shift_s=HOUR_S))
+    return [
+        *found,
+        *(Form("clock_shift", f"{one}{IN_SUMMER}", grid=hours, clock=one, summer=True) for one in names),
+    ]
 
 
 def temperature_offset(ground: Ground) -> list[Form]:

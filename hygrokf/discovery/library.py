@@ -97,7 +97,8 @@ LIBRARY: tuple[Cause, ...] = (
         "clock_shift", "one source's clock is off",
         "set the clock, or state the zone and the stamp of the source",
         "an event that all sources see", clock,
-        tried="one source's stamps, by a constant; of two sources only the difference shows",
+        tried="one source's stamps, by a constant or by an hour in summer time; of two sources only "
+        "the difference shows",
     ),
     Cause(
         "rain_ingress", "rain enters and evaporates",

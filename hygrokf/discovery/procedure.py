@@ -17,7 +17,7 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
-from hygrokf.discovery.as_fit import clock_shifts, fit_of
+from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion, concluded
 from hygrokf.discovery.discovery_results import (
@@ -165,7 +165,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     if ended.extended is not None:
         doubts = (WET_SENSOR,) if any(_wet(one) for one in ended.accepted) else ()
         extended = fit_of(record, ended.extended, say, doubts)
-        after = residuals(extended, shifted(record, *clock_shifts(ended.extended)))
+        after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
     say("what is left")
     left = _lines(ended)
     results = DiscoveryResults(

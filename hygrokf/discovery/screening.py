@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered
 from hygrokf.discovery.estimate import Columns, Estimate, frame, slopes
@@ -86,7 +87,9 @@ def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...]
     vapour = None
     if before.vapour is not None:
         vapour = _wider(_altered(before.vapour, form.altered), form.vapour, setting.features)
-    scene = before.scene.moved(form.clock, setting.shift_s) if form.clock else before.scene
+    scene = before.scene
+    if form.clock:
+        scene = scene.moved(Shift(form.clock, setting.shift_s, form.summer))
     limits = {**before.limits, **form.limits}
     if form.freed and vapour is not None:
         vapour = _without_prior(vapour, form.freed)

@@ -151,7 +151,7 @@ def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, sea
     new = added(parent, one.simulator)
     gains, number, evidence = {}, 0, -2.0 * math.log(max(searched, 1)) - setting.price
     for q in one.quantities:
-        gains[q] = parent.deviances[q] - one.deviances[q]
+        gains[q] = float(parent.deviances[q] - one.deviances[q])
         constants = sum(one.simulator.affects(p.name)[0] == q for p in new)
         constants += (bool(form.clock) and q == "temperature") + (bool(form.freed) and q == "vapour")
         readings = int(np.isfinite(one.residual(q)).sum())

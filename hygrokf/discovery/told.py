@@ -85,7 +85,7 @@ def _settings(one: Candidate, record: Record) -> Settings:
     are only two."""
     found = {key: value for settings in one.setting.features.values() for key, value in settings.items()}
     if one.form.clock:
-        found |= {"source": one.form.clock, "shift_s": one.setting.shift_s}
+        found |= {"source": one.form.clock, "shift_s": one.setting.shift_s, "summer": one.form.summer}
         others = [name for name in sources(record) if name != one.form.clock]
         found |= {"relative_to": others[0]} if len(others) == 1 else {}
     return found
@@ -93,7 +93,7 @@ def _settings(one: Candidate, record: Record) -> Settings:
 
 def _remedy(cause: Cause, one: Candidate) -> str:
     """What to check, and for an error of a clock the line that corrects it until then."""
-    if not one.form.clock:
+    if not one.form.clock or one.form.summer:
         return cause.remedy
     line = f'clock_correction = "{one.setting.shift_s / 60.0:+.4g}min"'
     place = f"in each [[source]] of {one.form.clock} in the case file"

@@ -17,6 +17,7 @@ from hygrokf.discovery.discovery_results import (
     Line,
     Settings,
 )
+from hygrokf.discovery.forms import IN_SUMMER
 from hygrokf.discovery.judgement import WORSE_GROWTH, WORSE_Z
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.identification.verdict import inherited
@@ -140,9 +141,15 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+def form_words(code: str) -> str:
+    """A form in words; of a clock its source."""
+    source, summer, _ = code.partition(IN_SUMMER)
+    return f"{source}, in summer time" if summer else FORMS.get(code, code)
+
+
 def formed(cause: str, form: str) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    words = FORMS.get(form, form)
+    words = form_words(form)
     return f"{spoken(cause)} ({words})" if words else spoken(cause)
 
 
@@ -418,7 +425,7 @@ def alike_sentence(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
-        forms = listed((FORMS.get(form, form) or "as given" for form in cause.forms_alike), "or")
+        forms = listed((form_words(form) or "as given" for form in cause.forms_alike), "or")
         said.append(f"in this form or {forms}: this record cannot tell these apart")
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
@@ -484,7 +491,8 @@ def _setting_words(key: str, value: Any, settings: Settings) -> list[str]:
     if key == "shift_s":
         source = settings.get("source", "the source")
         other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
-        return [f"stamps of {source} moved by {fixed(value / 60.0, 1)} min{other}"]
+        when = " in summer time" if settings.get("summer") else ""
+        return [f"stamps of {source} moved by {fixed(value / 60.0, 1)} min{when}{other}"]
     if key == "days":
         return [f"over {plain_number(value)} days"] if value else []
     if key == "start_h":
