@@ -166,7 +166,7 @@ def pages() -> dict[str, str]:
     head = [
         heading("Causes", "="),
         "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
-        "causes are tried and accepted: :doc:`/explanation/discover_decides`. A cause of your own:",
+        "causes are tried and accepted: :doc:`/explanation/discover`. A cause of your own:",
         ":doc:`/how_to/own_cause`.",
         "",
     ]  # fmt: skip
