@@ -59,7 +59,8 @@ Chosen = tuple[Form, Setting]
 class Candidate:
     """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence.
 
-    alike: codes of the cause's other forms that the record cannot tell from it.
+    lacking: whether a quantity does not gain that must; alike: codes of the cause's other forms that the
+    record cannot tell from it.
     """
 
     form: Form
@@ -69,6 +70,7 @@ class Candidate:
     constants: int
     evidence: float
     in_days: float
+    lacking: bool = False
     alike: tuple[str, ...] = ()
 
     @property
@@ -149,19 +151,19 @@ def _free(one: Estimate, form: Form) -> list[str]:
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
     """What a child is worth beside its parent; evidence in days only where the evidence would do."""
     new = added(parent, one.simulator)
-    gains, number, evidence = {}, 0, -2.0 * math.log(max(searched, 1)) - setting.price
+    gains, number, lacking = {}, 0, False
+    evidence = -2.0 * math.log(max(searched, 1)) - setting.price
     for q in one.quantities:
         gains[q] = float(parent.deviances[q] - one.deviances[q])
         constants = sum(one.simulator.affects(p.name)[0] == q for p in new)
         constants += (bool(form.clock) and q == "temperature") + (bool(form.freed) and q == "vapour")
         readings = int(np.isfinite(one.residual(q)).sum())
         paid = gains[q] - constants * math.log(max(readings, 2))
-        if form.together and constants and paid <= 0.0:
-            evidence = -math.inf
+        lacking |= form.together and constants > 0 and paid <= 0.0
         number += constants
         evidence += max(0.0, paid)
     factor = day_factor(parent, one) if evidence >= THRESHOLD else 1.0
-    return Candidate(form, setting, one, gains, number, evidence, evidence / factor)
+    return Candidate(form, setting, one, gains, number, evidence, evidence / factor, lacking)
 
 
 def day_factor(parent: Estimate, one: Estimate) -> float:
@@ -236,9 +238,11 @@ def _jumps(
     values, setting = best.estimate.values, best.setting
     new = added(parent, best.estimate.simulator)
     sizes = amplitudes(new)
-    for factor in (2.5, 0.4) if sizes else ():
-        moved = {p.name: (p.null or 0.0) + factor * (values[p.name] - (p.null or 0.0)) for p in sizes}
-        yield setting, values | {p.name: _within(p, moved[p.name]) for p in sizes}
+    # an effect on two quantities may be right in one and stuck in the other
+    for moved in [sizes, *([p] for p in sizes if len(sizes) > 1)]:
+        for factor in (2.5, 0.4) if moved else ():
+            grown = {p.name: (p.null or 0.0) + factor * (values[p.name] - (p.null or 0.0)) for p in moved}
+            yield setting, values | {p.name: _within(p, grown[p.name]) for p in moved}
     for p in new:
         for sign in (1.0, -1.0) if p not in sizes else ():
             further = 1.5**sign if p.positive else 1.0
@@ -376,7 +380,7 @@ class Search:
 
     def _earns(self, one: Candidate) -> bool:
         others = [a for a in self.accepted if a.candidate.cause != one.cause]
-        return one.strength >= (FURTHER if beside(one, others) else THRESHOLD)
+        return not one.lacking and one.strength >= (FURTHER if beside(one, others) else THRESHOLD)
 
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
         child = levelled(foreseen(self.parent, one))
