@@ -16,7 +16,7 @@ import numpy as np
 
 from hygrokf.data.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.error_model import filtered
+from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Columns, Estimate, frame, slopes
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.simulator import Simulator
@@ -283,18 +283,76 @@ EVERY_S = 900.0
 MOST_WINDOWS = 12
 
 
+EDGES_H = (-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
+"""[h] by which the edges of a window are moved."""
+EXCHANGES = (0.5, 3.0, 15.0)
+"""Sizes of an open door's exchange at which windows are run, in units of the cabinet's own."""
+
+
 def _windows(parent: Parent, form: Form) -> list[Screened]:
-    found = openings(parent.estimate, form, identified=True)
+    one = parent.estimate
+    found = openings(one, form, identified=True)
     if not found.spans:
         return []
-    setting = Setting({"door_open": {"spans": found.spans}}, price=found.price * len(found.spans))
-    wider = widened(parent.estimate, form, setting)
-    sizes = amplitudes(added(parent.estimate, wider))
-    row = start_values(parent.estimate, wider, setting)
-    unit = {
-        p.name: np.array([SMALL * size_of(p) * found.size[q]]) for p in sizes for q in wider.affects(p.name)
-    }
-    return _run(parent, replace(form, grid=(setting,)), wider, sizes, [0], [row], {}, unit)
+    spans, sizes, gain = _edged(one, form, found.spans)
+    setting = Setting({"door_open": {"spans": spans}}, price=found.price * len(spans))
+    return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
+
+
+def _edged(
+    one: Estimate, form: Form, spans: list[list[float]]
+) -> tuple[list[list[float]], dict[str, float], float]:
+    """Windows whose edges are those of the best real runs, with the sizes and the gain there: a matched
+    filter sees an opening late, and as if its effect were there at once."""
+    wider = widened(one, form, form.grid[0], ("door_open",))
+    sizes = amplitudes(added(one, wider))
+    rest = start_values(one, wider, form.grid[0])
+
+    def gains(trials: list[list[list[float]]]) -> dict[str, np.ndarray]:
+        """(sizes, trials) of each amplitude."""
+        columns = {"door_open": [wider.column("door_open", {"spans": spans}) for spans in trials]}
+        found = {}
+        for p in sizes:
+            found[p.name] = np.zeros((len(EXCHANGES), len(trials)))
+            for i, size in enumerate(EXCHANGES):
+                theta = wider.vector({**rest, p.name: size})[:, None].repeat(len(trials), axis=1)
+                for q in wider.affects(p.name):
+                    known, r = one.filtered[q], one.simulator.scene.readings[q]
+                    read = np.where(r.identified, r.value, np.nan)[:, None]
+                    white = known.whitened(read - wider.simulated(theta, q, columns))
+                    before = loss(np.nan_to_num(known.standardised), known.bound).sum()
+                    found[p.name][i] += before - loss(white, known.bound).sum(axis=0)
+        return found
+
+    for edge in (0, 1):
+        trials = [spans]
+        for i in range(len(spans)):
+            for hours in EDGES_H:
+                moved = [list(span) for span in spans]
+                moved[i][edge] += 3600.0 * hours
+                trials.append(moved if moved[i][0] < moved[i][1] else spans)
+        total = sum(np.max(one, axis=0) for one in gains(trials).values())
+        best = [list(span) for span in spans]
+        for i in range(len(spans)):
+            mine = slice(1 + i * len(EDGES_H), 1 + (i + 1) * len(EDGES_H))
+            place = mine.start + int(np.argmax(total[mine]))
+            if total[place] > total[0]:
+                best[i] = trials[place][i]
+        spans = _apart(best)
+    at = gains([spans])
+    chosen = {name: EXCHANGES[int(np.argmax(gain[:, 0]))] for name, gain in at.items()}
+    return spans, chosen, float(sum(gain.max() for gain in at.values()))
+
+
+def _apart(spans: list[list[float]]) -> list[list[float]]:
+    """Windows in order; those that overlap are one."""
+    found: list[list[float]] = []
+    for first, last in sorted(spans):
+        if found and first <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], last)
+        else:
+            found.append([first, last])
+    return found
 
 
 @dataclass(frozen=True)
