@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.clocks import shifted
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.as_fit import clock_shifts, fit_of
+from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import final_estimator, final_set
 from hygrokf.discovery.residuals import Residuals, residuals, root_mean_square
@@ -79,7 +79,7 @@ class Ground:
 def free_run(record: Record, one: Estimate) -> Residuals:
     """Residuals of an estimate with the parameters with which `discover` would end."""
     final = final_set(one, final_estimator(one))
-    return residuals(fit_of(record, final), shifted(record, *clock_shifts(final)))
+    return residuals(fit_of(record, final), shifted(record, *final.estimate.simulator.scene.shifts))
 
 
 def ground(record: Record) -> Ground:
