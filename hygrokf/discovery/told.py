@@ -23,7 +23,7 @@ from hygrokf.discovery.library import named
 from hygrokf.discovery.search import SENSOR, WATER, Accepted, Candidate
 from hygrokf.physics.parameters import Parameter
 
-CONFIDENCE = (-1.0, 0.5, 0.02)
+CONFIDENCE = (-6.1, 1.24, 0.01)
 """Constant, weight of ln of the evidence in days, and weight of its lead in days: of the logistic
 confidence."""
 SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
