@@ -25,15 +25,17 @@ def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[Gain,
     before, after: residuals of both models' free runs; the same ones without an extended model.
     """
     spans = _openings(ended)
+    # a corrected clock moves the instants of one model: no differences remain
+    together = np.array_equal(before.time_s, after.time_s)
     found = []
     for quantity in QUANTITIES:
         old = _outside(before.time_s, before.error(quantity), spans)
-        # a corrected clock moves the instants of one model
         new = _outside(after.time_s, after.error(quantity), spans)
         for period, chosen in (("validation", True), ("identification", False)):
             pair = old[before.validation == chosen], new[after.validation == chosen]
             if all(np.isfinite(one).any() for one in pair):
-                day = np.floor(before.time_s[before.validation == chosen] / DAY_S)
+                chosen_s = before.time_s[before.validation == chosen]
+                day = np.floor(chosen_s / DAY_S) if together else np.empty(0)
                 found.append(
                     _gain(quantity, period, *pair, day, _driven(ended, QUANTITY[quantity], chosen, spans))
                 )
@@ -80,15 +82,13 @@ def _driven(
 def _gain(
     quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
 ) -> Gain:
-    lower = upper = math.nan
-    if len(old) == len(new):
-        lower, upper = _bounds(old, new, day)
+    lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
     return Gain(quantity, period, _root(old), _root(new), lower, upper, *driven)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:
-    """95 % bounds of the fall of the root mean square: days are independent, the mean square's change is
-    normal."""
+    """95 % bounds of the fall of the root mean square at common instants: days are independent, the mean
+    square's change is normal."""
     both = np.isfinite(old) & np.isfinite(new)
     _, which = np.unique(day[both], return_inverse=True)
     if not len(which) or which.max() < 1:
