@@ -56,9 +56,8 @@ def final_designs(final: FinalSet) -> tuple[Design, ...]:
     for one in simulator.designs:
         features = dict(one.features)
         for name in set(features) & set(simulator.controls):
-            levels = [values[f"{name}_first"], values[f"{name}_second"]]
-            keys = [key for key in features[name] if key in ("on", "off", "on_K", "off_K", "start", "full")]
-            features[name] = {**features[name], **dict(zip(keys, levels, strict=True))}
+            levels = {"start": values[f"{name}_first"], "full": values[f"{name}_second"]}
+            features[name] = {**features[name], **levels}
         found.append(replace(one, features=features))
     return tuple(found)
 

@@ -22,7 +22,7 @@ from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import SWITCHES
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 SMALL = 0.1
 """Share of an effect's usual size at which its column is taken."""
@@ -158,8 +158,8 @@ def start_values(parent: Estimate, wider: Simulator, setting: Setting) -> dict[s
     values = {p.name: p.start for p in added(parent, wider)} | parent.values
     values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
     for name, settings in setting.features.items():
-        if name in SWITCHES and name in wider.controls:
-            first, second = SWITCHES[name](**settings).levels
+        if name in CONTROLLED and name in wider.controls:
+            first, second = Throttle(**settings).levels
             values |= {f"{name}_first": first, f"{name}_second": second}
     return values | dict(setting.values)
 
@@ -202,7 +202,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
 
 def _varied(form: Form) -> tuple[str, ...]:
     """Features whose settings differ within the grid and that no controller gives."""
-    names = {name for s in form.grid for name in s.features if name not in SWITCHES}
+    names = {name for s in form.grid for name in s.features if name not in CONTROLLED}
     return tuple(
         sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid))
     )

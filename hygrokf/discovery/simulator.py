@@ -21,7 +21,7 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import HUMIDITY, SWITCHES, TEMPERATURE, Switch
+from hygrokf.physics.switches import CONTROLLED, HUMIDITY, TEMPERATURE, Throttle
 
 OUTPUT = {
     "temperature": ("cabinet_temperature",),
@@ -83,27 +83,28 @@ class Simulator:
     @cached_property
     def controls(self) -> tuple[str, ...]:
         inputs = {name for one in self.designs for name in one.model.inputs}
-        return tuple(name for name in SWITCHES if name in inputs)
+        return tuple(name for name in CONTROLLED if name in inputs)
 
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
         settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = SWITCHES[name](**settings)
+        switch = Throttle(**settings)
         warm = switch.reads == TEMPERATURE
         low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
-        does = ("starts", "stops") if isinstance(switch, Switch) else ("begins to act", "acts fully")
-        return tuple(
+        first, second = (
             Parameter(
-                f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {what}"
+                f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {does}"
             )
-            for word, level, what in zip(CONTROL, switch.levels, does, strict=False)
-        )  # type: ignore[return-value]
+            for word, level, does in (
+                ("first", switch.start, "begins to act"), ("second", switch.full, "acts fully"),
+            )
+        )  # fmt: skip
+        return first, second
 
-    def _steering(self, name: str) -> tuple[float, float, float]:
-        """Whether a controller has two positions, follows the humidity, acts at standstill only."""
+    def _steering(self, name: str) -> tuple[float, float]:
+        """Whether a controller follows the humidity, and acts at standstill only."""
         settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = SWITCHES[name](**settings)
-        two = isinstance(switch, Switch)
-        return float(two), float(switch.reads == HUMIDITY), float(switch.idle)
+        switch = Throttle(**settings)
+        return float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
         """The quantities that a parameter acts on."""
@@ -120,7 +121,7 @@ class Simulator:
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
         """The models that a quantity needs."""
-        damp = any(self._steering(c)[1] for c in self.controls)
+        damp = any(self._steering(c)[0] for c in self.controls)
         models = tuple(one.model for one in self.designs)
         key = (quantity, damp, self.own, *map(id, models))
         if key not in self.work.models:

@@ -417,7 +417,6 @@ class Likelihood:
         columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
-        own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
         code = filter_loop(self.recursion, "controlled", False, tuple(controls))
         steps = self._steps(values)
         for part in steps.pieces(self._whole):

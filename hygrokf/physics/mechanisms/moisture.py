@@ -273,9 +273,9 @@ def _above_plate(x: Space, u: Space, q: Space) -> Value:
     return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, EDGE)
 
 
-def switched_drying(plate: bool = True, flag: str = "drying") -> Mechanism:
-    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried per
-    hour.
+def switched_drying(plate: bool = True, flag: str = "throttled_drying") -> Mechanism:
+    """A drier that no signal reports (input `throttled_drying`): vapour release −d · throttled_drying · c,
+    d [1/h] the air dried per hour.
 
     c [g/m³] is the vapour of the cabinet air, all of which a desiccant takes; with `plate` only the excess
     over the 4.85 g/m³ above a plate at the freezing point.
@@ -289,7 +289,7 @@ def switched_drying(plate: bool = True, flag: str = "drying") -> Mechanism:
         flag, _above_plate if plate else cabinet_vapour,
         negative=True, inputs=("ambient_temperature", flag), settings={"plate": plate, "flag": flag},
         meaning="drying while the drier runs",
-        leaves="simulated humidity too high above a set-point, with hysteresis",
+        leaves="simulated humidity too high above a set-point",
         source=VAPOUR_BALANCE,
     )  # fmt: skip
 
