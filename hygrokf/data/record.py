@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from numbers import Real
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -390,11 +390,6 @@ class Record:
             raise ValueError(
                 f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
             )
-
-    @classmethod
-    def from_frames(cls, *_: object, **__: object) -> NoReturn:
-        """The former place of `hygrokf.read_frames`.  Raises AttributeError that says so."""
-        raise AttributeError("Record.from_frames is called hygrokf.read_frames now")
 
     @cached_property
     def signals(self) -> tuple[str, ...]:

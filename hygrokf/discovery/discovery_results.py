@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from hygrokf.data.structured import renamed
 from hygrokf.data.tabular import with_units
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit_results import FitResults, TimeConstant
@@ -278,7 +277,7 @@ class DiscoveryResults:
     repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     saturated: float = math.nan
     own_causes: Mapping[str, Any] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = renamed("misfits", default=())
+    findings: tuple[Finding, ...] = field(kw_only=True)
     left: tuple[Finding, ...] = ()
     doubts: tuple[str, ...] = ()
 

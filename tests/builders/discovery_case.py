@@ -202,7 +202,7 @@ def discovery_case() -> dict:
             "work": {"simulations": 4321, "budget": 40_000, "not_judged": []},
             "repeated": {},
             "saturated": 0.0,
-            "misfits": [_misfit()],
+            "findings": [_misfit()],
             "left": [],
         }
     )  # fmt: skip
@@ -276,9 +276,9 @@ def unfinished_case() -> dict:
 
 def empty_case() -> dict:
     """The plain data of a discovery that finds nothing."""
-    return _without_causes() | {"verdict": "none", "misfits": []}
+    return _without_causes() | {"verdict": "none", "findings": []}
 
 
 def typed(data: dict) -> DiscoveryResults:
-    """Results from plain data, in which `misfits` is what earlier files call the findings."""
+    """Results from plain data."""
     return structured(DiscoveryResults, data)

@@ -198,7 +198,7 @@ def test_what_the_extension_leaves_alone_is_drawn_once(whole: str) -> None:
 
 
 def test_an_event_is_shown_where_it_was_found() -> None:
-    found = discovery_case() | {"misfits": []}
+    found = discovery_case() | {"findings": []}
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
     found["causes"][0] |= {"cause": "door_opening", "form": "windows", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
@@ -456,7 +456,7 @@ def test_what_was_left_out_stands_in_order_of_its_evidence_with_its_reason() -> 
 def test_what_is_left_is_told_of_the_extended_model() -> None:
     assert "The errors of the extended model show no structure" in words(discovery_case())
     statement = "when it rains, simulated humidity is too low (9 h)"
-    left = discovery_case()["misfits"][0] | {"statement": statement}
+    left = discovery_case()["findings"][0] | {"statement": statement}
     found = discovery_case() | {"left": [left]}
     text = words(found).split("What is left")[1]
     assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
@@ -468,7 +468,7 @@ def test_what_is_left_is_told_of_the_extended_model() -> None:
 def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
     found = typed(discovery_case())
     data = plain(found)
-    assert "misfits" not in data and data["findings"][0]["p_adjusted"] == 1e-7
+    assert data["findings"][0]["p_adjusted"] == 1e-7
     again = typed(data)
     assert plain(again) == data and again.findings == found.findings
     assert plain(pickle.loads(pickle.dumps(found))) == data
@@ -511,7 +511,7 @@ def full_case() -> dict:
     """The plain data of a discovery that has a bit of everything."""
     return discovery_case() | {
         "refuted": refuted_case()["refuted"], "lines": unexplained_case()["lines"],
-        "left": discovery_case()["misfits"], "work": unfinished_case()["work"], "saturated": 0.05,
+        "left": discovery_case()["findings"], "work": unfinished_case()["work"], "saturated": 0.05,
         "doubts": ["a doubt"],
         "repeated": {"cabinet_temperature": [[ORIGIN_S, ORIGIN_S + 7200.0]]},
         "causes": [*discovery_case()["causes"], *ambiguous_case()["causes"]],
@@ -555,7 +555,7 @@ def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
 
 
 def test_a_discovery_of_nothing_gives_a_page_that_says_so() -> None:
-    found = DiscoveryResults("", "", "none", typed(discovery_case() | {"baseline": {}}).baseline)
+    found = DiscoveryResults("", "", "none", typed(discovery_case() | {"baseline": {}}).baseline, findings=())
     assert "unnamed record" in Page(page_html(discovery_blocks(found))).text
     assert page_text(discovery_blocks(found)).startswith("unnamed record")
 
