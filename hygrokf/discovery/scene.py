@@ -47,7 +47,6 @@ UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error where a run begins or goes on after a gap."""
 UNKNOWN_SHARE = 0.3
 """The same standard deviation of the vapour, as a share of its mean."""
-QUANTITIES = ("temperature", "vapour")
 AMBIENT_HUMIDITIES = (
     "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
 )  # fmt: skip

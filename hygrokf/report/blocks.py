@@ -23,8 +23,6 @@ INNOVATIONS = "Innovations: readings less their one-step predictions."
 SYNTHETIC_PAGE = "A computer made this record. Nothing on this page was measured."
 SYNTHETIC_RECORD = "A computer made at least one of these records: its numbers were not measured."
 
-Kind: TypeAlias = Literal["believe", "caution", "reject"]
-
 
 @dataclass(frozen=True)
 class Heading:

@@ -222,7 +222,8 @@ def test_settling_takes_the_transients_bias_off() -> None:
         found = heat_release_regression(record, reference_K=REFERENCE_K)
         fit, truth = found.standstill, one.truth.standstill_K
         assert fit.settled and fit.transient_K > 0.5
-        right = truth[0] + truth[1] * mean_warmth(fit) + dict(one.truth.biases).get("cabinet_temperature", 0.0)
+        bias = dict(one.truth.biases).get("cabinet_temperature", 0.0)
+        right = truth[0] + truth[1] * mean_warmth(fit) + bias
         # a regression with a constant has the mean of its response
         plain.append(fit.points.difference_K.mean() - right)
         settled.append(fit.points.fitted_K.mean() - right)
