@@ -202,8 +202,8 @@ def heat_release_regression(
     neither the sensors' accuracy nor omitted forms. Times at which a logged heater is on are left out.
     Between the powers of the periods the form is an interpolation.
 
-    A regime with too few periods is None, and the statement gives the reason. Source: equation (1), Fig. 3 and
-    Fig. 4 of the paper.
+    A regime with too few periods is None, and the statement gives the reason. Source: equation (1), Fig. 3
+    and Fig. 4 of the paper.
     """
     early = record.identification()
     missing = [name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name)]
@@ -280,7 +280,8 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
 
 
 def _supported_order(points: Periods) -> int:
-    """Largest order K, up to `LARGEST_ORDER`, for which each of K+1 equal parts of the power's range occurs in enough episodes.
+    """Largest order K, up to `LARGEST_ORDER`, for which each of K+1 equal parts of the power's range occurs
+    in enough episodes.
 
     Periods cluster near standstill and at rated power, because the wind in between is rarely steady.  Without
     this rule a curve through both ends would be unconstrained in the middle, where cross-validation has no
