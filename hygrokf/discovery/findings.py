@@ -53,11 +53,9 @@ class _State:
     log_p: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
-def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
+def findings(residuals: Residuals) -> list[Finding]:
     """The errors of the free run in the identification period, worst (in units of its RMSE) first, at most
     eight.
-
-    level: [1] share of false discoveries.
 
     Each condition (episodes, regimes, hours since a change, hour, season, level, rate and lag of every
     driver, drift and step, saturation) is tested on the free run's errors.  The surest is described and taken
@@ -85,7 +83,7 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
         changed = []
         for state, q in zip(states, adjusted, strict=True):
             for number in np.argsort(state.log_p, kind="stable"):
-                one = _described(hours, state, number, float(q[number])) if q[number] <= level else None
+                one = _described(hours, state, number, float(q[number])) if q[number] <= LEVEL else None
                 if one is not None:
                     found.append(one)
                     _take_out(state, number)

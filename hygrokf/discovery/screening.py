@@ -181,7 +181,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
     rows = [start_values(one, wider, setting) for setting in form.grid]
     columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
     given = {p.name: SMALL * size_of(p) for p in sizes}
-    theta = np.column_stack([wider.vector({**row, **_sized(row, sizes, given)}) for row in rows])
+    theta = np.column_stack([wider.vector({**row, **_sized(sizes, given)}) for row in rows])
     gain, found = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
     for p in sizes:
         for q in wider.affects(p.name):
@@ -208,9 +208,7 @@ def _varied(form: Form) -> tuple[str, ...]:
     )
 
 
-def _sized(
-    row: Mapping[str, float], sizes: Sequence[Parameter], found: Mapping[str, float]
-) -> dict[str, float]:
+def _sized(sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, float]:
     return {
         p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper))
         for p in sizes
@@ -235,7 +233,7 @@ def _run(
     for i in order:
         for factor in SIZES:
             size = {p.name: factor * float(found[p.name][i]) for p in sizes}
-            made.append(wider.vector({**rows[i], **_sized(rows[i], sizes, size)}))
+            made.append(wider.vector({**rows[i], **_sized(sizes, size)}))
             owned.append(i)
     theta = np.column_stack(made)
     own = {name: [part[i] for i in owned] for name, part in columns.items()}
@@ -375,7 +373,7 @@ def openings(one: Estimate, form: Form, identified: bool) -> Openings:
     sizes = amplitudes(added(one, wider))
     given = {p.name: SMALL * size_of(p) for p in sizes}
     row = start_values(one, wider, form.grid[0])
-    theta = wider.vector({**row, **_sized(row, sizes, given)})[:, None]
+    theta = wider.vector({**row, **_sized(sizes, given)})[:, None]
     scene = one.simulator.scene
     count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
     products, squares = np.zeros((2, len(one.quantities), count))
