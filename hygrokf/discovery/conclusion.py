@@ -12,10 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from hygrokf.discovery.candidates import Candidate
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
 from hygrokf.discovery.judgement import Judged, judged, scores
-from hygrokf.discovery.search import Accepted, Candidate, Found, beside, composed, effect_of, foreseen
+from hygrokf.discovery.search import Accepted, Found, beside, composed, effect_of, foreseen
 
 
 @dataclass(frozen=True)

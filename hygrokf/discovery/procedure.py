@@ -18,6 +18,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery.as_fit import fit_of
+from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion, concluded
 from hygrokf.discovery.discovery_results import (
@@ -38,7 +39,7 @@ from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import FURTHER, SENSOR, THRESHOLD, WATER, Accepted, Candidate, Found, search
+from hygrokf.discovery.search import FURTHER, Accepted, Found, search
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import cause_found, evidence_of, refuted_cause
 from hygrokf.identification.fit import Fit

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from hygrokf.data.clocks import sources
 from hygrokf.data.record import Record
+from hygrokf.discovery.candidates import SENSOR, WATER, Candidate
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion
 from hygrokf.discovery.discovery_results import (
@@ -20,7 +21,7 @@ from hygrokf.discovery.discovery_results import (
 from hygrokf.discovery.final_set import FinalSet
 from hygrokf.discovery.judgement import Judged
 from hygrokf.discovery.library import named
-from hygrokf.discovery.search import SENSOR, WATER, Accepted, Candidate
+from hygrokf.discovery.search import Accepted
 from hygrokf.physics.parameters import Parameter
 
 CONFIDENCE = (-6.1, 1.24, 0.01)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 from scipy.stats import chi2
 
+from hygrokf.discovery.candidates import Candidate, candidate, estimated
 from hygrokf.discovery.estimate import LIGHT, Estimate
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.screening import parent_of, screened
-from hygrokf.discovery.search import Candidate, candidate, estimated
 
 LEVEL = 0.05
 LIMIT_S = 45.0
