@@ -96,10 +96,10 @@ def test_few_constants_decide_and_each_has_a_reason() -> None:
 
 
 def test_a_constant_that_is_missing_or_stale_is_found() -> None:
-    text = "| `search`: `THRESHOLD=12` | a |\n| `error_model`: `TIMES_H=(1,2/3)`, `LEAST`, `GONE=2` | b |\n"
+    text = "| `candidates`: `THRESHOLD=12` | a |\n| `error_model`: `TIMES_H=(1,2/3)`, `LEAST`, `GONE=2` | b |\n"
     told = of_page(text)
     assert told == {
-        ("search", "THRESHOLD"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
+        ("candidates", "THRESHOLD"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
         ("error_model", "LEAST"): None, ("error_model", "GONE"): 2.0,
     }  # fmt: skip
     code = of_code()
