@@ -96,14 +96,14 @@ def test_few_constants_decide_and_each_has_a_reason() -> None:
 
 
 def test_a_constant_that_is_missing_or_stale_is_found() -> None:
-    text = "| `candidates`: `THRESHOLD=12` | a |\n| `error_model`: `TIMES_H=(1,2/3)`, `LEAST`, `GONE=2` | b |\n"
+    text = "| `search`: `FURTHER=12` | a |\n| `error_model`: `TIMES_H=(1,2/3)`, `LEAST`, `GONE=2` | b |\n"
     told = of_page(text)
     assert told == {
-        ("candidates", "THRESHOLD"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
+        ("search", "FURTHER"): 12.0, ("error_model", "TIMES_H"): (1.0, 2 / 3),
         ("error_model", "LEAST"): None, ("error_model", "GONE"): 2.0,
     }  # fmt: skip
     code = of_code()
-    assert code["search", "THRESHOLD"] == search.THRESHOLD != told["search", "THRESHOLD"]
+    assert code["search", "FURTHER"] == search.FURTHER != told["search", "FURTHER"]
     assert code["error_model", "TIMES_H"] == error_model.TIMES_H
     assert ("error_model", "GONE") not in code and ("search", "SENSOR") not in code
     assert assigned("A, b = 1, 2\nC: int = 3\n_D = 4\nE += 5\ndef f():\n    G = 1\n") == {"A", "C", "_D", "E"}
