@@ -96,7 +96,7 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Card:
-    """One number of the answer: label, value, bounds, verdict and its reason; `sentence` says it in one line.
+    """One number of the answer: label, value, bounds, verdict and its reason.
 
     `symbol`: the formula beside the label, with an underscore before an index ("R_D*·V*").  `kind`: the
     verdict; "" for an answer without one, whose edge then shows its `tone`: "open" a warning, "plain" none,
@@ -105,7 +105,6 @@ class Card:
 
     label: str
     value: str
-    sentence: str
     kind: str = ""
     bounds: str = ""
     reason: str = ""
@@ -171,10 +170,14 @@ class Figure:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are folded until a reader asks for them; a printed page shows them."""
+    """Blocks that are folded until a reader asks for them; a printed page shows them.
+
+    `printed`: whether a terminal shows them too.
+    """
 
     summary: str
     blocks: tuple[Block, ...]
+    printed: bool = False
 
 
 Block: TypeAlias = (
@@ -188,8 +191,7 @@ class Page:
 
     `kind` says what sort of result it is, `name` whose, `about` the lines below the name.  `lead` is the
     first screen: warnings, the answer with its verdict, and the picture that shows it.  `body` holds the
-    rest, `foot` how it was computed.  `brief` is what a terminal prints.  `sheet` above 0: it prints on one
-    page, in letters of this size [pt].
+    rest, `foot` how it was computed.  `sheet` above 0: it prints on one page, in letters of this size [pt].
     """
 
     kind: str
@@ -198,7 +200,6 @@ class Page:
     lead: tuple[Block, ...]
     body: tuple[Block, ...]
     foot: tuple[Block, ...] = ()
-    brief: tuple[Block, ...] = ()
     sheet: float = 0.0
 
 

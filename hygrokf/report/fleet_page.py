@@ -34,7 +34,6 @@ from hygrokf.report.blocks import (
     Details,
     Figure,
     Heading,
-    Items,
     Page,
     Prose,
     Table,
@@ -51,8 +50,6 @@ RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""
 REMARKS = 12
 """Remarks on weather and power on the page, those of most turbines first."""
-SHOWN = 60
-"""Turbines in the table at the terminal; fleet.csv has all."""
 FAILURE = ("turbine", "status", "reason")
 """Columns that report a turbine without a result."""
 
@@ -100,15 +97,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         *_climates(done),
         *section("Spread over the fleet", *pictures[1:], *_set_aside(found)),
         *_type(fleet),
-        *section("Ranking", Details("Every turbine", (ranking,)) if ranking else None),
-    )
-    departing = Items(tuple(_departing(found))) if isinstance(outliers, Table) else outliers
-    failed = [": ".join(text_of(row, name) for name in FAILURE) for row in fleet.missing]
-    brief = (
-        Prose(f"{len(done)} of {len(fleet.rows)} turbines with a result"),
-        _brief_table(fleet),
-        Items(tuple(failed[:SHOWN])) if failed else None,
-        departing,
+        *section("Ranking", Details("Every turbine", (ranking,), printed=True) if ranking else None),
     )
     return Page(
         f"Fleet report, {fleet.task}",
@@ -117,7 +106,6 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         (*_banners(done), cards, *pictures[:1]),
         body,
         _method(fleet),
-        tuple(block for block in brief if block is not None),
     )
 
 
@@ -165,7 +153,7 @@ def _spread_card(one: Spread) -> Card:
 
 
 def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
-    return Card(label, value, f"{label}: {value}. {text}", lines=(text,), tone="open" if warning else "plain")
+    return Card(label, value, lines=(text,), tone="open" if warning else "plain")
 
 
 def _pictures(found: Sequence[Spread]) -> list[Figure]:
@@ -190,33 +178,6 @@ def _pictures(found: Sequence[Spread]) -> list[Figure]:
 def _present(compared: Sequence[Compared], done: Sequence[Row]) -> list[Compared]:
     """The quantities that any turbine has a value of."""
     return [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
-
-
-def _brief_table(fleet: FleetResults) -> Table | None:
-    """The turbines with the compared quantities; None where none has a result."""
-    done = fleet.done
-    compared = _present(TASKS[fleet.task].compared, done)
-    head = ("turbine", *(_HEADS.get(one.column, one.title) for one in compared))
-    rows = tuple((text_of(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
-    more = len(done) - SHOWN
-    return Table("", head, rows, note=f"{more} more in {CSV}." if more > 0 else "") if rows else None
-
-
-_HEADS = {
-    "thermal_value_h": "thermal [h]",
-    "hygric_value_h": "hygric [h]",
-    "temperature_rmse_K": "RMSE T [K]",
-    "humidity_rmse_g_m3": "RMSE c [g/m³]",
-}
-
-
-def _departing(found: Sequence[Spread]) -> list[str]:
-    return [
-        f"{one.turbines[i]} is an outlier: {one.compared.title} {math.exp(one.x[i]):.3g} {one.compared.unit} "
-        f"(median {math.exp(one.center):.3g}), chance {one.p[i]:.2g}"
-        for one in found
-        for i in one.outliers
-    ]
 
 
 # --- sections --------------------------------------------------------------------------------

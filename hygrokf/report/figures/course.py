@@ -203,7 +203,6 @@ def _course(
 
 def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = BINS) -> None:
     """Relative power, and bars where the cabinet was pre-heated."""
-    from matplotlib.lines import Line2D
 
     t, v = envelope(record.time, record.power, span, bins)
     axes.plot(days(t), v, color=INK, linewidth=0.5)

@@ -22,7 +22,7 @@ from hygrokf.report.figures.climate import (
     region_panels,
 )
 from hygrokf.report.figures.course import validation_panels
-from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, styled
+from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.findings import drawable, episode_panels, episodes_caption, events
 from hygrokf.report.figures.fit import FIGURES
 from hygrokf.report.figures.panels import Panels
@@ -51,12 +51,7 @@ class Lead:
 
     def figure(self, height_in: float = 0.0) -> Figure:
         """The picture on a figure of a page's width; of its own height unless one [in] is given."""
-        from matplotlib.figure import Figure
-
-        with styled():
-            made = Figure(figsize=(WIDTH_IN, height_in or self.panels.height_in))
-            self.panels.on_figure(made)
-        return made
+        return self.panels.figure(height_in)
 
 
 def lead_of_fit(series: Mapping[str, np.ndarray]) -> Lead:
@@ -72,7 +67,7 @@ def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: 
     if before is None:
         raise NothingToShow("The discovery holds no residuals.")
     overlaid = after is not None
-    shown = [*drawable(found), *(event for _, event in events(found))]
+    shown = [*drawable(found), *events(found)]
     if shown:
         panels = episode_panels(before, shown[0], after)
         return Lead(sentence(shown[0].statement), episodes_caption(overlaid), panels)

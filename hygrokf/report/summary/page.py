@@ -14,7 +14,7 @@ from hygrokf.report.summary.content import TODO, Summary
 def summary_blocks(summary: Summary) -> Page:
     """The answer to the question, its numbers and its picture, then what to do; prints on one page of A4."""
     card = Card(
-        summary.question, summary.answer, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
+        summary.question, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
         words=True, tone=summary.tone,
     )  # fmt: skip
     picture = summary.picture
