@@ -176,7 +176,7 @@ def _verdict_card(found: DiscoveryResults) -> Card:
 
 
 def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
-    """A cause that was accepted or refuted: evidence, held-out test, and the parameters of an accepted one."""
+    """A cause: evidence, held-out test, and the parameters of one that was accepted."""
     rows = [
         ("Evidence", evidence_sentence(one.evidence)),
         ("Held-out test", held_out_sentence(found, one.held_out)),

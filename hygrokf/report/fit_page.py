@@ -39,8 +39,8 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.identification import PRODUCT
 from hygrokf.report.fit_tables import (
-    PRODUCT,
     actuators_table,
     bands_table,
     innovations_table,

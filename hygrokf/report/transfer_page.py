@@ -147,7 +147,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> P
         for i, (one, course) in enumerate(zip(found.records, courses, strict=False))
     ]
     body: list[Block] = []
-    for i, one in enumerate(found.records):
+    for i in range(len(names)):
         body += _record(found, i, pictures[i] if 0 < i < len(pictures) else None)
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")

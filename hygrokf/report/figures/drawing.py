@@ -400,7 +400,8 @@ def mark_validation(axes: Axes, start_s: float) -> None:
     axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
     axes.annotate(
         "validation", (start, 1.0), xycoords=("data", "axes fraction"), xytext=(-3 if late else 3, -3),
-        textcoords="offset points", ha="right" if late else "left", va="top", fontsize=6.5, fontstyle="italic",
+        textcoords="offset points", ha="right" if late else "left", va="top", fontsize=6.5,
+        fontstyle="italic",
         bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
     )  # fmt: skip
 
@@ -408,6 +409,13 @@ def mark_validation(axes: Axes, start_s: float) -> None:
 def shade(axes: Axes, start_s: float, end_s: float, **style: Any) -> None:
     """Shade a stretch of time [s] over the whole height of calendar axes."""
     axes.axvspan(float(days(start_s)), float(days(end_s)), **style)
+
+
+def name_rows(axes: Axes, labels: Sequence[str]) -> None:
+    """One label for each row of a picture, the first on top."""
+    axes.set_yticks(range(len(labels)), labels[::-1])
+    axes.set_ylim(-0.6, len(labels) - 0.4)
+    axes.grid(axis="y", visible=False)
 
 
 def empty(axes: Axes, sentence: str) -> None:

@@ -163,20 +163,24 @@ def _cumulative(axes: Axes, data: CumulativePeriodogram) -> None:
 def periodogram(axes: Axes, shown: Sequence[Periodogram | None], colours: Sequence[str]) -> None:
     """Power over the period, of white innovations 1, with the 95 % band of the first one."""
     every = [
-        (*_columns(one.frequency_per_h, one.power, one.lower, one.upper), colour)
+        (_columns(one.frequency_per_h, one.power, one.lower, one.upper), colour)
         for one, colour in zip(shown, colours, strict=True)
         if one is not None
     ]
-    every = [row for row in every if len(row[0]) > 1 and row[0][0] > 0 and np.all(np.diff(row[0]) > 0)]
+    every = [
+        (rows, colour)
+        for rows, colour in every
+        if len(rows[0]) > 1 and rows[0][0] > 0 and np.all(np.diff(rows[0]) > 0)
+    ]
     if not every:
         return empty(axes, "no periodogram in fit.json")
-    frequency, _, lower, upper, _ = every[0]
+    frequency, _, lower, upper = every[0][0]
     period = 1.0 / frequency
     axes.fill_between(period, np.maximum(lower, 1e-3), upper, color=QUIET, alpha=0.16, linewidth=0)
     axes.axhline(1.0, color=QUIET, linewidth=0.6)
-    for one, power, _, _, colour in every:
-        axes.plot(1.0 / one, np.maximum(power, 1e-3), color=colour, linewidth=0.9)
-    powers = np.concatenate([row[1] for row in every])
+    for rows, colour in every:
+        axes.plot(1.0 / rows[0], np.maximum(rows[1], 1e-3), color=colour, linewidth=0.9)
+    powers = np.concatenate([rows[1] for rows, _ in every])
     axes.set_ylim(max(0.02, 0.7 * float(powers.min())), 1.4 * max(float(powers.max()), 4.0))
     logarithmic(axes, "y")
     high, low = min(float(period[0]), 2000.0), float(period[-1])

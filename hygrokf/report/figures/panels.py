@@ -1,5 +1,5 @@
-"""The one layout of every picture: panels in rows and columns below a key, for pages, for the summary, and for
-axes that a user gives."""
+"""The layout of every picture: panels in rows and columns below a key, for pages, summaries, and axes that a
+user gives."""
 
 from __future__ import annotations
 

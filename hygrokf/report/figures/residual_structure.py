@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
+Correlations: TypeAlias = tuple[CrossCorrelation | None, ...]
 COLOURS = (SIMULATED, AFTER)
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
