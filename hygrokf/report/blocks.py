@@ -13,7 +13,7 @@ from hygrokf.identification.verdict_terms import REJECT, WORDS, Inherited, verdi
 from hygrokf.identification.wording import interval
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
+    from hygrokf.report.figures.panels import Panels
 
 FREE_RUN = (
     "Free run: a simulation from weather, power and other inputs alone, which sees no reading of the cabinet."
@@ -165,7 +165,7 @@ class Figure:
     name: str
     heading: str
     caption: str
-    draw: Callable[[], Drawing]
+    draw: Callable[[], Panels]
 
 
 @dataclass(frozen=True)

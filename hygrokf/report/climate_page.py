@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -43,17 +42,9 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
     year_table,
 )
-from hygrokf.report.figures.climate import (
-    DURATION_CAPTION,
-    JOINT_CAPTION,
-    REGIONS_CAPTION,
-    figure_duration,
-    figure_joint,
-    figure_profile,
-    figure_regions,
-)
+from hygrokf.report.figures.climate import figure_profile
 from hygrokf.report.figures.drawing import png
-from hygrokf.report.figures.lead import DURATION_HEADING, REGIONS_HEADING, YEAR_HEADING
+from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
 
 PICTURE = "test_profile.png"
@@ -84,7 +75,7 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
         write_climate(study, folder)
     page = page_html(climate_blocks(study))
     if len(study.regions) == 1 and study.regions[0].test_profile is not None:
-        write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0])))
+        write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0]).figure()))
     else:
         (folder / PICTURE).unlink(missing_ok=True)
     return write_text_whole(folder / REPORT, page)
@@ -105,7 +96,7 @@ def climate_blocks(study: Study) -> Page:
         (
             *synthetic(made_up, SYNTHETIC_CLIMATE),
             *answer,
-            _regions_figure(regions) if several else _year_figure(regions[0], 1),
+            lead_of_climate(study),
         ),
         (
             *section("Regions side by side", regions_table(regions)),
@@ -191,24 +182,6 @@ def _region_cards(study: Study) -> tuple[Card, ...]:
     return tuple(cards)
 
 
-def _year_figure(region: RegionClimate, place: int) -> Figure:
-    """The picture of the year: temperature with humidity, or duration curves without humidity."""
-    if region.joint is None:
-        return _duration_figure(region, place)
-    return Figure(f"r{place}-joint", YEAR_HEADING, JOINT_CAPTION, partial(figure_joint, region))
-
-
-def _duration_figure(region: RegionClimate, place: int) -> Figure:
-    caption = DURATION_CAPTION.format(share=share_held([region]))
-    return Figure(f"r{place}-duration", DURATION_HEADING, caption, partial(figure_duration, region))
-
-
-def _regions_figure(regions: Sequence[RegionClimate]) -> Figure:
-    means = percent(min(one.mean_bounds_hold for one in regions))
-    caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
-    return Figure("regions", REGIONS_HEADING, caption, partial(figure_regions, regions))
-
-
 # --- a region --------------------------------------------------------------------------------
 
 
@@ -226,7 +199,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
         *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
         *section(
             _heading(title, "the year"),
-            _year_figure(region, place) if several else None,
+            year_figure(region, place) if several else None,
             year_table(region),
             table_or(regimes_table(region), one_kind),
             Details(
@@ -234,7 +207,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
                 (excursions_table(region), rates_table(region)),
                 printed=True,
             ),
-            _duration_figure(region, place) if region.joint is not None else None,
+            duration_figure(region, place) if region.joint is not None else None,
         ),
         *section(_heading(title, "test profile"), *_profile(region, place)),
     )

@@ -24,7 +24,6 @@ from hygrokf.report.blocks import (
     Card,
     Cards,
     Details,
-    Facts,
     Figure,
     Heading,
     Items,
@@ -39,18 +38,16 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_tables import (
-    constants_table,
+    evidence_table,
     findings_table,
     gains_table,
     held_out_table,
     parameters_table,
-    rejected_table,
     scores_table,
 )
 from hygrokf.report.discovery_text import (
     actions,
     capital,
-    evidence_sentence,
     formed,
     headline,
     held_out_sentence,
@@ -62,22 +59,17 @@ from hygrokf.report.discovery_text import (
     tried,
     warned,
 )
-from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
+from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import (
-    DRIVERS_HEADING,
     TITLE,
-    drivers_caption,
     figure_day_hour,
-    figure_drivers,
     figure_error_course,
     figure_innovations,
-    telling_drivers,
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
 from hygrokf.version import __version__
 
-EPISODE_FIGURES = 3
 ERRORS = "Errors before and after"
 BY = "By driver, by day and hour, and by period"
 TOGETHER = (
@@ -111,10 +103,11 @@ def discovery_blocks(
 
     before, after: residuals of both models, for the pictures.
     """
-    episodes = [] if before is None else _episodes(found, before, after)
+    shown = [] if before is None else episodes(found, before, after)
     courses = [] if before is None else _courses(found, before, after)
-    lead = [*episodes, *courses][:1]
-    rest = [one for one in episodes if one not in lead]
+    lead = [*shown, *courses][:1]
+    evidence = evidence_table(found)
+    rest = [one for one in shown if one not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
@@ -138,7 +131,12 @@ def discovery_blocks(
         *_constants(found),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
         *_left(found),
-        *section("Causes left out", _rejected(found)),
+        *section(
+            "Causes and their evidence",
+            Details(f"{len(evidence.rows)} causes", (evidence,), printed=True)
+            if evidence
+            else Prose("No cause was tried.", "missing"),
+        ),
     )
     gains = table_or(gains_table(found), "No errors of a free run are known.")
     return Page(
@@ -176,22 +174,17 @@ def _verdict_card(found: DiscoveryResults) -> Card:
 
 
 def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
-    """A cause: evidence, held-out test, and the parameters of one that was accepted."""
-    rows = [
-        ("Evidence", evidence_sentence(one.evidence)),
-        ("Held-out test", held_out_sentence(found, one.held_out)),
-    ]
-    parameters: Block | None = None
+    """A cause: settings and parameters of one that was accepted, and the held-out test."""
+    blocks: list[Block | None] = [Heading(capital(formed(one.cause, one.form)), 3)]
     if isinstance(one, CauseFound):
-        if settings := settings_words(one.settings):
-            rows.append(("Found by search", "; ".join(settings)))
+        settings = settings_words(one.settings)
         without = "The cause has no parameters of its own: it corrects time stamps."
-        parameters = table_or(parameters_table(one), without)
+        blocks += [
+            Prose(f"Found by search: {'; '.join(settings)}.") if settings else None,
+            table_or(parameters_table(one), without),
+        ]
     return present(
-        Heading(capital(formed(one.cause, one.form)), 3),
-        Facts(tuple((term, sentence(said)) for term, said in rows)),
-        parameters,
-        held_out_table(one.held_out),
+        *blocks, Prose(sentence(held_out_sentence(found, one.held_out))), held_out_table(one.held_out)
     )
 
 
@@ -224,7 +217,7 @@ def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
     if found.extended is not None:
         extended = "Time constants of the extended model"
         verdicts.append(inherited_verdicts(inherited(found.extended.fit), extended))
-    return section(heading, constants_table(found), *verdicts)
+    return section(heading, *verdicts)
 
 
 def _left(found: DiscoveryResults) -> tuple[Block, ...]:
@@ -237,13 +230,6 @@ def _left(found: DiscoveryResults) -> tuple[Block, ...]:
             "The errors of the extended model show no structure under any tested condition.",
         )
     return section("What is left", lines, errors)
-
-
-def _rejected(found: DiscoveryResults) -> Block:
-    table = rejected_table(found)
-    if not table:
-        return Prose("No other cause was tried.", "missing")
-    return Details(f"{len(table.rows)} causes, and why each was left out", (table,))
 
 
 def _method(found: DiscoveryResults) -> tuple[Block, ...]:
@@ -278,32 +264,9 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 # --- pictures --------------------------------------------------------------------------------
 
 
-def _episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """Readings, base and extended model in the worst findings, and where causes were found in stretches of
-    time."""
-    caption = episodes_caption(after is not None)
-    return [
-        Figure(
-            f"episodes-{place}",
-            sentence(one.statement),
-            caption if place == 1 else "",
-            partial(figure_episodes, before, one, after),
-        )
-        for place, one in enumerate((*drawable(found)[:EPISODE_FIGURES], *events(found)), start=1)
-    ]
-
-
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """The errors over drivers, over days and hours, and the innovations."""
-    drivers = [one.driver for one in drawable(found) if one.driver]
-    figures = [
-        Figure(
-            "drivers",
-            DRIVERS_HEADING,
-            drivers_caption(after is not None),
-            lambda: figure_drivers(before, telling_drivers(before, drivers), after),
-        )
-    ]
+    figures = [errors_over_drivers(found, before, after)]
     for quantity in QUANTITIES:
         changed = after if _differ(before, after, quantity) else None
         same = " The extended model leaves these errors as they are." if after is not changed else ""

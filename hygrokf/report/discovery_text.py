@@ -1,4 +1,4 @@
-"""A discovery in sentences: verdict, causes and their forms, evidence, held-out test, and what to check."""
+"""A discovery in sentences: verdict, causes and their forms, held-out test, and what to check."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from hygrokf.discovery.discovery_results import (
     CauseFound,
     CauseParameter,
     DiscoveryResults,
-    Evidence,
     Gain,
     HeldOutTest,
     Line,
@@ -26,7 +25,6 @@ from hygrokf.identification.wording import (
     QUANTITIES,
     decimals_for,
     fixed,
-    minus,
     percent,
     plain_number,
     sentence,
@@ -393,23 +391,6 @@ def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
     if math.isfinite(one.gain):
         said.append(f"2 ln L {'grows' if one.gain >= 0 else 'falls'} by {abs(one.gain):.0f}")
     return "; ".join([*said, f"{one.days} days with readings"])
-
-
-def evidence_sentence(found: Evidence) -> str:
-    """Gains in likelihood, what was paid for them, and the lead over rivals."""
-    if not found.gains:
-        return "no evidence is stated"
-    gains = ", ".join(f"{quantity_of(q)[0]} {fixed(gain, 1)}" for q, gain in found.gains.items())
-    constants = f"{found.constants} free constant{'' if found.constants == 1 else 's'}"
-    settings = f"{found.searched} setting{'' if found.searched == 1 else 's'} tried"
-    said = [f"2 ln L, a difference of maxima: {gains}", f"{constants}, {settings}"]
-    if math.isfinite(found.evidence):
-        said.append(f"evidence after their price: {minus(f'{found.evidence:.0f}')}")
-    if math.isfinite(found.in_days):
-        said.append(f"in independent days: {minus(f'{found.in_days:.0f}')}")
-    if math.isfinite(found.lead):
-        said.append(f"the best rival of another cause stays {minus(f'{found.lead:.0f}')} behind, in days")
-    return "; ".join(said)
 
 
 def alike_sentence(cause: CauseFound) -> str:

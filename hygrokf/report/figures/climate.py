@@ -26,7 +26,6 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHADES = ("#ffffff", "#dbe7f3", "#a9c8e4", "#6ba3d0", "#2f74b0", "#16365c")
 PANELS = (
@@ -53,13 +52,8 @@ REGIONS_CAPTION = (
 )
 
 
-def figure_joint(region: RegionClimate) -> Figure:
+def figure_joint(region: RegionClimate) -> Panels:
     """Hours a year by temperature and relative humidity, in the cabinet and outside."""
-    return joint_panels(region).figure()
-
-
-def joint_panels(region: RegionClimate) -> Panels:
-    """The cabinet, then the weather of `figure_joint`, with a colour scale beside them."""
     joint = region.joint
     if joint is None:
         raise NothingToShow("The model has no humidity.")
@@ -108,13 +102,8 @@ def _hours_scale(axes: Sequence[Axes]) -> None:
     bar.outline.set_visible(False)
 
 
-def figure_duration(region: RegionClimate) -> Figure:
-    """Duration curves of the quantities and of their rates, with bounds."""
-    return duration_panels(region).figure()
-
-
-def duration_panels(region: RegionClimate) -> Panels:
-    """The curves of `figure_duration`: quantities first, then their rates."""
+def figure_duration(region: RegionClimate) -> Panels:
+    """Duration curves of the quantities, then those of their rates, with bounds."""
     curves = {"duration": region.duration, "rates": region.rates}
     there = [(kind, curves[kind][name], label) for kind, name, label in PANELS if name in curves[kind]]
     if not there:
@@ -154,7 +143,7 @@ def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
     axis.margins(x=0.01)
 
 
-def figure_profile(region: RegionClimate) -> Figure:
+def figure_profile(region: RegionClimate) -> Panels:
     """The test profile: temperature and relative humidity over its hours."""
     profile = region.test_profile
     if profile is None:
@@ -174,16 +163,12 @@ def figure_profile(region: RegionClimate) -> Figure:
     def handles() -> list[Artist]:
         return [line_handle(SIMULATED, "test", 0.9), line_handle(QUIET, "the same hours at the site", 0.9)]
 
-    return Panels((warm, damp), height_in=3.7, shared="x", handles=handles).figure()
+    return Panels((warm, damp), height_in=3.7, shared="x", handles=handles)
 
 
-def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
-    """Regions side by side: value, bounds for a year, bounds for the mean."""
-    return region_panels(regions).figure()
-
-
-def region_panels(regions: Sequence[RegionClimate]) -> Panels:
-    """A panel of `figure_regions` for each of the numbers by which regions are compared."""
+def figure_regions(regions: Sequence[RegionClimate]) -> Panels:
+    """Regions side by side in the numbers by which they are compared, with bounds for a year and for the
+    mean."""
     if len(regions) < 2:
         raise NothingToShow("There is only one region.")
     from matplotlib import rcParams

@@ -34,7 +34,6 @@ from hygrokf.transfer.course import Course
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 REGIMES = {"operation": "o", "standstill": "s", "total": "D"}
 COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
@@ -78,7 +77,7 @@ class Panel:
         return bool(np.isfinite(self.course.measured.get(quantity, np.empty(0))).any())
 
 
-def figure_courses(panels: Sequence[Panel]) -> Figure:
+def figure_courses(panels: Sequence[Panel]) -> Panels:
     """Twelve days of each record: a row for each quantity, a column for each record."""
     rows = [q for q in SCORED if any(panel.has(q) for panel in panels)]
     if not rows:
@@ -107,10 +106,10 @@ def figure_courses(panels: Sequence[Panel]) -> Figure:
         columns=len(panels),
         shared="xy",
         handles=handles,
-    ).figure()
+    )
 
 
-def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Figure:
+def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Panels:
     """Readings and simulations of the first records; columns on the same instants of a case share a panel."""
     if not courses:
         raise NothingToShow(
@@ -130,7 +129,7 @@ def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -
     return figure_courses(panels)
 
 
-def figure_errors(found: ComparisonResults, period: str) -> Figure:
+def figure_errors(found: ComparisonResults, period: str) -> Panels:
     """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
     best rule."""
     columns = [one for one in found.columns if any(one.total(period, q) for q in SCORED)]
@@ -160,7 +159,7 @@ def figure_errors(found: ComparisonResults, period: str) -> Figure:
         columns=len(shown),
         shared="y",
         handles=handles,
-    ).figure()
+    )
 
 
 def _errors_row(
@@ -180,7 +179,7 @@ def _errors_row(
             axes.plot(best, height + offset, "|", color=INK, markersize=9, markeredgewidth=1.4)
 
 
-def figure_weeks(found: ComparisonResults) -> Figure:
+def figure_weeks(found: ComparisonResults) -> Panels:
     """Root mean squared errors of all columns by week."""
     shown = [q for q in SCORED if any(len(one.weeks[q][0]) > 1 for one in found.columns if q in one.weeks)]
     if not shown:
@@ -204,4 +203,4 @@ def figure_weeks(found: ComparisonResults) -> Figure:
         height_in=0.6 + 1.5 * len(shown),
         shared="x",
         handles=lambda: [line_handle(colour_of(i), label) for i, label in enumerate(labels)],
-    ).figure()
+    )

@@ -41,7 +41,6 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
@@ -107,19 +106,19 @@ class _Record:
         return [name for name in (TEMPERATURE, HUMIDITY) if self.known(name)]
 
 
-def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
     paper)."""
     return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
 
 
-def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
     return _whole(_Record(series), HUMIDITY, why)
 
 
-def _whole(record: _Record, name: str, why: str) -> Figure:
+def _whole(record: _Record, name: str, why: str) -> Panels:
     if not record.known(name):
         raise NothingToShow(why)
     measured, simulated, _, _ = record.quantity(name)
@@ -149,16 +148,12 @@ def _whole(record: _Record, name: str, why: str) -> Figure:
         shared="x",
         heights=(3.2, 1.1, 1.0)[: len(rows)],
         handles=partial(_handles, record, name),
-    ).figure()
+    )
 
 
-def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
-    """Readings, free run and its 95 % band after the identification period, or in the last fortnight."""
-    return validation_panels(series).figure()
-
-
-def validation_panels(series: Mapping[str, np.ndarray]) -> Panels:
-    """The temperature, and below it the humidity, of `figure_validation`."""
+def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+    """Readings, free run and its 95 % band after the identification period, or in the last fortnight: the
+    temperature, and below it the humidity."""
     record = _Record(series)
     names = record.names
     if not names:
@@ -261,7 +256,7 @@ def _handles(record: _Record, name: str) -> list[Artist]:
     return handles
 
 
-def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
     record = _Record(series)
     names = record.names
@@ -295,7 +290,7 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure
         shared="x",
         heights=tuple(0.7 if name == POWER else 1.55 for name in rows),
         handles=partial(_handles, record, names[0]),
-    ).figure()
+    )
 
 
 _EXCERPT_SERIES = (
@@ -308,7 +303,7 @@ _EXCERPT_SERIES = (
 # --- residuals -------------------------------------------------------------------------------
 
 
-def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Error of the free run over power, ambient temperature and hour of the day."""
     record = _Record(series)
     errors = {}
@@ -361,7 +356,7 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figur
         columns=len(columns),
         shared="xy",
         handles=partial(_residual_handles, bool(late.any())),
-    ).figure()
+    )
 
 
 _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])

@@ -36,7 +36,6 @@ from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label,
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 CONDITION = "#f3e3c0"
 COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
@@ -84,14 +83,9 @@ def episodes_caption(overlaid: bool) -> str:
 # --- episodes --------------------------------------------------------------------------------
 
 
-def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Figure:
-    """The episodes in which a finding is largest, with the free run's 95 % band; a lasting finding over the
-    whole record."""
-    return episode_panels(residuals, finding, after).figure()
-
-
-def episode_panels(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Panels:
-    """The courses of `figure_episodes` and below them their errors; of a lasting finding a single panel."""
+def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Panels:
+    """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
+    lasting finding the daily means over the whole record."""
     quantity = finding.quantity
     if quantity not in residuals.measured or not np.isfinite(residuals.error(quantity)).any():
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")

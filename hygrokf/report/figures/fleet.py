@@ -25,13 +25,12 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NAMED = 45
 """Turbines up to which every one has its name beside its row."""
 
 
-def figure_spreads(found: Sequence[Spread]) -> Figure:
+def figure_spreads(found: Sequence[Spread]) -> Panels:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
@@ -59,7 +58,7 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
         height_in=max(height, 1.9),
         columns=len(shown),
         handles=handles,
-    ).figure()
+    )
 
 
 def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:

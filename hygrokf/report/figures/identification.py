@@ -29,7 +29,6 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 THRESHOLD = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
@@ -54,7 +53,7 @@ SHOWN_WEIGHT = 0.01
 # --- heat release ----------------------------------------------------------------------------
 
 
-def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
     paper)."""
     release = fit.heat_release
@@ -86,7 +85,7 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Fi
         columns=len(shown),
         handles=partial(_line_handles, bool(_likelihood(fit)[0])),
         finish=partial(_colour_scale, edges),
-    ).figure()
+    )
 
 
 class _Points:
@@ -205,7 +204,7 @@ def _colour_scale(edges: np.ndarray, axes: Sequence[Axes]) -> None:
 # --- time constants --------------------------------------------------------------------------
 
 
-def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
     constants = fit.time_constants
     shown = [name for name in ("thermal", "hygric") if name in constants and constants[name].value_h > 0]
@@ -218,7 +217,7 @@ def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure
         axes.set_xlabel("time constant [h]")
         axes.set_ylabel("2 × drop of log-likelihood" if name == shown[0] else "")
 
-    return Panels(tuple(partial(draw, name=name) for name in shown), height_in=2.5, columns=2).figure()
+    return Panels(tuple(partial(draw, name=name) for name in shown), height_in=2.5, columns=2)
 
 
 def _profile(axes: Axes, found: TimeConstant) -> None:
@@ -291,7 +290,7 @@ def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.nd
 # --- composition of intervals ----------------------------------------------------------------
 
 
-def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """One panel a time constant: a bar for each step of the interval, the last one the headline."""
     shown = [
         (name, fit.time_constants[name])
@@ -310,7 +309,7 @@ def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Fig
         tuple(partial(draw, name=name, found=found) for name, found in shown),
         height_in=0.75 + 0.2 * max(len(_steps(found)) for _, found in shown),
         columns=2,
-    ).figure()
+    )
 
 
 def _steps(found: TimeConstant) -> list[Step]:

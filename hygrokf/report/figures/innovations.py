@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -29,15 +30,12 @@ from hygrokf.report.figures.drawing import (
     empty,
     line,
     logarithmic,
-    new_figure,
     segments,
-    styled,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.gridspec import GridSpec
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
@@ -48,7 +46,7 @@ LEVEL = 0.95
 
 def figure_innovations(
     fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
-) -> Figure:
+) -> Panels:
     """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
     period."""
     found = fit.innovations.outputs.get(output)
@@ -63,28 +61,25 @@ def figure_innovations(
     if found.autocorrelation is None:
         why = found.statements[0] if found.statements else "too few readings"
         raise NothingToShow(f"No diagnosis: {why}.")
-    with styled():
-        figure = new_figure(5.3)
-        top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
-        cross = _shown_inputs(found)
-        middle = figure.add_gridspec(
-            1, max(len(cross), 1), wspace=0.13, left=0.065, right=0.995, top=0.605, bottom=0.42
-        )
-        last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
-        _autocorrelation(figure.add_subplot(top[0]), found.autocorrelation)
-        _cumulative(figure.add_subplot(top[1]), found.cumulative_periodogram or CumulativePeriodogram())
-        spectrum = figure.add_subplot(top[2])
-        periodogram(spectrum, [found.periodogram], [MEASURED])
-        spectrum.set_title("Periodogram (white = 1)")
-        _cross_correlations(figure, middle, cross)
-        figure.text(
-            0.065, 0.645, "Cross-correlation of the innovations with …", fontweight="bold", fontsize=8.0
-        )
-        e = value[known]
-        _histogram(figure.add_subplot(last[0]), e)
-        _quantiles(figure.add_subplot(last[1]), e)
-        _course(figure.add_subplot(last[2]), time, np.where(known, value, np.nan))
-    return figure
+    cross = _shown_inputs(found)
+    reach = max((correlation_reach(one) for _, one in cross), default=0.0)
+    without = "no input varies, or none is known: no cross-correlation"
+
+    def crossed(axes: Axes, name: str, one: CrossCorrelation) -> None:
+        correlation(axes, [one], [MEASURED], reach)
+        axes.set_title(f"With {one_line(name).replace('_', ' ')}", fontweight="normal")
+
+    draw = (
+        partial(_autocorrelation, data=found.autocorrelation),
+        partial(_cumulative, data=found.cumulative_periodogram or CumulativePeriodogram()),
+        partial(periodogram, shown=[found.periodogram], colours=[MEASURED]),
+        partial(_histogram, e=value[known]),
+        partial(_quantiles, e=value[known]),
+        partial(_course, time=time, value=np.where(known, value, np.nan)),
+        *(partial(crossed, name=name, one=one) for name, one in cross),
+        *([] if cross else [partial(empty, sentence=without)]),
+    )
+    return Panels(draw, height_in=1.6 * -(-len(draw) // 3), columns=3)
 
 
 def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
@@ -189,6 +184,7 @@ def periodogram(axes: Axes, shown: Sequence[Periodogram | None], colours: Sequen
     ticks = [p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= p <= high]
     axes.set_xticks(ticks, [f"{p:g}" for p in ticks])
     axes.minorticks_off()
+    axes.set_title("Periodogram (white = 1)")
     axes.set_xlabel("period [h]")
 
 
@@ -229,18 +225,6 @@ def correlation(
     _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
     axes.locator_params(axis="y", nbins=5)
     axes.set_xlabel("lag [h], > 0: later")
-
-
-def _cross_correlations(figure: Figure, grid: GridSpec, rows: list[tuple[str, CrossCorrelation]]) -> None:
-    if not rows:
-        empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
-    reach = max((correlation_reach(one) for _, one in rows), default=0.0)
-    for column, (name, one) in enumerate(rows):
-        axes = figure.add_subplot(grid[column])
-        correlation(axes, [one], [MEASURED], reach)
-        axes.set_title(one_line(name).replace("_", " "), fontweight="normal", fontsize=7.5)
-        if column:
-            axes.tick_params(labelleft=False)
 
 
 def _histogram(axes: Axes, e: np.ndarray) -> None:

@@ -3,88 +3,93 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
-from hygrokf.climate.study import Study
+from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.wording import percent, sentence
+from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
 from hygrokf.report.figures.climate import (
     DURATION_CAPTION,
     JOINT_CAPTION,
     REGIONS_CAPTION,
-    duration_panels,
-    joint_panels,
-    region_panels,
+    figure_duration,
+    figure_joint,
+    figure_regions,
 )
-from hygrokf.report.figures.course import validation_panels
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.findings import drawable, episode_panels, episodes_caption, events
+from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
 from hygrokf.report.figures.fit import FIGURES
-from hygrokf.report.figures.panels import Panels
-from hygrokf.report.figures.residual_structure import (
-    DRIVERS_HEADING,
-    driver_panels,
-    drivers_caption,
-    telling_drivers,
-)
+from hygrokf.report.figures.residual_structure import drivers_caption, figure_drivers, telling_drivers
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-YEAR_HEADING = "The year by temperature and relative humidity"
-DURATION_HEADING = "Duration curves"
-REGIONS_HEADING = "Regions side by side"
+EPISODE_FIGURES = 3
 
 
-@dataclass(frozen=True)
-class Lead:
-    """A picture with its heading and a caption that says what to look for."""
-
-    heading: str
-    caption: str
-    panels: Panels
-
-    def figure(self, height_in: float = 0.0) -> Figure:
-        """The picture on a figure of a page's width; of its own height unless one [in] is given."""
-        return self.panels.figure(height_in)
+def lead_of_fit(series: Mapping[str, np.ndarray]) -> Figure:
+    """Readings and free run after the identification period."""
+    return FIGURES[0].of(FitResults(), series)
 
 
-def lead_of_fit(series: Mapping[str, np.ndarray]) -> Lead:
-    """Readings and free run after the identification period.  Raises NothingToShow."""
-    return Lead(FIGURES[0].heading, FIGURES[0].caption, validation_panels(series))
-
-
-def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> Lead:
+def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> Figure:
     """The worst finding that can be drawn, else the event of a cause, else the errors over the drivers.
 
-    Raises NothingToShow.
+    Raises NothingToShow where there are no residuals.
     """
     if before is None:
         raise NothingToShow("The discovery holds no residuals.")
-    overlaid = after is not None
-    shown = [*drawable(found), *events(found)]
-    if shown:
-        panels = episode_panels(before, shown[0], after)
-        return Lead(sentence(shown[0].statement), episodes_caption(overlaid), panels)
-    panels = driver_panels(before, telling_drivers(before), after)
-    return Lead(DRIVERS_HEADING, drivers_caption(overlaid), panels)
+    return [*episodes(found, before, after), errors_over_drivers(found, before, after)][0]
 
 
-def lead_of_climate(study: Study) -> Lead:
-    """Regions side by side; of a single one the year by temperature and humidity, or duration curves.
+def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
+    """Readings, base and extended model in the worst findings, and where causes were found in stretches of
+    time."""
+    caption = episodes_caption(after is not None)
+    return [
+        Figure(
+            f"episodes-{place}",
+            sentence(one.statement),
+            caption if place == 1 else "",
+            partial(figure_episodes, before, one, after),
+        )
+        for place, one in enumerate((*drawable(found)[:EPISODE_FIGURES], *events(found)), start=1)
+    ]
 
-    Raises NothingToShow.
-    """
+
+def errors_over_drivers(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> Figure:
+    """The errors over those drivers that the findings name, then over the most telling ones."""
+    drivers = [one.driver for one in drawable(found) if one.driver]
+    return Figure(
+        "drivers",
+        "Error against what drives the cabinet",
+        drivers_caption(after is not None),
+        lambda: figure_drivers(before, telling_drivers(before, drivers), after),
+    )
+
+
+def lead_of_climate(study: Study) -> Figure:
+    """Regions side by side; of a single one the year by temperature and humidity, or duration curves."""
     regions = study.regions
-    share = share_held(regions)
-    if len(regions) > 1:
-        means = percent(min(one.mean_bounds_hold for one in regions))
-        return Lead(REGIONS_HEADING, REGIONS_CAPTION.format(years=share, means=means), region_panels(regions))
-    if regions[0].joint is not None:
-        return Lead(YEAR_HEADING, JOINT_CAPTION, joint_panels(regions[0]))
-    return Lead(DURATION_HEADING, DURATION_CAPTION.format(share=share), duration_panels(regions[0]))
+    if len(regions) == 1:
+        return year_figure(regions[0], 1)
+    means = percent(min(one.mean_bounds_hold for one in regions))
+    caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
+    return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
+
+
+def year_figure(region: RegionClimate, place: int) -> Figure:
+    """The picture of the year: temperature with humidity, or duration curves without humidity."""
+    if region.joint is None:
+        return duration_figure(region, place)
+    heading = "The year by temperature and relative humidity"
+    return Figure(f"r{place}-joint", heading, JOINT_CAPTION, partial(figure_joint, region))
+
+
+def duration_figure(region: RegionClimate, place: int) -> Figure:
+    """The duration curves of a region."""
+    caption = DURATION_CAPTION.format(share=share_held([region]))
+    return Figure(f"r{place}-duration", "Duration curves", caption, partial(figure_duration, region))

@@ -46,10 +46,10 @@ class Panels:
         """Panels one above the other."""
         return -(-len(self.draw) // self.columns)
 
-    def figure(self, height_in: float = 0.0) -> Figure:
-        """The picture on a figure of a page's width; of its own height unless one [in] is given."""
+    def figure(self) -> Figure:
+        """The picture on a figure of a page's width."""
         with styled():
-            made = new_figure(height_in or self.height_in)
+            made = new_figure(self.height_in)
             self.on_figure(made)
         return made
 

@@ -44,7 +44,6 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
@@ -78,20 +77,6 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 # --- over drivers ----------------------------------------------------------------------------
 
 
-def figure_drivers(
-    residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
-) -> Figure:
-    """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
-    shares.
-
-    drivers: up to four names; without any, those along which the medians move most.
-    """
-    return driver_panels(residuals, drivers, after).figure()
-
-
-DRIVERS_HEADING = "Error against what drives the cabinet"
-
-
 def drivers_caption(overlaid: bool) -> str:
     """What to look for in `figure_drivers`; `overlaid`: with the extended model."""
     bend = (
@@ -103,10 +88,14 @@ def drivers_caption(overlaid: bool) -> str:
     return f"Medians should lie on zero along every driver{bend}"
 
 
-def driver_panels(
+def figure_drivers(
     residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
 ) -> Panels:
-    """The panels of `figure_drivers`: a row for each quantity, a column for each driver."""
+    """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
+    shares; a row for each quantity, a column for each driver.
+
+    drivers: up to four names; without any, those along which the medians move most.
+    """
     quantities = _known(residuals)
     early = hourly(residuals)
     late = hourly(after) if after is not None else None
@@ -223,7 +212,7 @@ def _band_handles(overlaid: bool) -> list[Artist]:
 # --- course of the error ---------------------------------------------------------------------
 
 
-def figure_error_course(before: Residuals, after: Residuals) -> Figure:
+def figure_error_course(before: Residuals, after: Residuals) -> Panels:
     """Root mean square of the free run's error on each held-out day, of the base and of the extended model,
     by quantity; shaded where one lies below the other."""
     # a corrected clock can move an instant past midnight
@@ -265,7 +254,7 @@ def figure_error_course(before: Residuals, after: Residuals) -> Figure:
         height_in=0.62 + 1.35 * len(courses),
         shared="x",
         handles=handles,
-    ).figure()
+    )
 
 
 def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
@@ -283,13 +272,13 @@ def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndar
 
 def figure_day_hour(
     residuals: Residuals, quantity: str = TEMPERATURE, after: Residuals | None = None
-) -> Figure:
+) -> Panels:
     """Error of the free run by day (across) and hour of the day (up), over identification and validation."""
     from matplotlib.colors import LinearSegmentedColormap
 
     if quantity not in _known(residuals):
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
-    models = [("", residuals)] if after is None else [("before", residuals), ("after", after)]
+    models = [("", residuals)] if after is None else [(", before", residuals), (", after", after)]
     maps = [_by_day(one, quantity) for _, one in models]
     reach = float(np.nanquantile(np.abs(maps[0][1]), 0.97)) or 1.0
     colours = LinearSegmentedColormap.from_list("error", DIVERGING).with_extremes(bad="#e3e6ea")
@@ -307,7 +296,7 @@ def figure_day_hour(
         first, table = maps[0]
         calendar(axes, (DAY_S * first, DAY_S * (first + len(table))), 12)
         held_out(axes, one)
-        axes.set_title(TITLE[quantity] + (f", {label}" if label else ""))
+        axes.set_title(f"{TITLE[quantity]}, simulation − reading{label}")
 
     def scale(axes: Sequence[Axes]) -> None:
         figure = axes[0].get_figure(root=True)
@@ -315,14 +304,14 @@ def figure_day_hour(
         bar = figure.colorbar(
             axes[0].images[0], ax=list(axes), extend="both", extendfrac=0.03, fraction=0.03, pad=0.01
         )
-        bar.set_label(error_label(quantity))
+        bar.set_label(UNITS[quantity])
 
     return Panels(
         tuple(partial(draw, place=place) for place in range(len(maps))),
         height_in=0.5 + 1.55 * len(maps),
         shared="x",
         finish=scale,
-    ).figure()
+    )
 
 
 def held_out(axes: Axes, residuals: Residuals) -> None:
@@ -349,7 +338,7 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
 
 def figure_innovations(
     residuals: Residuals, after: Residuals | None = None, drivers: Sequence[str] = ()
-) -> Figure:
+) -> Panels:
     """Periodogram of the standardised innovations and their cross-correlations with drivers, by quantity.
 
     drivers: up to three names; without any, those with the largest cross-correlations before.
@@ -386,7 +375,7 @@ def figure_innovations(
         height_in=0.75 + 1.65 * len(quantities),
         columns=columns,
         handles=partial(_line_handles, after is not None),
-    ).figure()
+    )
 
 
 def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:

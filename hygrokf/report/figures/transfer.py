@@ -30,7 +30,6 @@ from hygrokf.transfer.results import ParameterChange, TransferResult
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 RE_ESTIMATED = "#1d7a3a"
 TICKS = (0.05, 0.1, 0.25, 0.5, 0.67, 0.8, 1.0, 1.25, 1.5, 2.0, 4.0, 10.0, 20.0)
@@ -46,7 +45,7 @@ SETS = {
 SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": RE_ESTIMATED, "all_own": MEASURED}
 
 
-def figure_course(course: Course, re_estimated: bool) -> Figure:
+def figure_course(course: Course, re_estimated: bool) -> Panels:
     """Twelve held-out days: readings, the model as it is, and the re-estimated one, or that with its own
     loggers where nothing was re-estimated."""
     chosen = ("as_is", "re_estimated" if re_estimated else "own_loggers")
@@ -54,7 +53,7 @@ def figure_course(course: Course, re_estimated: bool) -> Figure:
     return figure_courses([Panel("", course, lines)])
 
 
-def figure_sets(found: TransferResult) -> Figure:
+def figure_sets(found: TransferResult) -> Panels:
     """Errors of the four sets of values and of the rules in the scored period, with bounds."""
     tables = {q: rows for q, rows in found.rmse.items() if rows}
     if not tables:
@@ -78,10 +77,10 @@ def figure_sets(found: TransferResult) -> Figure:
         tuple(partial(draw, quantity=quantity) for quantity in tables),
         height_in=0.75 + 0.2 * max(len(rows) for rows in tables.values()),
         columns=len(tables),
-    ).figure()
+    )
 
 
-def figure_parameters(found: TransferResult) -> Figure:
+def figure_parameters(found: TransferResult) -> Panels:
     """Differences of the cabinet's parameters from those of the fit, with 95 % bounds; differing groups in
     red."""
     compared = {name: row for name, row in found.parameters.items() if row.difference is not None}
@@ -116,7 +115,7 @@ def figure_parameters(found: TransferResult) -> Figure:
         tuple(partial(draw, kind=kind) for kind in panels),
         height_in=0.75 + 0.19 * max(len(rows) for rows in panels.values()),
         columns=len(panels),
-    ).figure()
+    )
 
 
 def _label(name: str, unit: str) -> str:
@@ -144,7 +143,7 @@ def _plain_ratios(axes: Axes) -> None:
     axes.xaxis.set_major_locator(FixedLocator(ticks))
 
 
-def figure_type(found: TurbineType) -> Figure:
+def figure_type(found: TurbineType) -> Panels:
     """The time constants of a type with bounds and the range of the next turbine."""
     shown = {
         n: r
@@ -166,4 +165,4 @@ def figure_type(found: TurbineType) -> Figure:
     def handles() -> list[Artist]:
         return [line_handle(RULE, "next turbine, 95 %", 7.0), line_handle(MEASURED, "type, 95 %", 2.2)]
 
-    return Panels((draw,), height_in=0.8 + 0.3 * len(shown), handles=handles).figure()
+    return Panels((draw,), height_in=0.8 + 0.3 * len(shown), handles=handles)
