@@ -143,7 +143,7 @@ def discovery_blocks(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((_verdict_card(found),)), gains, *lead),
+        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((_verdict_card(found),)), *lead, gains),
         body,
         _method(found),
     )

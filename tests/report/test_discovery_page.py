@@ -158,7 +158,7 @@ def test_tables_and_sentences_carry_the_numbers() -> None:
     )
     first = evidence_table(found).rows[0]
     assert first == (
-        "Solar gain (on the roof)", "296.4", "0.2", "2", "12", "275.0", "82.0",
+        "Solar gain (on the roof)", "296.4", "0.2", "2", "12", "274.6", "81.5",
         "accepted, 33 ahead of the best rival",
     )  # fmt: skip
     tested = held_out_sentence(found, found.causes[0].held_out)
@@ -193,7 +193,7 @@ def test_an_event_is_shown_where_it_was_found() -> None:
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
     found["causes"][0] |= {"cause": "door_opening", "form": "windows", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
-    assert page.lead[-1].name == "episodes-1" and page.lead[-1].heading.startswith("The sun heats")
+    assert page.lead[-2].name == "episodes-1" and page.lead[-2].heading.startswith("The sun heats")
     text = page_html(discovery_blocks(typed(found), residuals_case(), residuals_case(0.2)))
     assert 'id="episodes-1-' in text and "20 Jul 2020" in text
 
@@ -273,18 +273,20 @@ def test_two_causes_have_a_check_each_and_one_without_use_is_marked() -> None:
     card, text = verdict(two_causes_case()), words(two_causes_case())
     assert card.value == "Solar gain (on the roof) + exchange step (from a date on)" and "The causes" in text
     assert card.lines[:2] == (
-        "Solar gain (on the roof), confidence 87 %: The sun heats the cabinet or the tower around it; in "
+        "Solar gain (on the roof), confidence 87 %: the sun heats the cabinet or the tower around it; in "
         "this form or on a wall: this record cannot tell these apart.",
+        "Exchange step (from a date on), confidence 61 %: the exchange of air changed at a date; it does not "
+        "improve the prediction of held-out readings.",
     )
-    assert "Shade or paint the wall." in text and "Ask what was done on that date." in text
-    assert text.count("It does not improve the prediction of held-out readings;") == 1
+    assert "shade or paint the wall." in text and "ask what was done on that date." in text
+    assert text.count("it does not improve the prediction of held-out readings") == 1
 
 
 def test_a_cause_of_which_held_out_readings_show_nothing_is_told_as_such() -> None:
     found = discovery_case()
     found["causes"][0]["held_out"] = {"gain": 0.1, "days": 0}
     text = words(found)
-    assert verdict(found).lines[1].startswith("Held-out readings show nothing of it")
+    assert "held-out readings show nothing of it" in verdict(found).lines[0]
     assert "days with" not in text
     nothing = words(found | {"held_out_days": 0})
     assert "show nothing of it" not in nothing and "No readings were held out." in nothing
@@ -444,7 +446,7 @@ def test_what_is_left_is_told_of_the_extended_model() -> None:
     found = discovery_case() | {"left": [left]}
     text = words(found).split("What is left")[1]
     assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
-    assert verdict(found).lines[-1] == f"The extended model still errs: {statement}."
+    assert verdict(found).lines[-2] == f"The extended model still errs: {statement}."
     line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
     assert "12.4 h" in line_sentence(typed(discovery_case() | {"lines": [line]}).lines[0])
 
@@ -473,12 +475,12 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
     expect_narrow(text)
     joined = " ".join(text.split())
     for part in (
-        "Free-run error on held-out readings, after selection: temperature falls from 1.85 to 1.57 K",
+        "temperature 1.85 K 1.57 K −15 %",
         "solar_heat 6.1 5.5 … 6.9 K/(kW/m²)",
-        "To check: Shade or paint the wall",
+        "Check in the turbine for solar gain: shade or paint the wall",
         "+ thermal time constant 1.36 h (1.31 … 1.41): reliable",
         "+ thermal time constant 1.20 h (1.15 … 1.25): reliable",
-        "Left out: 3 causes",
+        "Door opening (single openings)",
         "SYNTHETIC",
     ):
         assert part in joined, part

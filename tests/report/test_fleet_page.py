@@ -74,6 +74,6 @@ def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
     text = page_text(fleet_blocks(table("fit", rows)))
     (line,) = (one for one in text.splitlines() if one.startswith("W4 "))
-    assert line.split()[1:7] == ["thermal", "time", "constant", "[h]", "4.31", "1.51"]
+    assert line.split()[1:7] == ["thermal", "time", "constant", "[h]", "4.32", "1.48"]
     assert "No turbine differs from the others" in page_text(fleet_blocks(table("fit", rows[:4] + rows[5:])))
     assert "Outliers" not in page_text(fleet_blocks(table("fit", rows[:3])))
