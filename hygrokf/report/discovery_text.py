@@ -253,9 +253,22 @@ def _cause(found: DiscoveryResults, one: CauseFound) -> str:
 
 
 def actions(found: DiscoveryResults) -> list[str]:
-    """What to check in the turbine, and what to do after a verdict that names no cause."""
-    checks = (make(one) for one in found.causes for make in (check_sentence, apart_sentence))
-    return [text for text in (*checks, *advice(found)) if text]
+    """What to check in the turbine, and what to do after a verdict that does not name the whole cause."""
+    said = []
+    for one in found.causes:
+        if one.told_apart and one.remedy not in ("", one.separate_by):
+            said.append(f"check in the turbine for {spoken(one.cause)}: {one.remedy}")
+        if one.ambiguous_with and one.separate_by:
+            said.append(f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}")
+    if unfinished(found):
+        said.append(f"allow more than {_simulations(found)} with --budget")
+    elif found.verdict == "unexplained":
+        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
+    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
+        said.append("keep the base model; a cause may be missing that this record does not show")
+    if found.repeated:
+        said.append("find out why the logger repeats readings")
+    return said
 
 
 def meaning(found: DiscoveryResults) -> list[str]:
@@ -288,20 +301,6 @@ def warnings(found: DiscoveryResults) -> list[str]:
         )
     known = {name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()}
     return [*said, repeated_text(known)] if any(known.values()) else said
-
-
-def advice(found: DiscoveryResults) -> list[str]:
-    """What to do after a verdict that names no cause, or not the whole one."""
-    said = []
-    if unfinished(found):
-        said.append(f"allow more than {_simulations(found)} with --budget")
-    elif found.verdict == "unexplained":
-        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
-    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
-        said.append("keep the base model; a cause may be missing that this record does not show")
-    if found.repeated:
-        said.append("find out why the logger repeats readings")
-    return said
 
 
 def line_sentence(one: Line) -> str:
@@ -402,18 +401,6 @@ def alike_sentence(cause: CauseFound) -> str:
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
-
-
-def apart_sentence(cause: CauseFound) -> str:
-    """What tells a cause from its rivals; empty without rivals."""
-    needed = cause.ambiguous_with and cause.separate_by
-    return f"to tell {spoken(cause.cause)} from its rivals: {cause.separate_by}" if needed else ""
-
-
-def check_sentence(cause: CauseFound) -> str:
-    """What to check in the turbine; empty for a class that names nothing."""
-    asked = cause.remedy and cause.told_apart and cause.remedy != cause.separate_by
-    return f"check in the turbine for {spoken(cause.cause)}: {cause.remedy}" if asked else ""
 
 
 def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:

@@ -41,15 +41,15 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.figures.fleet import figure_spreads
-from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.page import page_html
-from hygrokf.report.transfer_page import type_table
+from hygrokf.report.transfer_page import type_section
 from hygrokf.version import __version__
 
 RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""
 REMARKS = 12
 """Remarks on weather and power on the page, those of most turbines first."""
+LEFT_OUT = "Left out, because they differ from the others by more than chance:"
 FAILURE = ("turbine", "status", "reason")
 """Columns that report a turbine without a result."""
 
@@ -87,16 +87,16 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     pictures = _pictures(found)
     cards = Cards(tuple(_cards(fleet, found)))
     ranking = _ranking(task.ranking, task.compared, done, found)
-    outliers = _outliers(found)
+    left_out = ", ".join(fleet.type_without)
     body = (
         *_failures(fleet),
-        *section("Outliers", outliers),
+        *section("Outliers", _outliers(found)),
         *_believed(done),
         *_verdicts(done),
         *_transfers(done),
         *_climates(done),
         *section("Spread over the fleet", *pictures[1:], *_set_aside(found)),
-        *_type(fleet),
+        *type_section(fleet.type, Prose(f"{LEFT_OUT} {left_out}.", "note") if left_out else None),
         *section("Ranking", Details("Every turbine", (ranking,), printed=True) if ranking else None),
     )
     return Page(
@@ -344,17 +344,6 @@ def _set_aside(found: Sequence[Spread]) -> list[Prose]:
                 listed = f"{', '.join(names[:20])}{' …' if len(names) > 20 else ''}"
                 notes.append(Prose(f"{why}, so not compared: {one.compared.title} of {listed}.", "note"))
     return notes
-
-
-def _type(fleet: FleetResults) -> tuple[Block, ...]:
-    """The type of turbine, where the fits make one."""
-    if fleet.type is None:
-        return ()
-    left_out = ", ".join(fleet.type_without)
-    why = f"Left out, because they differ from the others by more than chance: {left_out}."
-    without = Prose(why, "note") if left_out else None
-    picture = Figure("type", "Type and next turbine", "", partial(figure_type, fleet.type))
-    return section("The type of turbine", type_table(fleet.type), without, picture)
 
 
 def _ranking(

@@ -152,9 +152,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> P
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("Models used", handed)
-    if found.type is not None:
-        picture = Figure("type", "Type and next turbine", "", partial(figure_type, found.type))
-        body += section("The type of turbine", type_table(found.type), picture)
+    body += type_section(found.type)
     made_up = any(one.synthetic for one in found.records)
     return Page(
         "Transfer",
@@ -312,6 +310,14 @@ def ratios_table(one: TransferResult) -> Table:
 
 
 # --- the type of turbine ---------------------------------------------------------------------
+
+
+def type_section(found: TurbineType | None, note: Prose | None = None) -> tuple[Block, ...]:
+    """The section about a type of turbine; nothing without one."""
+    if found is None:
+        return ()
+    picture = Figure("type", "Type and next turbine", "", partial(figure_type, found))
+    return section("The type of turbine", type_table(found), note, picture)
 
 
 def type_table(found: TurbineType) -> Table:

@@ -250,6 +250,13 @@ def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple[np.ndarra
     return (np.insert(x, breaks, middle), *(np.insert(v, breaks, np.nan) for v in values))
 
 
+def means(place: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Means (count,) of the values (T,) of each place (T,); NaN where a place has none."""
+    number = np.bincount(place, minlength=count).astype(float)
+    total = np.bincount(place, weights=value, minlength=count)
+    return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
+
+
 def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tuple[float, float]]:
     """Spans (start, end) of `time` over which `flag` (T,) holds; pauses shorter than `least` are closed."""
     flag = np.asarray(flag, dtype=bool)

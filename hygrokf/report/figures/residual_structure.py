@@ -37,6 +37,7 @@ from hygrokf.report.figures.drawing import (
     empty,
     line_handle,
     mark_validation,
+    means,
 )
 from hygrokf.report.figures.innovations import correlation, correlation_reach, periodogram
 from hygrokf.report.figures.panels import Panels
@@ -262,9 +263,7 @@ def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndar
     error = residuals.error(quantity)
     chosen = residuals.validation & np.isfinite(error)
     place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
-    number = np.bincount(place, minlength=len(days))
-    total = np.bincount(place, weights=error[chosen] ** 2, minlength=len(days))
-    return np.sqrt(np.divide(total, number, out=np.full(len(days), np.nan), where=number > 0))
+    return np.sqrt(means(place, error[chosen] ** 2, len(days)))
 
 
 # --- day and hour ----------------------------------------------------------------------------
@@ -327,10 +326,7 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
     hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
     first = int(np.floor(residuals.time_s[0] / DAY_S))
     count = int(np.floor(residuals.time_s[-1] / DAY_S)) - first + 1
-    number = np.bincount(hour - 24 * first, minlength=24 * count).astype(float)
-    total = np.bincount(hour - 24 * first, weights=error[there], minlength=24 * count)
-    mean = np.divide(total, number, out=np.full(24 * count, np.nan), where=number > 0)
-    return first, mean.reshape(count, 24)
+    return first, means(hour - 24 * first, error[there], 24 * count).reshape(count, 24)
 
 
 # --- innovations -----------------------------------------------------------------------------
