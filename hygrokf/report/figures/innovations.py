@@ -67,7 +67,9 @@ def figure_innovations(
 
     def crossed(axes: Axes, name: str, one: CrossCorrelation) -> None:
         correlation(axes, [one], [MEASURED], reach)
-        axes.set_title(f"With {one_line(name).replace('_', ' ')}", fontweight="normal")
+        axes.set_title(
+            f"Correlation with {one_line(name).replace('_', ' ')}", fontweight="normal", fontsize=7.0
+        )
 
     draw = (
         partial(_autocorrelation, data=found.autocorrelation),
