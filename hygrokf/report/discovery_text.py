@@ -352,16 +352,13 @@ def held_out_sentences(found: DiscoveryResults) -> list[str]:
 # --- a cause ---------------------------------------------------------------------------------
 
 
-def confidence_of(cause: CauseFound) -> str:
-    """Confidence in per cent."""
-    if not math.isfinite(cause.confidence):
-        return "not stated"
-    return percent(cause.confidence) if cause.confidence < 0.995 else "> 99 %"
-
-
 def sure_of(one: CauseFound) -> str:
     """The confidence behind a name; empty for a class that names nothing."""
-    return f", confidence {confidence_of(one)}" if one.told_apart else ""
+    if not one.told_apart:
+        return ""
+    share = one.confidence
+    known = "> 99 %" if share >= 0.995 else percent(share) if math.isfinite(share) else "not stated"
+    return f", confidence {known}"
 
 
 def marked(found: DiscoveryResults, one: HeldOutTest) -> str:

@@ -38,6 +38,7 @@ from hygrokf.report.blocks import (
     Prose,
     Table,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.figures.fleet import figure_spreads
@@ -111,10 +112,8 @@ def fleet_blocks(fleet: FleetResults) -> Page:
 
 def _banners(done: Sequence[Row]) -> tuple[Banner, ...]:
     count = sum(row.get("synthetic") is True for row in done)
-    if not count:
-        return ()
     which = "All records" if count == len(done) else f"{count} of {len(done)} records"
-    return (Banner("SYNTHETIC", f"{which} were made by a computer. Nothing of them was measured."),)
+    return synthetic(count > 0, f"{which} were made by a computer. Nothing of them was measured.")
 
 
 # --- the answer ------------------------------------------------------------------------------

@@ -37,21 +37,6 @@ PANELS = (
 )
 
 
-JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
-    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
-)
-DURATION_CAPTION = (
-    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
-    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
-    "weather."
-)
-REGIONS_CAPTION = (
-    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
-    "years."
-)
-
-
 def figure_joint(region: RegionClimate) -> Panels:
     """Hours a year by temperature and relative humidity, in the cabinet and outside."""
     joint = region.joint

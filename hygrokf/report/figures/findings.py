@@ -74,12 +74,6 @@ def events(found: DiscoveryResults) -> list[Finding]:
     return result
 
 
-def episodes_caption(overlaid: bool) -> str:
-    """What to look for in `figure_episodes`; `overlaid`: with the extended model."""
-    compare = ": compare the base model (red) with the extended one (green)." if overlaid else "."
-    return f"Where the background is shaded the simulation should stay with the blue readings{compare}"
-
-
 # --- episodes --------------------------------------------------------------------------------
 
 

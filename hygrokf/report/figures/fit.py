@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -37,10 +38,6 @@ class Picture:
     def of(self, fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
         """The picture of one fit as a block of its page."""
         return Figure(self.name, self.heading, self.caption, lambda: self.draw(fit, series))
-
-
-def _humidity_innovations(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
-    return figure_innovations(fit, series, "humidity")
 
 
 FIGURES: tuple[Picture, ...] = (
@@ -114,6 +111,6 @@ FIGURES: tuple[Picture, ...] = (
         "Innovations of the humidity",
         "As above. Bars beyond the dashed limits at positive lags of an input show a response to that input "
         "that the model lacks.",
-        _humidity_innovations,
+        partial(figure_innovations, output="humidity"),
     ),
 )

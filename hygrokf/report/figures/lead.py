@@ -14,20 +14,26 @@ from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.wording import percent, sentence
 from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
-from hygrokf.report.figures.climate import (
-    DURATION_CAPTION,
-    JOINT_CAPTION,
-    REGIONS_CAPTION,
-    figure_duration,
-    figure_joint,
-    figure_regions,
-)
+from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
+from hygrokf.report.figures.findings import drawable, events, figure_episodes
 from hygrokf.report.figures.fit import FIGURES
-from hygrokf.report.figures.residual_structure import drivers_caption, figure_drivers, telling_drivers
+from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
 
 EPISODE_FIGURES = 3
+JOINT_CAPTION = (
+    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
+    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
+)
+DURATION_CAPTION = (
+    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
+    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
+    "weather."
+)
+REGIONS_CAPTION = (
+    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
+    "years."
+)
 
 
 def lead_of_fit(series: Mapping[str, np.ndarray]) -> Figure:
@@ -48,7 +54,8 @@ def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: 
 def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """Readings, base and extended model in the worst findings, and where causes were found in stretches of
     time."""
-    caption = episodes_caption(after is not None)
+    compare = "." if after is None else ": compare the base model (red) with the extended one (green)."
+    caption = f"Where the background is shaded the simulation should stay with the blue readings{compare}"
     return [
         Figure(
             f"episodes-{place}",
@@ -63,10 +70,16 @@ def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None
 def errors_over_drivers(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> Figure:
     """The errors over those drivers that the findings name, then over the most telling ones."""
     drivers = [one.driver for one in drawable(found) if one.driver]
+    bend = (
+        "; a bend shows what the model lacks."
+        if after is None
+        else "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where "
+        "only green shows, both are alike."
+    )
     return Figure(
         "drivers",
         "Error against what drives the cabinet",
-        drivers_caption(after is not None),
+        f"Medians should lie on zero along every driver{bend}",
         lambda: figure_drivers(before, telling_drivers(before, drivers), after),
     )
 

@@ -78,17 +78,6 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 # --- over drivers ----------------------------------------------------------------------------
 
 
-def drivers_caption(overlaid: bool) -> str:
-    """What to look for in `figure_drivers`; `overlaid`: with the extended model."""
-    bend = (
-        "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where only "
-        "green shows, both are alike."
-        if overlaid
-        else "; a bend shows what the model lacks."
-    )
-    return f"Medians should lie on zero along every driver{bend}"
-
-
 def figure_drivers(
     residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
 ) -> Panels:
