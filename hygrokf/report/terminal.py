@@ -105,10 +105,11 @@ def _card(card: Card) -> str:
     """A number with its verdict; for a rejected number the verdict comes first."""
     value = f"{card.value} ({card.bounds})" if card.bounds else card.value
     if card.kind == REJECT:
-        said = [f"{card.label}, {card.verdict}: {value}", card.reason]
+        said = f"{card.label}, {card.verdict}: {value}"
     else:
-        said = [f"{card.label}: {value}{f', {card.verdict}' if card.kind else ''}", card.reason]
-    return " ".join(sentence(text) for text in (*said, *card.lines) if text)
+        said = f"{card.label}: {value}{f', {card.verdict}' if card.kind else ''}"
+    end = "" if said.endswith(".") else "."  # the label may be a name: no capital
+    return " ".join([f"{said}{end}", *(sentence(text) for text in (card.reason, *card.lines) if text)])
 
 
 def _line(line: Line, width: int) -> str:

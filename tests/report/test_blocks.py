@@ -118,7 +118,7 @@ def test_the_terminal_prints_the_name_the_warnings_and_the_sections_that_hold_te
     made = Page("Report", "T07", (), lead, body, (Prose("how it was computed"),))
     assert page_text(made) == (
         "T07 (SYNTHETIC: nothing measured)\n\nNOT CONVERGED: stopped.\n\n"
-        "Thermal: 1.46 h (1.37 … 1.55), reliable.\nHygric, not reliable: 0.3 h (0.2 … 0.4). It drifts.\n\n"
+        "thermal: 1.46 h (1.37 … 1.55), reliable.\nhygric, not reliable: 0.3 h (0.2 … 0.4). It drifts.\n\n"
         "Numbers\n\nT\na  c\n1  3"
     )
 

@@ -219,7 +219,7 @@ def test_without_humidity_the_reason_is_given(quick) -> None:
     text = _page(fit, series).text
     assert "not identified no humidity inside and outside" in text
     assert "c = c_amb " not in text.split("How this was computed")[0]
-    assert "Hygric time constant: not identified." in page_text(fit_blocks(results(fit), {}))
+    assert "hygric time constant: not identified." in page_text(fit_blocks(results(fit), {}))
 
 
 def test_without_validation_that_is_said(quick) -> None:
