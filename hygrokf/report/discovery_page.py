@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
+from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Refuted
 from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.discovery.results import read_discovery, write_discovery
@@ -24,7 +24,6 @@ from hygrokf.report.blocks import (
     Card,
     Cards,
     Details,
-    Facts,
     Figure,
     Heading,
     Items,
@@ -39,53 +38,44 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_tables import (
-    constants_table,
+    evidence_table,
     findings_table,
     gains_table,
     held_out_table,
     parameters_table,
-    rejected_table,
     scores_table,
 )
 from hygrokf.report.discovery_text import (
-    NO_CHECK,
-    NOT_RIGHT,
-    alike_sentence,
-    apart_sentence,
+    actions,
     capital,
-    confidence_of,
-    evidence_sentence,
     formed,
     headline,
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    refutation,
+    named_alone,
+    reasons,
     settings_words,
-    spoken,
-    sure_of,
     tried,
-    unfinished,
-    verdict_sentences,
+    warned,
 )
-from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
+from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import (
-    DRIVERS_HEADING,
-    drivers_caption,
+    TITLE,
     figure_day_hour,
-    figure_drivers,
     figure_error_course,
     figure_innovations,
-    telling_drivers,
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
 from hygrokf.version import __version__
 
-EPISODE_FIGURES = 3
 ERRORS = "Errors before and after"
 BY = "By driver, by day and hour, and by period"
-TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
+TOGETHER = (
+    "In the order of their acceptance, each beside those before it. The errors are those of the extended "
+    "model with all of them together."
+)
 
 
 def write_discovery_report(found: Discovery | None, directory: str | os.PathLike[str]) -> Path:
@@ -109,16 +99,15 @@ def write_discovery_report(found: Discovery | None, directory: str | os.PathLike
 def discovery_blocks(
     found: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
 ) -> Page:
-    """What a discovery says: the verdict, and the readings beside base and extended model, first.
+    """What a discovery says: the verdict, the errors, and the readings beside base and extended model, first.
 
     before, after: residuals of both models, for the pictures.
     """
-    verdict = _verdict_card(found)
-    episodes = [] if before is None else _episodes(found, before, after)
-    events = [] if before is None else _events(found, before, after)
+    shown = [] if before is None else episodes(found, before, after)
     courses = [] if before is None else _courses(found, before, after)
-    lead = [*episodes, *events, *courses][:1]
-    rest = [one for one in (*episodes, *events) if one not in lead]
+    lead = [*shown, *courses][:1]
+    evidence = evidence_table(found)
+    rest = [one for one in shown if one not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
@@ -129,22 +118,34 @@ def discovery_blocks(
             ),
             *rest,
         ),
-        *_causes(found),
-        *_refuted(found),
+        *section(
+            "The causes" if len(found.causes) > 1 else "The cause",
+            *(block for one in found.causes for block in _judged(found, one)),
+            Prose(TOGETHER) if len(found.causes) > 1 else None,
+        ),
+        *section(
+            "Refuted by held-out readings",
+            *(block for one in found.refuted for block in _judged(found, one)),
+        ),
         *_errors(found, before, after),
         *_constants(found),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
         *_left(found),
-        *section("Causes left out", _rejected(found)),
+        *section(
+            "Causes and their evidence",
+            Details(f"{len(evidence.rows)} causes", (evidence,), printed=True)
+            if evidence
+            else Prose("No cause was tried.", "missing"),
+        ),
     )
+    gains = table_or(gains_table(found), "No errors of a free run are known.")
     return Page(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
+        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((_verdict_card(found),)), *lead, gains),
         body,
         _method(found),
-        _brief(found, verdict),
     )
 
 
@@ -161,91 +162,30 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 
 
 def _verdict_card(found: DiscoveryResults) -> Card:
-    """The verdict with its sentences; of a single cause, with its confidence."""
-    heading, lines = headline(found), tuple(verdict_sentences(found))
-    sure = ""
-    if found.verdict in ("named", "ambiguous") and len(found.causes) == 1:
-        sure = sure_of(found.causes[0])
-    said = f"{heading}{sure}. {' '.join(lines)}"
-    warned = found.verdict == "unexplained" or heading == NOT_RIGHT or bool(unfinished(found))
+    """The verdict with what speaks for it and what to do; of a single cause, with its confidence."""
     return Card(
-        "Verdict", heading, said, bounds=sure.removeprefix(", "), lines=lines, wide=True, words=True,
-        tone="open" if warned else "plain",
+        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
+        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
+        tone="open" if warned(found) else "plain",
     )  # fmt: skip
-
-
-def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
-    """What a terminal shows: verdict, findings, causes, refuted names, errors, time constants, what is
-    left."""
-    findings = Items(tuple(one.statement for one in found.findings))
-    out = len(found.rejected)
-    return present(
-        Cards((verdict,)),
-        Prose(f"{FREE_RUN} {INNOVATIONS}"),
-        Heading("What the simulation gets wrong"),
-        findings if found.findings else Prose("No significant and material error."),
-        *_causes(found),
-        *_refuted(found),
-        *section(ERRORS, gains_table(found), *map(Prose, held_out_sentences(found))),
-        *_verdicts(found),
-        *_left(found),
-        Prose(f"Left out: {out} cause{'' if out == 1 else 's'} (discovery.json has the evidence)."),
-    )
 
 
 # --- sections --------------------------------------------------------------------------------
 
 
-def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
-    several = len(found.causes) > 1
-    together = Prose(
-        "In the order of their acceptance, each beside those before it. The errors are those of the extended "
-        "model with all of them together."
-    )
-    return section(
-        "The causes" if several else "The cause",
-        *(block for one in found.causes for block in _cause(found, one)),
-        together if several else None,
-    )
-
-
-def _cause(found: DiscoveryResults, cause: CauseFound) -> list[Block]:
-    """A cause: meaning, confidence, evidence, held-out test, rivals, what to check, parameters."""
-    settings = settings_words(cause.settings)
-    rivals = [text for text in (alike_sentence(cause), apart_sentence(cause)) if text]
-    named = cause.told_apart
-    rows = [
-        ("What it is", cause.statement or spoken(cause.cause)),
-        ("Confidence", confidence_of(cause)) if named else ("Names nothing", "the class is too long"),
-        ("Evidence", evidence_sentence(cause.evidence)),
-        ("Held-out test", held_out_sentence(found, cause.held_out)),
-        *([("Found by search", "; ".join(settings))] if settings else []),
-        ("Could also be", "; ".join(rivals) or "no other cause of the library comes near it"),
-        *([("To check", cause.remedy or NO_CHECK)] if named else []),
-    ]
-    return [
-        Heading(capital(formed(cause.cause, cause.form)), 3),
-        Facts(tuple((term, sentence(said)) for term, said in rows)),
-        table_or(parameters_table(cause), "The cause has no parameters of its own: it corrects time stamps."),
-        *present(held_out_table(cause.held_out)),
-    ]
-
-
-def _refuted(found: DiscoveryResults) -> tuple[Block, ...]:
-    """The causes that held-out readings refute, with reason and numbers."""
-    blocks: list[Block | None] = []
-    for one in found.refuted:
-        rows = [
-            ("Reason", refutation(one.held_out)),
-            ("Evidence", evidence_sentence(one.evidence)),
-            ("Held-out test", held_out_sentence(found, one.held_out)),
-        ]
+def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
+    """A cause: settings and parameters of one that was accepted, and the held-out test."""
+    blocks: list[Block | None] = [Heading(capital(formed(one.cause, one.form)), 3)]
+    if isinstance(one, CauseFound):
+        settings = settings_words(one.settings)
+        without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Heading(capital(formed(one.cause, one.form)), 3),
-            Facts(tuple((term, sentence(said)) for term, said in rows)),
-            held_out_table(one.held_out),
+            Prose(f"Found by search: {'; '.join(settings)}.") if settings else None,
+            table_or(parameters_table(one), without),
         ]
-    return section("Refuted by held-out readings", *blocks)
+    return present(
+        *blocks, Prose(sentence(held_out_sentence(found, one.held_out))), held_out_table(one.held_out)
+    )
 
 
 def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> tuple[Block, ...]:
@@ -259,7 +199,6 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
         )
     return section(
         ERRORS,
-        table_or(gains_table(found), "No errors of a free run are known."),
         *map(Prose, held_out_sentences(found)),
         course,
         table_or(
@@ -271,18 +210,14 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    heading = "The time constants without and with the cause" if found.extended else "The time constants"
-    return section(heading, constants_table(found), *_verdicts(found))
-
-
-def _verdicts(found: DiscoveryResults) -> list[Block | None]:
     """The time constants of both models with their verdicts."""
+    heading = "The time constants without and with the cause" if found.extended else "The time constants"
     base = "Time constants of the base model" if found.extended else "Time constants of the model"
-    blocks: list[Block | None] = [inherited_verdicts(inherited(found.baseline.fit), base)]
+    verdicts = [inherited_verdicts(inherited(found.baseline.fit), base)]
     if found.extended is not None:
         extended = "Time constants of the extended model"
-        blocks.append(inherited_verdicts(inherited(found.extended.fit), extended))
-    return blocks
+        verdicts.append(inherited_verdicts(inherited(found.extended.fit), extended))
+    return section(heading, *verdicts)
 
 
 def _left(found: DiscoveryResults) -> tuple[Block, ...]:
@@ -295,13 +230,6 @@ def _left(found: DiscoveryResults) -> tuple[Block, ...]:
             "The errors of the extended model show no structure under any tested condition.",
         )
     return section("What is left", lines, errors)
-
-
-def _rejected(found: DiscoveryResults) -> Block:
-    table = rejected_table(found)
-    if not table:
-        return Prose("No other cause was tried.", "missing")
-    return Details(f"{len(table.rows)} causes, and why each was left out", (table,))
 
 
 def _method(found: DiscoveryResults) -> tuple[Block, ...]:
@@ -336,52 +264,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 # --- pictures --------------------------------------------------------------------------------
 
 
-def _episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The worst findings: readings, base and extended model where the error shows."""
-    caption = episodes_caption(after is not None)
-    return [
-        Figure(
-            f"episodes-{place}",
-            f"Finding {place}: {TITLES[one.quantity]}",
-            caption if place == 1 else "",
-            partial(figure_episodes, before, one, after),
-        )
-        for place, one in enumerate(drawable(found)[:EPISODE_FIGURES], start=1)
-    ]
-
-
-def _events(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """Accepted causes that were found in stretches of time, in the quantity that gained most there."""
-    said = "Shaded: where the cause was found. The simulation should stay with the blue readings there."
-    return [
-        Figure(
-            f"event-{place}",
-            f"{capital(spoken(cause.cause))}: when",
-            said,
-            partial(figure_episodes, before, event, after),
-        )
-        for place, (cause, event) in enumerate(events(found), start=1)
-    ]
-
-
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """The errors over drivers, over days and hours, and the innovations."""
-    drivers = [one.driver for one in drawable(found) if one.driver]
-    figures = [
-        Figure(
-            "drivers",
-            DRIVERS_HEADING,
-            drivers_caption(after is not None),
-            lambda: figure_drivers(before, telling_drivers(before, drivers), after),
-        )
-    ]
+    figures = [errors_over_drivers(found, before, after)]
     for quantity in QUANTITIES:
         changed = after if _differ(before, after, quantity) else None
         same = " The extended model leaves these errors as they are." if after is not changed else ""
         figures.append(
             Figure(
                 f"days-{quantity}",
-                f"Error of the {TITLES[quantity]} by day and hour",
+                f"Error of the {TITLE[quantity].lower()} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
                 f"weather or operation. A lasting change of colour: something changed on that date.{same}",
                 partial(figure_day_hour, before, quantity, changed),

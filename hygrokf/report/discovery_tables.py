@@ -1,4 +1,4 @@
-"""The tables of a discovery: findings, parameters of causes, time constants, scores, what was left out."""
+"""The tables of a discovery: findings, errors, parameters of causes, scores, evidence."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
     Finding,
     HeldOutTest,
+    Refuted,
     Rejected,
 )
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import best_rule
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
-from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (
     EXCLUSIONS,
@@ -31,7 +31,7 @@ from hygrokf.report.discovery_text import (
     unchanged,
 )
 from hygrokf.report.fit_tables import rmse_table
-from hygrokf.report.fit_text import p_value, time_constant
+from hygrokf.report.fit_text import p_value
 
 
 def findings_table(found: Sequence[Finding], when: str = "in the identification period") -> Table:
@@ -125,44 +125,10 @@ def parameters_table(cause: CauseFound) -> Table:
     return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
-def models(found: DiscoveryResults) -> tuple[FitResults, FitResults]:
-    """The base and the extended model as results of a fit; an absent one is empty."""
-    return found.baseline.fit, FitResults() if found.extended is None else found.extended.fit
-
-
-def constants_table(found: DiscoveryResults) -> Table | None:
-    """Both time constants by the base and by the extended model; None without an extended model."""
-    if found.extended is None:
-        return None
-    rows = []
-    for name in PARTS:
-        pair = [time_constant(model, name) for model in models(found)]
-        if all(one.found is None for one in pair):
-            continue
-        cells = []
-        for one in pair:
-            known = one.found is not None
-            cells += [
-                one.value,
-                one.bounds.split(",")[0] if one.closed else NONE,
-                one.verdict.words if known else NONE,
-            ]
-        a, b = (one.found.value_h if one.found and one.closed else math.nan for one in pair)
-        rows.append((name, *cells, _change(a, b)))
-    return Table(
-        "Time constants",
-        ("", "value", "bounds [h]", "verdict", "value", "bounds [h]", "verdict", "change"),
-        tuple(rows),
-        left=(0, 3, 6),
-        groups=(("", 1), ("base model", 3), ("extended model", 3), ("", 1)),
-        brief=(0, 1, 2, 4, 5, 7),
-    )
-
-
 def scores_table(found: DiscoveryResults, period: str) -> Table | None:
     """Free-run errors of base and extended model in one period, with the simple rules; None without
     scores."""
-    before, after = models(found)
+    before, after = found.baseline.fit, FitResults() if found.extended is None else found.extended.fit
     base, wider = rmse_table(before, period), rmse_table(after, period)
     if base is None:
         return None
@@ -190,31 +156,41 @@ def _change(before: float, after: float) -> str:
     return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
 
 
-def rejected_table(found: DiscoveryResults) -> Table:
-    """Every cause that was left out, in order of its evidence."""
-
-    def worth(evidence: float) -> float:
-        return evidence if math.isfinite(evidence) else -math.inf
-
+def evidence_table(found: DiscoveryResults) -> Table:
+    """Every cause that was judged, in order of its evidence; accepted ones are set off."""
+    judged: list[tuple[CauseFound | Refuted | Rejected, str]] = [
+        *((one, _accepted(one)) for one in found.causes),
+        *((one, "held-out readings refute it") for one in found.refuted),
+        *((one, _reason(found, one)) for one in found.rejected),
+    ]
+    judged.sort(key=lambda row: -worth if math.isfinite(worth := row[0].evidence.evidence) else math.inf)
     rows = []
-    for one in sorted(found.rejected, key=lambda one: -worth(one.evidence.evidence)):
+    for one, outcome in judged:
         known = one.evidence
         paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
         gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
         worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(one.cause, one.form)), *gains, *paid, *worths, _reason(found, one)))
+        rows.append((capital(formed(one.cause, one.form)), *gains, *paid, *worths, outcome))
     return Table(
         "In order of their evidence",
-        ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "why left out"),
+        ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
         tuple(rows),
         left=(0, 7),
+        marked=tuple(i for i, (one, _) in enumerate(judged) if isinstance(one, CauseFound)),
         groups=(("", 1), ("2 ln L", 2), ("paid for", 2), ("evidence", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, a difference of maxima. Evidence: this gain less ln N "
             "for each constant in each quantity and 2 ln of the settings; in days: by how independent the "
             "days are."
         ),
+        brief=(0, 5, 6, 7),
     )
+
+
+def _accepted(one: CauseFound) -> str:
+    """That a cause was accepted, and how far it leads in days."""
+    lead = one.evidence.lead
+    return f"accepted, {fixed(lead, 0)} ahead of the best rival" if math.isfinite(lead) else "accepted"
 
 
 def _reason(found: DiscoveryResults, one: Rejected) -> str:

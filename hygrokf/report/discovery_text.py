@@ -1,4 +1,4 @@
-"""A discovery in sentences: verdict, causes and their forms, evidence, held-out test, and what to check."""
+"""A discovery in sentences: verdict, causes and their forms, held-out test, and what to check."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from hygrokf.discovery.discovery_results import (
     CauseFound,
     CauseParameter,
     DiscoveryResults,
-    Evidence,
     Gain,
     HeldOutTest,
     Line,
@@ -26,7 +25,6 @@ from hygrokf.identification.wording import (
     QUANTITIES,
     decimals_for,
     fixed,
-    minus,
     percent,
     plain_number,
     sentence,
@@ -107,7 +105,6 @@ SCORED_AS = {
     "vapour": "absolute_humidity_g_m3",
 }
 """Quantity of residuals or of the search → scored quantity."""
-NO_CHECK = "nothing is stated"
 NOT_BETTER = "it does not improve the prediction of held-out readings"
 NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
 LEAST_IMPROVEMENT = 0.02
@@ -191,18 +188,20 @@ def _simulations(found: DiscoveryResults) -> str:
     return f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
 
 
-def so_far(found: DiscoveryResults) -> str:
-    """What a search found until its budget ended it; empty where the budget did not."""
-    if not unfinished(found):
-        return ""
-    found_none = found.verdict == "none" and not _doubts(found)
-    known = "no cause is named" if found_none else answer(found)
-    return f"so far: {known[:1].lower()}{known[1:]}"
-
-
 def headline(found: DiscoveryResults) -> str:
     """The first sentence of the verdict."""
     return unfinished(found) or answer(found)
+
+
+def named_alone(found: DiscoveryResults) -> str:
+    """The confidence behind the only cause that the headline names; empty where it names none or several."""
+    alone = found.verdict in ("named", "ambiguous") and len(found.causes) == 1 and not unfinished(found)
+    return sure_of(found.causes[0]) if alone else ""
+
+
+def warned(found: DiscoveryResults) -> bool:
+    """Whether the verdict is a warning: the model is wrong, or the search did not end."""
+    return found.verdict == "unexplained" or answer(found) == NOT_RIGHT or bool(unfinished(found))
 
 
 def answer(found: DiscoveryResults) -> str:
@@ -234,20 +233,42 @@ def _doubts(found: DiscoveryResults) -> list[str]:
     ]
 
 
-def verdict_sentences(found: DiscoveryResults) -> list[str]:
-    """What follows the first sentence: what is left, the causes with their errors, and what to check."""
-    doubts = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
-    errors = errors_sentence(found) if found.causes else ""
-    if len(found.causes) == 1:
-        (one,) = found.causes
-        what = "" if one.ambiguous_with else one.statement
-        alike = (alike_sentence(one), apart_sentence(one))
-        causes = [what, marked(found, one.held_out), errors, *alike, check_sentence(one)]
-    else:
-        named = (f"{class_of(one)}{sure_of(one)}; {marked(found, one.held_out)}" for one in found.causes)
-        causes = [*(text.removesuffix("; ") for text in named), errors]
-    said = (so_far(found), *doubts, *meaning(found), *causes, *warnings(found), *advice(found))
-    return [sentence(text) for text in said if text]
+def reasons(found: DiscoveryResults) -> list[str]:
+    """What follows the headline: doubts, what is left, the causes, and what limits the verdict."""
+    said = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
+    if unfinished(found):
+        known = "no cause is named" if found.verdict == "none" and not _doubts(found) else answer(found)
+        said.insert(0, f"so far: {known[:1].lower()}{known[1:]}")
+    causes = (_cause(found, one) for one in found.causes)
+    return [text for text in (*said, *meaning(found), *causes, *warnings(found)) if text]
+
+
+def _cause(found: DiscoveryResults, one: CauseFound) -> str:
+    """A cause: its name where the headline does not state it alone, meaning, mark and rivals."""
+    what = "" if one.ambiguous_with else one.statement
+    if len(found.causes) > 1 or unfinished(found):
+        name = f"{class_of(one)}{sure_of(one)}"
+        what = f"{name}: {what}" if what else name
+    return "; ".join(text for text in (what, marked(found, one.held_out), alike_sentence(one)) if text)
+
+
+def actions(found: DiscoveryResults) -> list[str]:
+    """What to check in the turbine, and what to do after a verdict that does not name the whole cause."""
+    said = []
+    for one in found.causes:
+        if one.told_apart and one.remedy not in ("", one.separate_by):
+            said.append(f"check in the turbine for {spoken(one.cause)}: {one.remedy}")
+        if one.ambiguous_with and one.separate_by:
+            said.append(f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}")
+    if unfinished(found):
+        said.append(f"allow more than {_simulations(found)} with --budget")
+    elif found.verdict == "unexplained":
+        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
+    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
+        said.append("keep the base model; a cause may be missing that this record does not show")
+    if found.repeated:
+        said.append("find out why the logger repeats readings")
+    return said
 
 
 def meaning(found: DiscoveryResults) -> list[str]:
@@ -282,20 +303,6 @@ def warnings(found: DiscoveryResults) -> list[str]:
     return [*said, repeated_text(known)] if any(known.values()) else said
 
 
-def advice(found: DiscoveryResults) -> list[str]:
-    """What to do after a verdict that names no cause, or not the whole one."""
-    said = []
-    if unfinished(found):
-        said.append(f"allow more than {_simulations(found)} with --budget")
-    elif found.verdict == "unexplained":
-        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
-    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
-        said.append("keep the base model; a cause may be missing that this record does not show")
-    if found.repeated:
-        said.append("find out why the logger repeats readings")
-    return said
-
-
 def line_sentence(one: Line) -> str:
     """A line that is left in a spectrum."""
     name, _ = quantity_of(one.quantity)
@@ -319,21 +326,6 @@ def place_of(found: DiscoveryResults, gain: Gain) -> str:
     """The readings that errors are told from."""
     after = ", after selection" if gain.period == "validation" and selected(found) else ""
     return f"{PERIOD.get(gain.period, gain.period)}{after}"
-
-
-def errors_sentence(found: DiscoveryResults) -> str:
-    """The free-run errors of both models by quantity."""
-    said: dict[str, list[str]] = {}
-    for gain in found.gains:
-        name, symbol = quantity_of(gain.quantity)
-        before, after = fixed(gain.rmse_before), fixed(gain.rmse_after)
-        if unchanged(gain.rmse_before, gain.rmse_after):
-            text = f"{name} stays at {before} {symbol}"
-        else:
-            verb = "rises" if gain.rmse_after > gain.rmse_before else "falls"
-            text = f"{name} {verb} from {before} to {after} {symbol}"
-        said.setdefault(place_of(found, gain), []).append(text)
-    return "; ".join(f"free-run error on {place}: {', '.join(texts)}" for place, texts in said.items())
 
 
 def held_out_sentences(found: DiscoveryResults) -> list[str]:
@@ -360,16 +352,13 @@ def held_out_sentences(found: DiscoveryResults) -> list[str]:
 # --- a cause ---------------------------------------------------------------------------------
 
 
-def confidence_of(cause: CauseFound) -> str:
-    """Confidence in per cent."""
-    if not math.isfinite(cause.confidence):
-        return "not stated"
-    return percent(cause.confidence) if cause.confidence < 0.995 else "> 99 %"
-
-
 def sure_of(one: CauseFound) -> str:
     """The confidence behind a name; empty for a class that names nothing."""
-    return f", confidence {confidence_of(one)}" if one.told_apart else ""
+    if not one.told_apart:
+        return ""
+    share = one.confidence
+    known = "> 99 %" if share >= 0.995 else percent(share) if math.isfinite(share) else "not stated"
+    return f", confidence {known}"
 
 
 def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
@@ -391,34 +380,13 @@ def refutation(one: HeldOutTest) -> str:
 
 
 def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
-    """What held-out readings say of a cause, in short; the table has the numbers."""
+    """What held-out readings say of a cause beside the errors of its table."""
     if not one.days:
         return NOT_SEEN if found.held_out_days else "no readings were held out"
-    fall = f"a levelled free-run error falls by {percent(one.improvement)}"
-    said = marked(found, one) or f"it improves the prediction of held-out readings: {fall}"
-    gain = f"; 2 ln L of held-out readings {_grows(one.gain)}" if math.isfinite(one.gain) else ""
-    return f"{said}{gain}; {one.days} days with readings"
-
-
-def _grows(gain: float) -> str:
-    return f"grows by {gain:.0f}" if gain >= 0 else f"falls by {-gain:.0f}"
-
-
-def evidence_sentence(found: Evidence) -> str:
-    """Gains in likelihood, what was paid for them, and the lead over rivals."""
-    if not found.gains:
-        return "no evidence is stated"
-    gains = ", ".join(f"{quantity_of(q)[0]} {fixed(gain, 1)}" for q, gain in found.gains.items())
-    constants = f"{found.constants} free constant{'' if found.constants == 1 else 's'}"
-    settings = f"{found.searched} setting{'' if found.searched == 1 else 's'} tried"
-    said = [f"2 ln L, a difference of maxima: {gains}", f"{constants}, {settings}"]
-    if math.isfinite(found.evidence):
-        said.append(f"evidence after their price: {minus(f'{found.evidence:.0f}')}")
-    if math.isfinite(found.in_days):
-        said.append(f"in independent days: {minus(f'{found.in_days:.0f}')}")
-    if math.isfinite(found.lead):
-        said.append(f"the best rival of another cause stays {minus(f'{found.lead:.0f}')} behind, in days")
-    return "; ".join(said)
+    said = [f"a levelled free-run error falls by {percent(one.improvement)}"]
+    if math.isfinite(one.gain):
+        said.append(f"2 ln L {'grows' if one.gain >= 0 else 'falls'} by {abs(one.gain):.0f}")
+    return "; ".join([*said, f"{one.days} days with readings"])
 
 
 def alike_sentence(cause: CauseFound) -> str:
@@ -430,18 +398,6 @@ def alike_sentence(cause: CauseFound) -> str:
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
-
-
-def apart_sentence(cause: CauseFound) -> str:
-    """What tells a cause from its rivals; empty without rivals."""
-    needed = cause.ambiguous_with and cause.separate_by
-    return f"to tell {spoken(cause.cause)} from its rivals: {cause.separate_by}" if needed else ""
-
-
-def check_sentence(cause: CauseFound) -> str:
-    """What to check in the turbine; empty for a class that names nothing."""
-    asked = cause.remedy and cause.told_apart and cause.remedy != cause.separate_by
-    return f"check in the turbine for {spoken(cause.cause)}: {cause.remedy}" if asked else ""
 
 
 def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:

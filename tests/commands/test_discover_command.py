@@ -51,7 +51,7 @@ def test_a_small_budget_ends_the_search_and_is_told_first(
     said = run(f"discover {case} --out {tmp_path}/made --budget 1")
     assert said.status == 0
     assert said.out.split("\n\n")[1].startswith(
-        "The budget of 1 simulation ended the search; not judged: solar gain. So far: "
+        "Verdict: The budget of 1 simulation ended the search; not judged: solar gain. So far: "
     )
 
 

@@ -471,16 +471,16 @@ def test_every_figure_is_drawn_with_and_without_an_extended_model(overlaid: bool
     hidden = with_effect(base, "humidity", 1.1 * base.preheating)
     after = base if overlaid else None
     one = single(findings(hidden))
-    text = drawn(figure_episodes(hidden, one, after), "episodes")
+    text = drawn(figure_episodes(hidden, one, after).figure(), "episodes")
     assert "During pre-heating".lower() in text.lower()
     assert ("before" in text) == overlaid
-    assert len(figure_episodes(hidden, one, after).axes) == 6
-    panels = figure_drivers(hidden, ("wind_speed", "power"), after)
+    assert len(figure_episodes(hidden, one, after).figure().axes) == 6
+    panels = figure_drivers(hidden, ("wind_speed", "power"), after).figure()
     assert len(panels.axes) == 4
     assert "wind speed [m/s]" in drawn(panels, "drivers")
-    assert len(figure_day_hour(hidden, "humidity", after).axes) == (3 if overlaid else 2)
-    drawn(figure_day_hour(hidden, "humidity", after), "map")
-    spectra = drawn(figure_innovations(hidden, after), "spectra")
+    assert len(figure_day_hour(hidden, "humidity", after).figure().axes) == (3 if overlaid else 2)
+    drawn(figure_day_hour(hidden, "humidity", after).figure(), "map")
+    spectra = drawn(figure_innovations(hidden, after).figure(), "spectra")
     assert "Temperature" in spectra and "Absolute humidity" in spectra
 
 
@@ -488,7 +488,7 @@ def test_a_lasting_misfit_is_drawn_over_the_whole_record() -> None:
     base = made(3)
     late = np.arange(len(base.time_h)) >= 2400
     hidden = with_effect(base, "temperature", 1.0 * late)
-    figure = figure_episodes(hidden, single(findings(hidden)))
+    figure = figure_episodes(hidden, single(findings(hidden))).figure()
     assert len(figure.axes) == 1
     low, high = figure.axes[0].get_xlim()
     assert high - low == pytest.approx(60.0, abs=1.0)
@@ -498,7 +498,7 @@ def test_the_map_shows_simulation_less_reading_at_its_day_and_hour() -> None:
     base = made(17)
     table = np.zeros(len(base.time_h))
     table[96 * 10 + 4 * 15 : 96 * 10 + 4 * 16] = -50.0
-    shown = figure_day_hour(with_effect(base, "temperature", table)).axes[0].images[0].get_array()
+    shown = figure_day_hour(with_effect(base, "temperature", table)).figure().axes[0].images[0].get_array()
     assert np.unravel_index(np.nanargmax(shown), shown.shape) == (15, 10)
 
 

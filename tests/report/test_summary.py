@@ -153,7 +153,8 @@ def test_several_causes_have_their_confidence_and_mark_each() -> None:
     made = summary_of_discovery(typed(two_causes_case()), residuals_case(), None)
     assert made.answer == "Solar gain (on the roof) + exchange step (from a date on)."
     assert "confidence 87 %" in made.reasons[0] and "does not improve" not in made.reasons[0]
-    assert "confidence 61 %; it does not improve" in made.reasons[1] and len(made.actions) == 2
+    assert "confidence 61 %: the" in made.reasons[1] and "does not improve" in made.reasons[1]
+    assert len(made.actions) == 2
 
 
 def test_water_a_long_class_and_a_budget_are_told_to_a_manager_too() -> None:
