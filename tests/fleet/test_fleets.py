@@ -586,7 +586,7 @@ def test_the_command_tells_writes_and_reports_again(park: Path, serial: tuple[Pa
     out = serial[0]
     said = run(f"fleet {park}/fleet.toml --out {out} --workers 1")
     assert said.status == 1
-    assert "3 of 5 turbines with a result" in said.out and "T3" in said.out and "no such file" in said.out
+    assert "Turbines with a result: 3 of 5." in said.out and "T3" in said.out and "no such file" in said.out
     assert said.err.count("done before") == len(WHOLE) and "report: " in said.err
     assert (out / "fleet.csv").read_text() == serial[1]
     page = (out / "report.html").read_text(encoding="utf-8")
