@@ -472,7 +472,7 @@ def test_every_figure_is_drawn_with_and_without_an_extended_model(overlaid: bool
     after = base if overlaid else None
     one = single(findings(hidden))
     text = drawn(figure_episodes(hidden, one, after).figure(), "episodes")
-    assert "During pre-heating".lower() in text.lower()
+    assert "under the condition" in text and "during pre-heating" in one.statement.lower()
     assert ("before" in text) == overlaid
     assert len(figure_episodes(hidden, one, after).figure().axes) == 6
     panels = figure_drivers(hidden, ("wind_speed", "power"), after).figure()
