@@ -16,7 +16,7 @@ from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
 from hygrokf.discovery.final_set import FinalSet
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
-from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
@@ -37,7 +37,15 @@ def fit_of(
     """A final set as a fit of the record, whose clocks are corrected as the set says.
 
     doubts: about the hygric constant, beside those about the record.
+    Raises ValueError where the set is faster than a filter of the readings can follow.
     """
+    try:
+        return _fit_of(record, final, say, doubts)
+    except RatesFault as fault:
+        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
+
+
+def _fit_of(record: Record, final: FinalSet, say: Progress, doubts: Sequence[str]) -> Fit:
     record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
