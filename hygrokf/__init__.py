@@ -51,40 +51,6 @@ _WHERE = {
     "Tracker": "live.tracker",
     "HygrokfError": "errors",
 }
-_RENAMED = {
-    "compared": "compare",
-    "column": "comparison_column",
-    "run": "prepare_run",
-    "free_run": "simulate",
-    "forecasts": "forecast",
-}
-"""Names of the version before, and what they are called now."""
-_MOVED = {
-    "Bounds": "estimation.confidence.Bounds",
-    "CaseFault": "cases.case_file.CaseFault",
-    "Design": "modelling.design.Design",
-    "Discovery": "discovery.procedure.Discovery",
-    "Estimate": "estimation.optimiser.Estimate",
-    "Gaussian": "estimation.likelihood.Gaussian",
-    "Prior": "physics.parameters.Prior",
-    "Series": "data.record.Series",
-    "Site": "data.record.Site",
-    "Timeline": "engine.timeline.Timeline",
-    "TurbineType": "identification.turbine_type.TurbineType",
-    "Variant": "discovery.cause.Variant",
-    "covariances": "estimation.inference.covariances",
-    "describe": "cases.summary.describe",
-    "describe_text": "report.record_text.describe_text",
-    "pool_types": "identification.turbine_type.pool_types",
-    "pooled": "identification.turbine_type.pool_types",
-    "read_type": "identification.turbine_type.read_type",
-    "read_weather": "weather.reading.read_weather",
-    "reference_filter": "estimation.reference_filter.reference_filter",
-    "write_comparison": "report.comparison_page.write_comparison",
-    "write_transfer": "report.transfer_page.write_transfer",
-    "write_type": "identification.turbine_type.write_type",
-}
-"""Names of the version before that are imported from their modules now."""
 
 if TYPE_CHECKING:
     from hygrokf.cases.case_file import read_case as read_case
@@ -132,13 +98,6 @@ def __getattr__(name: str) -> object:
         value = getattr(import_module(f"hygrokf.{_WHERE[name]}"), name)
         globals()[name] = value  # a submodule of the same name must not come back
         return value
-    if name in _RENAMED:
-        raise AttributeError(f"hygrokf.{name} is called hygrokf.{_RENAMED[name]} now")
-    if name in _MOVED:
-        module, _, now = _MOVED[name].rpartition(".")
-        raise AttributeError(
-            f"hygrokf.{name} is imported from its module now: from hygrokf.{module} import {now}"
-        )
     raise AttributeError(f"module 'hygrokf' has no attribute {name!r}; it has {sorted(_WHERE)}")
 
 

@@ -26,7 +26,7 @@ RUN = [
         ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
         marks=pytest.mark.slow,
     ),
-    (document("add_a_mechanism.md"), "python,bash", ["turbine/case.toml"]),
+    (document("add_a_mechanism.md"), "python", []),
     (document("own_model.md"), "python", []),
     pytest.param(
         document("reference.md"),
@@ -52,7 +52,7 @@ RUN = [
         ["moved/report.html", "moved/synthetic-turbine-42/fit.json"],
         marks=pytest.mark.slow,
     ),
-    (document("own_cause.md"), "python", ["turbine/case.toml", "found/fit.json"]),
+    (document("own_cause.md"), "python", []),
     (document("live_notify.md"), "bash", ["hook.secret"]),
     (document("live_opcua.md"), "bash", ["pki/tracker.key", "pki/tracker.pem"]),
     (document("live_page.md"), "bash", ["page.token"]),

@@ -47,30 +47,6 @@ def test_a_type_checker_knows_every_public_name() -> None:
     assert declared == hygrokf._WHERE
 
 
-@pytest.mark.parametrize("former", sorted(hygrokf._RENAMED))
-def test_a_renamed_name_is_told_its_new_one(former: str) -> None:
-    with pytest.raises(
-        AttributeError, match=f"hygrokf.{former} is called hygrokf.{hygrokf._RENAMED[former]}"
-    ):
-        getattr(hygrokf, former)
-    assert hygrokf._RENAMED[former] in hygrokf.__all__
-
-
-def test_the_former_method_for_frames_names_the_function() -> None:
-    with pytest.raises(AttributeError, match=r"Record\.from_frames is called hygrokf\.read_frames"):
-        hygrokf.Record.from_frames({}, units={})
-
-
-@pytest.mark.parametrize("former", sorted(hygrokf._MOVED))
-def test_a_name_that_moved_is_told_the_import_that_finds_it(former: str) -> None:
-    with pytest.raises(AttributeError) as told:
-        getattr(hygrokf, former)
-    statement = str(told.value).rpartition(": ")[2]
-    found: dict[str, object] = {}
-    exec(statement, found)
-    assert found[statement.split()[-1]].__doc__
-
-
 def test_an_unknown_name_is_an_error_with_the_known_ones() -> None:
     with pytest.raises(AttributeError, match=r"no attribute 'fit_everything'.*'identify'"):
         hygrokf.fit_everything  # noqa: B018

@@ -19,9 +19,12 @@ from handbook import navigation, pictures, public_names, registries
 from handbook.docstrings import block, parsed, rst
 
 import hygrokf
+from hygrokf.discovery.library import named
 from hygrokf.fleet.tasks import SHARED, TASKS
 
-NO_QUANTITY = {"read_fit", "write_fit", "write_report", "load_library", "run_fleet", "HygrokfError"}
+NO_QUANTITY = {
+    "read_fit", "write_fit", "write_report", "load_library", "run_fleet", "HygrokfError", "Cause", "discover",
+}  # fmt: skip
 """Public names with no argument, result or field that has a unit."""
 UNIT = re.compile(r"\[[^\]]+\]|\b[Uu]nits?\b|`unit`|\bSI\b")
 QUICK = ("charger_network.py", "own_mechanism.py")
@@ -131,12 +134,14 @@ def test_every_cause_has_its_mechanisms_and_what_to_check() -> None:
     without = set()
     for cause in registries.CAUSES:
         section = text.partition(f".. _cause-{cause.name}:")[2].partition(".. _cause-")[0]
-        assert all(key in section for key in (":Forms:", ":To check:", ":Told apart by:"))
+        keys = (":Forms:", ":Codes (settings):", ":To check:", ":Told apart by:")
+        assert all(key in section for key in keys)
         names = registries.mechanisms_of(cause)
         if not names:
             without.add(cause.name)
         assert all(f"<mechanism-{name}>" in section for name in names)
-    assert without == {"sensor_response", "clock_shift"}
+    assert without == {"clock_shift"} and "the source's name (" in text
+    assert registries.mechanisms_of(named("temperature_sensor_offset")) == ("temperature_step",)
 
 
 def test_every_column_of_a_fleet_has_its_meaning() -> None:

@@ -60,7 +60,7 @@ transformer = hygrokf.cause_of(
 # %%
 # It competes with causes of the package's library.
 
-found = hygrokf.discover(record, library=(named("wall_thermal_mass"), transformer), starts=1)
+found = hygrokf.discover(record, library=(named("wall_thermal_mass"), transformer))
 print(found)
 (cause,) = found.results.causes
 estimate = cause.parameters["transformer_gain"]

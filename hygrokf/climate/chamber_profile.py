@@ -250,8 +250,8 @@ def closeness(
         for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
     per_year = YEAR_H / len(celsius)
-    before = cycles_from(celsius, CYCLE_RANGES_K)
-    after = cycles_from(sequence.temperature_degC, CYCLE_RANGES_K)
+    before = cycles_from(celsius)
+    after = cycles_from(sequence.temperature_degC)
     wet = days.relative_humidity_percent > WET_PERCENT
     test_wet = sequence.relative_humidity_percent > WET_PERCENT
     return Closeness(

@@ -120,10 +120,10 @@ def rainflow(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(ranges), np.array(counts)
 
 
-def cycles_from(values: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Number (k,) of cycles in a course (T,) with a range of at least each of `least` (k,)."""
+def cycles_from(values: np.ndarray) -> np.ndarray:
+    """Number (k,) of cycles in a course (T,) with a range of at least each of `CYCLE_RANGES_K`."""
     ranges, counts = rainflow(values)
-    return np.array([counts[ranges >= one].sum() for one in least])
+    return np.array([counts[ranges >= least].sum() for least in CYCLE_RANGES_K])
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ class Hours:
     def cycles(self) -> np.ndarray:
         """Temperature cycles (N, 3) in the known hours from each of `CYCLE_RANGES_K`."""
         known = self.courses["temperature_degC"][:, self.year.known]
-        return np.array([cycles_from(row, CYCLE_RANGES_K) for row in known])
+        return np.array([cycles_from(row) for row in known])
 
     @cached_property
     def stretches(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:

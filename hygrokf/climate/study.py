@@ -22,7 +22,6 @@ from hygrokf.climate.statistics import STATISTICS
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import CLIMATE, SUMMARIES, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.data.structured import renamed
 from hygrokf.data.tabular import with_units
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.cold_surface import Surface
@@ -43,8 +42,8 @@ class YearSpan:
 
     hours_known: float
     operating_share: float
-    start: str = renamed("from")
-    end: str = renamed("until")
+    start: str
+    end: str
 
 
 @dataclass(frozen=True, eq=False)

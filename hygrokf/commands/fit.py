@@ -9,7 +9,7 @@ from pathlib import Path
 from hygrokf.commands.activity import activity
 from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
 from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, add_out, add_starts
+from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FIT
 
 
@@ -28,7 +28,12 @@ def _arguments(parser: ArgumentParser) -> None:
         default=None,
         help="one filter, or hygric on the measured temperature",
     )
-    add_starts(parser)
+    parser.add_argument(
+        "--starts",
+        type=whole(1),
+        default=5,
+        help="number of starts of the search for the maximum (default 5)",
+    )
     add_json(parser)
 
 

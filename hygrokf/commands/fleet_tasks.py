@@ -148,26 +148,25 @@ def _discover(job: Job) -> Row:
     from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
-    from hygrokf.report.discovery_text import scored_error
 
     options = DiscoverOptions(**job.options)
     own, record = own_causes(options.library), read_case(job.case)
-    discovery = discover(record, starts=options.starts, library=(*LIBRARY, *own))
+    discovery = discover(record, library=(*LIBRARY, *own))
     write = write_discovery_report if options.report else write_discovery
     write(discovery, job.folder)
     found = discovery.results
+    named = [one for one in found.causes if one.told_apart]
     columns: dict[str, Cell] = {
         **_of_record(record),
         "verdict": found.verdict,
-        "causes": " ".join(one.cause for one in found.causes),
-        "confidence": min((one.confidence for one in found.causes), default=math.nan),
+        "causes": " ".join("/".join((one.cause, *one.ambiguous_with)) for one in named),
+        "confidence": min((one.confidence for one in named), default=math.nan),
+        "not_judged": " ".join(found.work.not_judged),
         **_of_time_constants((found.extended or found.baseline).time_constants),
+        **_of_scores((found.extended or found.baseline).fit),
     }
-    for quantity, column in ERRORS.items():
-        before, after, period = scored_error(found, quantity)
-        columns["scored_period"] = columns.get("scored_period") or period
-        columns |= {column: after if math.isfinite(after) else before, f"base_{column}": before}
-    return columns
+    base = _of_scores(found.baseline.fit)
+    return columns | {f"base_{column}": base[column] for column in ERRORS.values()}
 
 
 def _evaluate(job: Job) -> Row:

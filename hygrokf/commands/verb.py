@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -46,17 +45,6 @@ def whole(least: int) -> Callable[[str], int]:
     return number
 
 
-def seconds(text: str) -> float:
-    """A number of seconds above 0, including `inf`."""
-    try:
-        found = float(text)
-    except ValueError:
-        found = math.nan
-    if not found > 0.0:
-        raise ArgumentTypeError(f"expected seconds above 0 or inf, found {text!r}")
-    return found
-
-
 def add_out(parser: ArgumentParser, help: str) -> None:
     parser.add_argument("--out", type=Path, required=True, help=help)
 
@@ -86,15 +74,6 @@ def add_library(parser: ArgumentParser) -> None:
         default=[],
         metavar="FILE.py",
         help="Python file with causes of your own (it is executed); may be given several times",
-    )
-
-
-def add_starts(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--starts",
-        type=whole(1),
-        default=5,
-        help="number of starts of the search for the maximum (default 5)",
     )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S, summer_time
+from hygrokf.data.timestamps import summer_time
 
 
 @dataclass(frozen=True)
@@ -52,23 +51,9 @@ def _moved(series: Series, record: Record, shift: Shift) -> Series:
     return replace(series, time=time[new], value=series.value[new])
 
 
-def cabinet_moved(record: Record, shifts: Sequence[Shift]) -> float:
-    """Time [s] by which corrections that hold all year move the cabinet's readings."""
-    known = sources(record)
-    return sum(
-        shift.seconds
-        for shift in shifts
-        if not shift.summer and any(name.startswith("cabinet_") for name in known.get(shift.source, ()))
-    )
-
-
 def in_america(record: Record) -> bool:
     """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is
     stated."""
     return record.site is not None and record.site.in_north_america
 
 
-def turns_within(record: Record) -> bool:
-    """Whether the clocks were changed within the record."""
-    ends = summer_time(np.arange(record.start_s, record.end_s, DAY_S), in_america(record))
-    return bool(ends.any() and not ends.all())

@@ -189,7 +189,8 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
         f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored and "
         "excluded from the likelihood"
     )
-    return _masked(series, saturated), (sentence,)
+    masked = dataclasses.replace(_masked(series, saturated), saturated=int(saturated.sum()))
+    return masked, (sentence,)
 
 
 def _ceiling(humidity: np.ndarray) -> float:

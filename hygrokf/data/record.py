@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from numbers import Real
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class Series:
     longest_hold_s: [s] age at which a held value becomes unknown (∞: never); None: three usual intervals.
     lost: [s] spans (start, end) in which its connection was lost, in order: a held value of before is unknown
         in them.
+    saturated: readings that were masked because a humidity sensor was at its ceiling.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -66,6 +67,7 @@ class Series:
     response_time_s: float | None = None
     longest_hold_s: float | None = None
     lost: tuple[tuple[float, float], ...] = ()
+    saturated: int = 0
 
     def __post_init__(self) -> None:
         faults: list[str] = []
@@ -388,11 +390,6 @@ class Record:
             raise ValueError(
                 f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
             )
-
-    @classmethod
-    def from_frames(cls, *_: object, **__: object) -> NoReturn:
-        """The former place of `hygrokf.read_frames`.  Raises AttributeError that says so."""
-        raise AttributeError("Record.from_frames is called hygrokf.read_frames now")
 
     @cached_property
     def signals(self) -> tuple[str, ...]:

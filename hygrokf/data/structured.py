@@ -1,8 +1,8 @@
 """Results as frozen dataclasses, written to and read from plain JSON data by one converter.
 
-A field declares its form in the file: `optional()` leaves the key out where the value is the default, and
-`former=` names keys of earlier files that are still read.  In every file null is NaN for a number, lists
-become tuples or arrays, and unknown keys are ignored, because a newer version may add some.
+The key of an `optional()` field is left out of a file where the value is the default.  In every file null is
+NaN for a number, lists become tuples or arrays, and unknown keys are ignored, because a newer version may add
+some.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json
 JsonObject: TypeAlias = dict[str, Json]
 Cell: TypeAlias = bool | int | float | str | None
 """What a cell of a table holds."""
-OPTIONAL, FORMER = "optional", "former"
+OPTIONAL = "optional"
 
 
 class StructureFault(HygrokfError):
@@ -38,14 +38,9 @@ class StructureFault(HygrokfError):
         self.faults = tuple(faults)
 
 
-def optional(default: Any = None, former: tuple[str, ...] = ()) -> Any:
+def optional(default: Any = None) -> Any:
     """A field whose key is left out of a file where the field holds its default, which may be NaN."""
-    return dataclasses.field(default=default, metadata={OPTIONAL: True, FORMER: former})
-
-
-def renamed(*former: str, **options: Any) -> Any:
-    """A field that earlier files name otherwise; `options` are those of `dataclasses.field`."""
-    return dataclasses.field(metadata={FORMER: former}, **options)
+    return dataclasses.field(default=default, metadata={OPTIONAL: True})
 
 
 def plain(value: object) -> Any:
@@ -164,7 +159,6 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
     from cattrs.gen import make_dict_structure_fn
 
     made: Callable[[Any, Any], Any] = make_dict_structure_fn(kind, converter)
-    former = {old: f.name for f in dataclasses.fields(kind) for old in f.metadata.get(FORMER, ())}
     name = kind.__name__
 
     def read(data: Any, _: Any) -> Any:
@@ -172,8 +166,6 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
             return data
         if not isinstance(data, dict):
             raise ValueError(f"expected an object ({name}), found {_shown(data)}")
-        if former:
-            data = {key if former.get(key) in data else former.get(key, key): v for key, v in data.items()}
         return made(data, kind)
 
     return read

@@ -6,37 +6,55 @@ its own disturbances beside; these maximise its likelihood with everything else 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.data.clocks import Shift, shifted
+from hygrokf.data.clocks import shifted
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
 from hygrokf.discovery.final_set import FinalSet
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
-from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.identification.verdict import with_verdicts
 from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.parameters import Coordinates
 
+RATE_STEP = 1.0
+"""Largest product of a rate and a sub-step: coarser ones change the disturbances' sizes alone."""
 
-def fit_of(record: Record, final: FinalSet, say: Progress = lambda text: None) -> Fit:
-    """A final set as a fit of the record, whose clocks are corrected as the set says."""
-    simulator = final.estimate.simulator
-    record = shifted(record, *(Shift(s, seconds) for s, seconds in simulator.scene.shifts.items()))
+
+def fit_of(
+    record: Record, final: FinalSet, say: Progress = lambda text: None, doubts: Sequence[str] = ()
+) -> Fit:
+    """A final set as a fit of the record, whose clocks are corrected as the set says.
+
+    doubts: about the hygric constant, beside those about the record.
+    Raises ValueError where the set is faster than a filter of the readings can follow.
+    """
+    try:
+        return _fit_of(record, final, say, doubts)
+    except RatesFault as fault:
+        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
+
+
+def _fit_of(record: Record, final: FinalSet, say: Progress, doubts: Sequence[str]) -> Fit:
+    record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
-    fit = assemble_fit(record, basis, {}, say=say)
-    results = replace(fit.results, criterion=final.estimator)
-    return replace(fit, results=results)
+    fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
+    known = fit.results.doubted
+    doubted = {**known, "hygric": (*known.get("hygric", ()), *doubts)} if doubts else known
+    results = replace(fit.results, criterion=final.estimator, doubted=doubted)
+    return replace(fit, results=with_verdicts(results))
 
 
 def final_designs(final: FinalSet) -> tuple[Design, ...]:
@@ -46,9 +64,8 @@ def final_designs(final: FinalSet) -> tuple[Design, ...]:
     for one in simulator.designs:
         features = dict(one.features)
         for name in set(features) & set(simulator.controls):
-            levels = [values[f"{name}_first"], values[f"{name}_second"]]
-            keys = [key for key in features[name] if key in ("on", "off", "on_K", "off_K", "start", "full")]
-            features[name] = {**features[name], **dict(zip(keys, levels, strict=True))}
+            levels = {"start": values[f"{name}_first"], "full": values[f"{name}_second"]}
+            features[name] = {**features[name], **levels}
         found.append(replace(one, features=features))
     return tuple(found)
 
@@ -57,7 +74,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     """One likelihood at the set's values, with the set's covariance."""
     say("sizes of the disturbances")
     run = prepare_run(base, early)
-    likelihood = Likelihood(base.model, run.timeline)
+    likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
     known = final.estimate.values
     held = {
         p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known
@@ -85,7 +102,8 @@ def _inside(low: float, high: float, value: float) -> float:
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     """The covariance of a stage's parameters; logarithms where the coordinate is one."""
-    names = tuple(n for n in coordinates.names if n in final.names and n not in final.at_bounds)
+    open_ = (*final.at_bounds, *final.flat)
+    names = tuple(n for n in coordinates.names if n in final.names and n not in open_)
     place = [final.names.index(n) for n in names]
     values: Mapping[str, float] = final.estimate.values
     linear = final.estimate.linear
@@ -95,4 +113,5 @@ def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     )
     covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
-    return Uncertainty(names, information, covariance, covariance, np.ones(len(names)), (), (), information)
+    factor = np.ones(len(names))
+    return Uncertainty(names, information, covariance, covariance, factor, final.flat, (), information)

@@ -1,5 +1,5 @@
-"""The content of `discovery.json` as dataclasses: findings, causes with their evidence and gain, and the
-causes that were left out.
+"""The content of `discovery.json` as dataclasses: findings, causes with their evidence, what held-out
+readings say of them, and the causes that were left out.
 
 Numbers that do not exist are NaN here and null in the file.
 """
@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from hygrokf.data.structured import renamed
-from hygrokf.data.tabular import units_by_name, with_units
+from hygrokf.data.tabular import with_units
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit_results import FitResults, TimeConstant
 
@@ -22,10 +21,18 @@ if TYPE_CHECKING:
 
 LASTING_KINDS = ("step", "drift", "season")
 """Kinds of a condition that begins once and lasts, so that it need not recur."""
-Verdict: TypeAlias = Literal["none", "named", "unexplained"]
-"""The record shows no missing effect; a cause is named; an effect is missing and its cause is unknown."""
+Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
+"""No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
+beside what is named; held-out readings refute every cause that was found."""
+Reason: TypeAlias = Literal["", "worse", "no_gain"]
+"""Why held-out readings refute a cause: its errors are larger, or neither they nor the likelihood gain."""
+Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
+"""Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
+place to later ones; the budget ended the search; the record cannot show it."""
 Settings: TypeAlias = Mapping[str, Any]
 """Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
+CLASS_LIMIT = 3
+"""Causes that a class may hold; a longer one names nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +41,8 @@ class Finding:
 
     quantity: "temperature" or "humidity"; unit: K or g/m³.
     where, when: the condition in words, empty for any.
-    size: typical error under the condition less that elsewhere (less that in the hours around it where the
-        condition sets in sharply); direction: of the simulation.
+    size: mean effect under the condition less that elsewhere, by generalised least squares under the error
+        model; direction: of the simulation.
     duration_h: [h] for how long of an episode, or NaN.
     n_episodes: in which it is seen, of n_possible.
     sensor_share: [1] of its square that the sensors' accuracy explains.
@@ -70,61 +77,76 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class ResidualStructure:
-    """Structure that is left in the errors, and the driver and lag [h] with which it correlates most."""
+class Line:
+    """A line that is left in a spectrum: its quantity, its period [h], and the chance [1] of one without an
+    effect; cause: the named one in whose daily scores it stands, "" in the errors themselves."""
 
     quantity: str
-    kind: str
-    statement: str
-    when: str = ""
-    driver: str | None = None
-    lag_h: float = math.nan
-    correlation: float = 0.0
-    p: float = 0.0
+    period_h: float
+    p: float
+    cause: str = ""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """How much better the free run is with a cause than without it: RMSE [K] or [g/m³] of the better
-    simulators, and the 95 % bounds of their difference.
+    """Errors of the base and of the extended model's free run: root mean squares [K] or [g/m³], and the 95 %
+    bounds of their difference.
 
-    identified_before, identified_after: errors of the models as estimated by innovations, which tables and
-        other pages show; NaN where that model's free run diverges.
+    period: "validation" or "identification"; hours of openings that were named are left out of both.
+    driven_before, driven_after: of the vapour on the measured temperature, else NaN; the errors themselves
+    are those of `hygrokf.simulate`, on the simulated one.
     """
 
     quantity: str
     period: str
     rmse_before: float = math.nan
     rmse_after: float = math.nan
-    identified_before: float = math.nan
-    identified_after: float = math.nan
     lower: float = math.nan
     upper: float = math.nan
-
-    @property
-    def known(self) -> bool:
-        """Whether both errors are known."""
-        return math.isfinite(self.rmse_before) and math.isfinite(self.rmse_after)
+    driven_before: float = math.nan
+    driven_after: float = math.nan
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Evidence of a cause's best form.
 
-    lr: 2 ln L gained by `df` parameters.  p_adjusted: corrected for all that was tried.
-    bic_gain: the evidence less the price of parameters and settings.
-    free_run_gain: [1] share of the free run's squared error that is gone, by submodel; lasting_gain: the same
-        without the days that gained most.
+    gains: [1] 2 ln L by quantity, a difference of maxima; constants: free ones that it adds; searched:
+    settings that were tried.
+    evidence: the gains less ln N for each constant and 2 ln of the settings; in_days: the same by how
+    independent its days are.  lead: by how much the best rival of another cause stays behind, in days.
     """
 
-    lr: float = math.nan
-    df: float = math.nan
-    p_adjusted: float = math.nan
-    bic_gain: float = math.nan
-    score_statistic: float = math.nan
-    free_run_gain: Mapping[str, float] = field(default_factory=dict)
-    lasting_gain: Mapping[str, float] = field(default_factory=dict)
-    settings: Settings = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
+    constants: int = 0
+    searched: int = 0
+    evidence: float = math.nan
+    in_days: float = math.nan
+    lead: float = math.nan
+
+
+@dataclass(frozen=True)
+class HeldOutTest:
+    """What held-out readings say of a cause beside the model without it, by quantity.
+
+    z: [1] mean over days of the squared errors' change 3, 12 and 48 h ahead, in its standard errors; growth:
+    [1] mean change of ln squared error, the free run's included; before, after: RMSE of the free runs with
+    levels at their least squares; gain: [1] in 2 ln L of these readings; days: with readings.
+    """
+
+    z: Mapping[str, float] = field(default_factory=dict)
+    growth: Mapping[str, float] = field(default_factory=dict)
+    before: Mapping[str, float] = field(default_factory=dict)
+    after: Mapping[str, float] = field(default_factory=dict)
+    gain: float = math.nan
+    days: int = 0
+    reason: Reason = ""
+
+    @property
+    def improvement(self) -> float:
+        """[1] largest share by which a quantity's free-run error falls; 0 without held-out readings."""
+        known = [(old, self.after[q]) for q, old in self.before.items() if old > 0 and q in self.after]
+        return max((1.0 - new / old for old, new in known), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -145,34 +167,39 @@ class CauseParameter:
 class CauseFound:
     """An accepted cause.
 
-    `confidence`: probability [1] that the name, or one of `ambiguous_with`, is right; `margin`: share [1] of
-    its evidence by which the best cause outside its class stays behind; `gain` on the held-out period, None
-    where an event or a single episode is no prediction; `separate_by`: the measurement that tells it from its
-    rivals; `remedy`: what to check in the turbine.
+    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
+    confidence: [1] how often a name with such evidence is right.
+    ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
+    separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
     """
 
     cause: str
     form: str = ""
+    forms_alike: tuple[str, ...] = ()
     confidence: float = math.nan
-    margin: float = math.nan
     statement: str = ""
     parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
     evidence: Evidence = field(default_factory=Evidence)
-    gain: Gain | None = None
+    held_out: HeldOutTest = field(default_factory=HeldOutTest)
     ambiguous_with: tuple[str, ...] = ()
     separate_by: str = ""
     remedy: str = ""
 
+    @property
+    def told_apart(self) -> bool:
+        """Whether its class is small enough to name something."""
+        return len(self.ambiguous_with) < CLASS_LIMIT
+
 
 @dataclass(frozen=True)
 class Rejected:
-    """A cause that was tried and left out, with the evidence of its best form and the reason."""
+    """A cause that was left out, with the evidence of its best form and the reason."""
 
     cause: str
     form: str = ""
     evidence: Evidence = field(default_factory=Evidence)
-    reason: str = ""
+    reason: Exclusion = "no_effect"
 
 
 @dataclass(frozen=True)
@@ -181,20 +208,18 @@ class Refuted:
 
     cause: str
     form: str = ""
-    gain: Gain | None = None
+    evidence: Evidence = field(default_factory=Evidence)
+    held_out: HeldOutTest = field(default_factory=HeldOutTest)
 
 
 @dataclass(frozen=True)
-class NotTried:
-    """What the time did not allow.
+class Work:
+    """What the search cost: simulations, those that it was allowed, and the causes that it therefore did not
+    judge."""
 
-    causes: not tried at all; beside: whether no cause was tried beside the accepted ones; budget_s: [s], NaN
-        where the time was unlimited.
-    """
-
-    causes: tuple[str, ...] = ()
-    beside: bool = False
-    budget_s: float = math.nan
+    simulations: int = 0
+    budget: int = 0
+    not_judged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -224,9 +249,15 @@ class DiscoveryResults:
     """The results of a discovery.
 
     baseline, extended: the model before and after; `extended` is None where no cause was accepted.
-    findings: errors of the free run, worst first; causes: in the order in which they were accepted.
-    rejected, refuted: causes that were tried and left out; unexplained: structure that is left, or None.
-    own_causes: origin of the user's causes. doubts: those about the record that concern a time constant.
+    estimator: of both models' parameters, "likelihood" or "output-error".
+    gains: errors of both by quantity; held_out_days: with readings after the identification period.  As these
+    can refute a cause, errors told from them are those after a selection.
+    findings: errors of the base model's free run, worst first; left: those of the model that it ends with.
+    causes: in the order in which they were accepted; rejected, refuted: those that were left out.
+    lines: what is left without a cause.
+    repeated: signal → stretches [s] of repeated readings that were set aside; saturated: [1] share of the
+    humidity readings at the end of the sensor's range.
+    own_causes: origin of the user's causes.  doubts: those about the record that concern a time constant.
     """
 
     name: str
@@ -235,45 +266,44 @@ class DiscoveryResults:
     baseline: ModelScores
     synthetic: bool = False
     extended: ModelScores | None = None
+    estimator: str = ""
+    gains: tuple[Gain, ...] = ()
+    held_out_days: int = 0
     causes: tuple[CauseFound, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     refuted: tuple[Refuted, ...] = ()
-    unexplained: ResidualStructure | None = None
-    not_tried: NotTried = field(default_factory=NotTried)
+    lines: tuple[Line, ...] = ()
+    work: Work = field(default_factory=Work)
+    repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    saturated: float = math.nan
     own_causes: Mapping[str, Any] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = renamed("misfits", default=())
+    findings: tuple[Finding, ...] = field(kw_only=True)
+    left: tuple[Finding, ...] = ()
     doubts: tuple[str, ...] = ()
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The causes that it names, each with those that the record cannot tell from it."""
+        return tuple(
+            name for one in self.causes if one.told_apart for name in (one.cause, *one.ambiguous_with)
+        )
+
     def to_frame(self) -> pandas.DataFrame:
-        """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and RMSE
-        before and after in `unit`."""
+        """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and largest
+        share [1] by which a free-run error on held-out readings falls."""
         import pandas
 
         rows = [
-            *(_row(c, "accepted", c.confidence, c.evidence, c.gain) for c in self.causes),
-            *(_row(c, "refuted", gain=c.gain) for c in self.refuted),
-            *(_row(c, "rejected", evidence=c.evidence) for c in self.rejected),
+            *(
+                (c.cause, c.form, "accepted", c.confidence, c.evidence.evidence, c.held_out.improvement)
+                for c in self.causes
+            ),
+            *(
+                (c.cause, c.form, "refuted", math.nan, c.evidence.evidence, c.held_out.improvement)
+                for c in self.refuted
+            ),
+            *((c.cause, c.form, c.reason, math.nan, c.evidence.evidence, math.nan) for c in self.rejected),
         ]
-        columns = ["cause", "form", "verdict", "confidence", "evidence", "rmse_before", "rmse_after", "unit"]
+        columns = ["cause", "form", "verdict", "confidence", "evidence", "improvement"]
         frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
-        return with_units(frame, {"confidence": "1", "evidence": "1"})
-
-
-def _row(
-    one: CauseFound | Refuted | Rejected,
-    verdict: str,
-    confidence: float = math.nan,
-    evidence: Evidence | None = None,
-    gain: Gain | None = None,
-) -> tuple[str | float, ...]:
-    errors = (math.nan, math.nan) if gain is None else (gain.rmse_before, gain.rmse_after)
-    unit = "" if gain is None else units_by_name([gain.quantity]).get(gain.quantity, "1")
-    return (
-        one.cause,
-        one.form,
-        verdict,
-        confidence,
-        math.nan if evidence is None else evidence.bic_gain,
-        *errors,
-        unit,
-    )
+        return with_units(frame, {"confidence": "1", "evidence": "1", "improvement": "1"})

@@ -178,14 +178,14 @@ def fitted(
     """The estimate with the free parameters (all) and the variances at their maximum.
 
     Quantities that share no parameter are fitted one after the other.  kept: slopes of a point nearby that
-    serve for the steps of the first round.
+    serve for all steps.
     """
     names = set(one.simulator.names) if free is None else set(free)
     for block in _blocks(one, names):
         rounds, tolerance = effort
-        for i in range(rounds):
+        for _ in range(rounds):
             before = sum(one.deviances[q] for q in block)
-            one = with_variances(_stepped(one, names, block, {} if i else kept or {}), block)
+            one = with_variances(_stepped(one, names, block, kept or {}), block)
             if not sum(one.deviances[q] for q in block) < before - tolerance:
                 break
     return one

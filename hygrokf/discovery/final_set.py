@@ -29,50 +29,63 @@ Estimator = Literal["likelihood", "output-error"]
 BETTER = 0.95
 """Share of the likelihood's error below which the least free-run error is preferred."""
 EARLY = 2.0 / 3.0
+UNDETERMINED = 1e-10
+"""Share of the largest eigenvalue of the information below which a direction is not determined."""
 
 
 @dataclass(frozen=True)
 class FinalSet:
     """An estimate with the estimator that made it, and the covariance (d, d) of its coordinates `names`
-    (logarithms of positive parameters); at_bounds: parameters that ended at a limit."""
+    (logarithms of positive parameters); at_bounds, flat: parameters that ended at a limit, and those that the
+    readings do not determine."""
 
     estimate: Estimate
     estimator: Estimator
     names: tuple[str, ...]
     covariance: np.ndarray
     at_bounds: tuple[str, ...]
+    flat: tuple[str, ...]
+
+    def deviation(self, name: str) -> float:
+        """Standard error of a parameter's coordinate, the logarithm where that is one."""
+        i = self.names.index(name)
+        return math.sqrt(max(self.covariance[i, i], 0.0))
 
     def bounds(self, name: str, quantile: float = 1.96) -> tuple[float, float]:
-        """95 % bounds of a parameter, in its unit; open where it ended at a limit."""
+        """95 % bounds of a parameter, in its unit; open where it ended at a limit or is not determined."""
         p = self.estimate.simulator.parameters[self.estimate.simulator.names.index(name)]
-        value, i = self.estimate.values[name], self.names.index(name)
-        reach = quantile * math.sqrt(max(self.covariance[i, i], 0.0))
+        value, reach = self.estimate.values[name], quantile * self.deviation(name)
         logarithmic = p.positive and name not in self.estimate.linear
-        if name in self.at_bounds or not reach < 50.0 * (1.0 if logarithmic else math.inf):
+        if name in (*self.at_bounds, *self.flat) or not reach < 50.0 * (1.0 if logarithmic else math.inf):
             return (0.0 if logarithmic else -math.inf), math.inf
         if logarithmic:
             return value * math.exp(-reach), value * math.exp(reach)
         return value - reach, value + reach
 
 
-def final_estimator(one: Estimate) -> Estimator:
-    """The estimator whose free run predicts the last third of the identification period better."""
-    early = _until(one, EARLY)
-    both = {name: _fitted_by(early, name) for name in ("likelihood", "output-error")}
+def final_estimator(*models: Estimate) -> Estimator:
+    """The estimator with which the models' free runs predict the last third of the identification period
+    better."""
     ratios = []
-    for q in one.quantities:
-        r = one.simulator.scene.readings[q]
-        late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
-        if late.sum() > 1:
-            errors = [float(np.mean((r.value - made.simulated[q])[late] ** 2)) for made in both.values()]
-            ratios.append(0.5 * math.log(max(errors[1], 1e-12) / max(errors[0], 1e-12)))
+    for one in models:
+        early = _until(one, EARLY)
+        by_likelihood, by_output = _fitted_by(early, "likelihood"), _fitted_by(early, "output-error")
+        for q in one.quantities:
+            r = one.simulator.scene.readings[q]
+            late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
+            if late.sum() > 1:
+                errors = [
+                    max(float(np.mean((r.value - made.simulated[q])[late] ** 2)), 1e-12)
+                    for made in (by_likelihood, by_output)
+                ]
+                ratios.append(0.5 * math.log(errors[1] / errors[0]))
     return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
 
 
 def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
     made = _fitted_by(one, estimator)
-    names, covariance = sandwich(
+    names, covariance, flat = sandwich(
         with_variances(replace(made, plain=True)) if estimator == "output-error" else made
     )
     limits = {p.name: (p.lower, p.upper) for p in made.simulator.parameters}
@@ -80,7 +93,7 @@ def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
         name for name in names
         if min(abs(made.values[name] - limit) for limit in limits[name]) <= 1e-6 * np.ptp(limits[name])
     )  # fmt: skip
-    return FinalSet(made, estimator, names, covariance, at)
+    return FinalSet(made, estimator, names, covariance, at, flat)
 
 
 def _fitted_by(one: Estimate, estimator: str) -> Estimate:
@@ -101,9 +114,9 @@ def _until(one: Estimate, share: float) -> Estimate:
     return estimate_at(simulator, errors_of(simulator, one.theta, one.quantities), one.theta, one.linear)
 
 
-def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray]:
-    """H⁻¹ J H⁻¹ in the coordinates of all parameters: H the Gauss–Newton information with the priors', J the
-    sum of squares of the days' scores and the priors' information."""
+def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
+    """H⁻¹ J H⁻¹ in the coordinates of all parameters, and those that H does not determine: H the Gauss–Newton
+    information with the priors', J the sum of squares of the days' scores and the priors' information."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
     names = tuple(one.simulator.names[i] for i in f.place)
     information, spread = np.zeros((2, len(names), len(names)))
@@ -125,8 +138,16 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray]:
     information += priors
     spread += priors
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-10) * scale[:, None] * scale
-    return names, inverse @ spread @ inverse
+    size, axes = np.linalg.eigh(information * scale[:, None] * scale)
+    seen = size > UNDETERMINED * size[-1]
+    share = (axes[:, ~seen] ** 2).sum(axis=1)
+    root = scale[:, None] * axes[:, seen] / size[seen]
+    inverse = root @ (axes[:, seen] * scale[:, None]).T
+    found = inverse @ spread @ inverse.T
+    flat = tuple(
+        n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0
+    )
+    return names, found, flat
 
 
 def _prior_information(one: Estimate, place: np.ndarray, logarithmic: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""What the causes are as models: forms, each with the mechanisms that it adds and the settings to try.
+"""What the package's causes are as models: forms, each with the mechanisms that it adds and the settings to
+try.
 
 A form is told with its cause.  What is a near image of another form, such as a heater by thermostat or by
 humidistat, is a form of one cause and not a cause of its own.
@@ -7,15 +8,17 @@ humidistat, is a form of one cause and not a cause of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import wraps
 
 import numpy as np
 
-from hygrokf.data.clocks import sources
+from hygrokf.data.clocks import in_america, sources
 from hygrokf.data.record import Record
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.modelling.derived_inputs import operating
+from hygrokf.modelling.design import Design
 
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
@@ -23,8 +26,10 @@ SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
 inputs."""
 DATES = 23
-SHIFTS_H = tuple(np.round(np.arange(-1.5, 1.51, 0.125), 4).tolist())
+SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
+IN_SUMMER = ":summer_time"
+"""What follows the source in the code of a clock that is off in summer time only."""
 AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 
@@ -46,7 +51,8 @@ class Form:
     heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
     steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
-    freed: parameter of the base that loses its prior; together: whether every quantity must gain.
+    summer: whether they do in summer time only; freed: parameter of the base that loses its prior.
+    together: whether every quantity must gain.
     windows: whether its `door_open` is sought in the innovations.
     """
 
@@ -59,6 +65,7 @@ class Form:
     steps: Mapping[tuple[str, str], float] = field(default_factory=dict)
     altered: Mapping[str, Settings] = field(default_factory=dict)
     clock: str = ""
+    summer: bool = False
     freed: str = ""
     together: bool = False
     windows: bool = False
@@ -66,9 +73,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Ground:
-    """What forms are made from: the identification period, and whether it has humidity."""
+    """What forms are made from: the identification period, the inputs of the base model of the heat and of
+    that of the vapour, whether there is one, and the heat release in operation: order of the power, and
+    whether it is one of its own."""
 
     record: Record
+    inputs: tuple[frozenset[str], frozenset[str]]
     humid: bool
     order: int
     operation: bool
@@ -91,10 +101,14 @@ class Ground:
         return (first + (last - first) * np.arange(1, DATES + 1) / (DATES + 1)).tolist()
 
 
-def forms(ground: Ground) -> list[Form]:
-    """All forms that a record can show."""
-    makers = [*HEAT, *(MOIST if ground.humid else ())]
-    return [form for make in makers for form in make(ground)]
+def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
+    """The ground of a record's base designs."""
+    release = dict(heat.mechanisms)["heat_release"]
+    inputs = [frozenset(() if one is None else one.model.inputs) for one in (heat, vapour)]
+    return Ground(
+        record.identification(), (inputs[0], inputs[1]), vapour is not None, release.get("order", 0),
+        release.get("operation", False),
+    )  # fmt: skip
 
 
 # -- heat and air exchange -----------------------------------------------------------------------------------
@@ -232,7 +246,18 @@ def heat_drift(ground: Ground) -> list[Form]:
     own = {"order": ground.order, "operation": True} if ground.operation else {}
     first, last = ground.span_s
     elapsed = {"elapsed": {"start_s": first, "end_s": last}}
-    return [Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),))]
+    saturating = tuple(
+        Setting({"since": {"date_s": date, "days": days}})
+        for date in (first, *ground.dates())
+        for days in (8.0, 30.0)
+    )
+    return [
+        Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),)),
+        Form(
+            "heat_release_drift", "saturating", (("release_drift", {**own, "flag": "since"}),),
+            grid=saturating, steps={("since", "date_s"): _step_s(ground), ("since", "days"): 4.0},
+        ),
+    ]  # fmt: skip
 
 
 def by_the_clock(ground: Ground) -> list[Form]:
@@ -252,17 +277,26 @@ def _hours(workdays: bool, feature: str) -> tuple[Setting, ...]:
 
 
 def clock(ground: Ground) -> list[Form]:
+    """Shifts of each source against the others; of two sources only the difference shows."""
     main = {"cabinet_temperature", "ambient_temperature", "active_power"}
-    names = [name for name, signals in sources(ground.record).items() if main & set(signals)]
-    if len(sources(ground.record)) == 2:
-        names = names[:1]
-    return [
+    known = sources(ground.record)
+    names = [name for name, signals in known.items() if main & set(signals)]
+    names = names[: {1: 0, 2: 1}.get(len(known))]
+    found = [
         Form(
-            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H if h),
-            steps={("clock", "shift_s"): 0.0625 * HOUR_S}, clock=name,
+            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H),
+            steps={("clock", "shift_s"): 0.125 * HOUR_S}, clock=name,
         )
         for name in names
     ]  # fmt: skip
+    summer = summer_time(ground.record["cabinet_temperature"].time, in_america(ground.record))
+    if summer.all() or not summer.any():
+        return found
+    hours = (Setting(shift_s=-HOUR_S), Setting(shift_s=HOUR_S))
+    return [
+        *found,
+        *(Form("clock_shift", f"{one}{IN_SUMMER}", grid=hours, clock=one, summer=True) for one in names),
+    ]
 
 
 def temperature_offset(ground: Ground) -> list[Form]:
@@ -281,10 +315,9 @@ def temperature_offset(ground: Ground) -> list[Form]:
 
 def ambient(ground: Ground) -> list[Form]:
     # all of the air that surrounds the cabinet lags; a share of it is an outer wall
-    limits = {
-        "ambient_lag_time": (SLOWEST_H, 24.0), "breathed_lag_time": (SLOWEST_H, 24.0),
-        "ambient_lag_share": (0.8, 1.2), "breathed_lag_share": (0.8, 1.2),
-    }  # fmt: skip
+    times, shares = (SLOWEST_H, 24.0), (0.8, 1.2)
+    intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
+    limits = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
     lags = (2.0, 4.0, 12.0)
     heat: tuple[MechanismSettings, ...] = (("leading_ambient", {}),)
     vapour = _joint(ground, ("breathed_lead", {}))
@@ -297,7 +330,7 @@ def ambient(ground: Ground) -> list[Form]:
                  limits=limits, together=True)
         )  # fmt: skip
         found.append(
-            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=limits,
+            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=intake,
                  grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
         )  # fmt: skip
         found += [
@@ -309,6 +342,17 @@ def ambient(ground: Ground) -> list[Form]:
 
 
 # -- moisture ------------------------------------------------------------------------------------------------
+def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[Form]]:
+    """Forms that exist only where the record has humidity."""
+
+    @wraps(forms)
+    def where_there_is(ground: Ground) -> list[Form]:
+        return forms(ground) if ground.humid else []
+
+    return where_there_is
+
+
+@of_vapour
 def sorption(ground: Ground) -> list[Form]:
     found = []
     for slab, hours, limits in (
@@ -325,15 +369,21 @@ def sorption(ground: Ground) -> list[Form]:
     return found
 
 
+@of_vapour
 def condensation(ground: Ground) -> list[Form]:
     grid = tuple(
-        Setting(values={"surface_time": h, "surface_undercooling": below, "condensation_rate": rate})
+        Setting(values={"surface_time": h, "surface_undercooling": below})
         for h in (1.0, 4.0, 12.0)
-        for below, rate in ((0.3, 0.3), (0.3, 2.0), (1.5, 0.3), (1.5, 2.0), (4.0, 1.0))
+        for below in (0.3, 1.5, 4.0)
     )
-    return [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+    found = [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+    if ground.record.site is not None:
+        night = tuple(replace(one, features={"night_sky": {}}) for one in grid)
+        found.append(Form("condensation", "night_sky", vapour=(("condensation", {"sky": True}),), grid=night))
+    return found
 
 
+@of_vapour
 def rain(ground: Ground) -> list[Form]:
     if "rain" not in ground.record:
         return []
@@ -341,6 +391,7 @@ def rain(ground: Ground) -> list[Form]:
     return [Form("rain_ingress", "all_rain", vapour=(("rain_ingress", {}),), grid=grid)]
 
 
+@of_vapour
 def drier(ground: Ground) -> list[Form]:
     if "cabinet_relative_humidity" not in ground.record:
         return []
@@ -350,13 +401,17 @@ def drier(ground: Ground) -> list[Form]:
         for at in levels
         for width in (0.04, 0.15)
     )
+    heat: tuple[MechanismSettings, ...] = (("drying_heat", {"flag": "throttled_drying"}),)
     return [
-        Form("dehumidifier", code, grid=grid,
+        Form("dehumidifier", code, heat if warms else (), grid=grid,
              vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),))
-        for code, plate in (("plate", True), ("desiccant", False))
+        for code, plate, warms in (
+            ("plate", True, False), ("plate_warms", True, True), ("desiccant", False, False)
+        )
     ]  # fmt: skip
 
 
+@of_vapour
 def source(ground: Ground) -> list[Form]:
     def mechanism(when: str) -> tuple[MechanismSettings, ...]:
         return (("internal_moisture_source", {"when": when}),)
@@ -386,6 +441,7 @@ def source(ground: Ground) -> list[Form]:
     return found
 
 
+@of_vapour
 def humidity_sensor(ground: Ground) -> list[Form]:
     if "cabinet_relative_humidity" not in ground.record:
         return []
@@ -400,10 +456,3 @@ def humidity_sensor(ground: Ground) -> list[Form]:
         Form(name, "ceiling", vapour=(("humidity_ceiling", {}),),
              grid=tuple(Setting(values={"humidity_ceiling": level}) for level in levels)),
     ]  # fmt: skip
-
-
-HEAT: tuple[Callable[[Ground], list[Form]], ...] = (
-    wall, sun, wind, heater, cooling, exchange_step, heat_drift, by_the_clock, doors, clock,
-    temperature_offset, ambient,
-)  # fmt: skip
-MOIST = (sorption, condensation, rain, drier, source, humidity_sensor)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.error_model import HUBER, ahead, filtered, loss
+from hygrokf.discovery.discovery_results import Reason
+from hygrokf.discovery.error_model import HUBER, Filtered, ahead, filtered, loss
 from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 
 LEVELS = (
@@ -20,6 +21,8 @@ LEVELS = (
 HORIZONS_H = (3.0, 12.0, 48.0)
 WORSE_Z = 2.0
 WORSE_GROWTH = 0.1
+NOTICED = 1.0
+"""Squared whitened difference of two simulations below which held-out readings do not tell them apart."""
 OLDEST = 1.5
 """A forecast starts no earlier than this many horizons, and half an hour, before its reading."""
 
@@ -27,31 +30,38 @@ OLDEST = 1.5
 @dataclass(frozen=True)
 class Scores:
     """Squared errors (T, 4) of a quantity on held-out readings, NaN elsewhere: 3, 12 and 48 h ahead, and of
-    the free run; deviance: −2 ln L of these readings."""
+    the free run; deviance: −2 ln L of these readings; simulated (T,) by the filter `run`."""
 
     squares: np.ndarray
     day: np.ndarray
     deviance: float
+    simulated: np.ndarray
+    run: Filtered
+    held_out: np.ndarray
 
 
 @dataclass(frozen=True)
 class Judged:
     """A child against its parent on held-out readings, by quantity: z of the daily differences, growth of
-    ln squared error, root mean square errors of the free runs."""
+    ln squared error, root mean square errors of the free runs; days: with readings."""
 
     z: Mapping[str, float]
     growth: Mapping[str, float]
     before: Mapping[str, float]
     after: Mapping[str, float]
     gain: float
-    reason: str
+    days: int
+    reason: Reason
 
 
 def levelled(one: Estimate) -> Estimate:
-    """The estimate whose levels are those of the least free-run error in the identification period."""
+    """The estimate whose levels are those of the least free-run error in the identification period.
+
+    What a slow disturbance seemed to be beside a wrong level is none: the variances follow.
+    """
     names = set(LEVELS) & set(one.simulator.names)
-    plain = with_variances(replace(one, plain=True))
-    return replace(fitted(plain, names, (4, 0.1)), plain=False, variances=one.variances)
+    plain = fitted(with_variances(replace(one, plain=True)), names, (4, 0.1))
+    return with_variances(replace(plain, plain=False, variances=one.variances))
 
 
 def scores(one: Estimate) -> dict[str, Scores]:
@@ -66,6 +76,8 @@ def scores(one: Estimate) -> dict[str, Scores]:
         for c, horizon in enumerate(HORIZONS_H):
             last = np.searchsorted(time, time - horizon + 1e-6, side="right") - 1
             fine = (last >= 0) & (time - time[np.maximum(last, 0)] <= OLDEST * horizon + 0.5)
+            if not fine.any():
+                continue
             at, from_ = known[fine], known[last[fine]]
             lead = np.round(r.time_h[at] - r.time_h[from_], 4)
             leads, which = np.unique(lead, return_inverse=True)
@@ -76,32 +88,56 @@ def scores(one: Estimate) -> dict[str, Scores]:
         e = run.standardised
         held = np.isfinite(e) & ~r.identified
         deviance = float((np.log(run.variance[held]) + loss(e[held], HUBER)).sum())
-        found[q] = Scores(squares, np.floor(r.time_h / 24.0).astype(int), deviance)
+        found[q] = Scores(
+            squares, np.floor(r.time_h / 24.0).astype(int), deviance, one.simulated[q], run, held
+        )
     return found
 
 
-def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], price: float = 0.0) -> Judged:
-    z, growth, before, after = {}, {}, {}, {}
+def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[str, float]:
+    """By quantity, the square of the whitened difference of two simulations on held-out readings: what
+    −2 ln L gains by it on average where the one that differs is right."""
+    found = {}
+    for q, known in one.items():
+        white = known.run.whitened((other[q].simulated - known.simulated)[:, None])[:, 0]
+        found[q] = float(np.sum((white**2 * known.run.weight)[known.held_out]))
+    return found
+
+
+def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], effect: float = math.inf) -> Judged:
+    """A child beside its parent.
+
+    effect: difference that the cause itself makes to held-out readings; one that is not noticed there cannot
+    be refuted by a gain that does not come.
+    """
+    z, growth, before, after, number = {}, {}, {}, {}, 0
+    moved = difference(parent, child)
     for q, old in parent.items():
+        if moved[q] < NOTICED:
+            continue
         new = child[q]
         both = np.isfinite(old.squares) & np.isfinite(new.squares)
         if not both.any():
             continue
-        o, n = (np.where(both, s.squares, np.nan) for s in (old, new))
+        # a short record has no errors at the longer horizons
+        some = both.any(axis=0)
+        both = both[:, some]
+        o, n = (np.where(both, s.squares[:, some], np.nan) for s in (old, new))
         mean = np.nanmean(o, axis=0)
         ratio = np.nanmean(n, axis=0) / mean
         growth[q] = float(np.nanmean(np.log(np.maximum(ratio, 1e-12))))
         before[q], after[q] = (float(math.sqrt(np.nanmean(s[:, -1]))) for s in (o, n))
-        difference = np.nansum((n - o)[:, :-1] / mean[:-1], axis=1)
+        change = np.nansum((n - o)[:, :-1] / mean[:-1], axis=1)
         there = both[:, -1]
         days = np.unique(old.day[there])
-        daily = np.array([difference[there & (old.day == d)].mean() for d in days])
+        number = max(number, len(days))
+        daily = np.array([change[there & (old.day == d)].mean() for d in days])
         spread = daily.std(ddof=1) / math.sqrt(len(daily)) if len(daily) > 1 else math.inf
         z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
-    gain = sum(parent[q].deviance - child[q].deviance for q in parent) - price
-    reason = ""
+    gain = sum(parent[q].deviance - child[q].deviance for q in parent)
+    reason: Reason = ""
     if any(v > WORSE_Z for v in z.values()) or any(v > WORSE_GROWTH for v in growth.values()):
         reason = "worse"
     elif z and not any(v <= -WORSE_Z for v in z.values()) and not gain > 0.0:
-        reason = "no gain"
-    return Judged(z, growth, before, after, gain, reason)
+        reason = "no_gain" if effect > NOTICED else ""
+    return Judged(z, growth, before, after, gain, number, reason)

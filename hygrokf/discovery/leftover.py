@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import Line
 from hygrokf.discovery.estimate import Estimate, frame, slopes
 
 SIGNIFICANT = 1e-4
@@ -20,18 +20,9 @@ SIGNIFICANT = 1e-4
 BIN_H = 1.0
 NEIGHBOURS = 101
 FEWEST = 3 * NEIGHBOURS
+CYCLES = 4
+"""Cycles of a rhythm in the record at least: what comes less often is a course."""
 FEWEST_DAYS = 30
-
-
-@dataclass(frozen=True)
-class Line:
-    """A line in a spectrum: its quantity, period [h] and chance [1] without an effect; `cause`: the named
-    cause in whose daily scores it stands, "" in the errors themselves."""
-
-    quantity: str
-    period_h: float
-    p: float
-    cause: str = ""
 
 
 def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
@@ -42,7 +33,10 @@ def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
         for (q, name), daily in scores.items():
             if name in names and (line := _in_days(q, cause, daily)) is not None:
                 found.append(line)
-    return sorted(found, key=lambda line: line.p)
+    best: dict[tuple[str, str], Line] = {}
+    for line in sorted(found, key=lambda line: line.p):
+        best.setdefault((line.quantity, line.cause), line)
+    return list(best.values())
 
 
 def _in_errors(one: Estimate, quantity: str) -> Line | None:
@@ -64,6 +58,7 @@ def _in_errors(one: Estimate, quantity: str) -> Line | None:
     sums = np.cumsum(np.pad(power, (half + 1, half), mode="reflect"))
     around = (sums[NEIGHBOURS:] - sums[:-NEIGHBOURS] - power) / (NEIGHBOURS - 1)
     ratio = power / np.maximum(around, 1e-300)
+    ratio[: CYCLES - 1] = 0.0
     best = int(np.argmax(ratio))
     # the neighbours' mean is itself uncertain: F with 2 and 2 (neighbours − 1) degrees of freedom
     alone = (1.0 + ratio[best] / (NEIGHBOURS - 1)) ** (1.0 - NEIGHBOURS)
@@ -94,11 +89,10 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
         return None
     ranks = np.argsort(np.argsort(daily)) - 0.5 * (len(daily) - 1)  # single days must not decide
     power = np.abs(np.fft.rfft(ranks)) ** 2
-    power = power[1 : (len(daily) + 1) // 2]
+    power = power[CYCLES : (len(daily) + 1) // 2]
     if not power.sum() > 0.0:
         return None
     share = float(power.max() / power.sum())
     p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
-    return (
-        Line(quantity, 24.0 * len(daily) / (int(np.argmax(power)) + 1), p, cause) if p < SIGNIFICANT else None
-    )
+    period = 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES)
+    return Line(quantity, period, p, cause) if p < SIGNIFICANT else None

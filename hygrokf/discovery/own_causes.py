@@ -20,7 +20,7 @@ from typing import Any
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.plugin_validation import exception_text, form_faults, is_feature, variant_faults
+from hygrokf.discovery.plugin_validation import declared_faults, exception_text, form_faults, is_feature
 from hygrokf.errors import HygrokfError
 from hygrokf.modelling.registry import Origin, admit, origins, withdraw
 
@@ -55,13 +55,13 @@ def adopt(causes: Iterable[Cause]) -> None:
 
 def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
     """Faults of a cause; a cause without faults is registered, with the functions of `guarded`."""
-    faults = form_faults(cause)
+    faults = declared_faults(cause)
     if not faults:
         names = {*cause.mechanisms, *cause.features}
         for name in [n for n, old in _adopted.items() if names & {*old.mechanisms, *old.features}]:
             del _adopted[name]  # these functions replace its own
         admit(cause.mechanisms, cause.features, origin)
-        faults = variant_faults(cause)
+        faults = form_faults(cause)
         if faults:
             withdraw(names)
         else:
@@ -87,7 +87,7 @@ def _origin_in_python(cause: Cause) -> dict[str, str]:
 
 
 def _mapping(value: object) -> Settings:
-    """The value where it is a mapping, else an empty mapping; `form_faults` reports other values."""
+    """The value where it is a mapping, else an empty mapping; `declared_faults` reports other values."""
     return value if isinstance(value, Mapping) else {}
 
 
@@ -217,7 +217,7 @@ def _guarded(cause: Cause, file: Path | None = None) -> Cause:
 
     return replace(
         cause,
-        variants=guard(cause.variants, "variants"),
+        forms=guard(cause.forms, "forms"),
         features={
             name: (guard(pair[0], f"feature {name!r}"), pair[1]) if is_feature(pair) else pair
             for name, pair in _mapping(cause.features).items()

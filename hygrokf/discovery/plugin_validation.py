@@ -1,8 +1,8 @@
-"""Checks of a user's cause: its sentences and names, its variants, and that it is nested in the base models.
+"""Checks of a user's cause: its sentences and names, its forms, and that it is nested in the base models.
 
 Everything is tried on a small record with every signal of the table (30 days, hourly, made of sines).  At the
-null value of a mechanism the free run of the extended model must be that of the base; away from it the free
-run must change.
+null value of a mechanism the simulation of the extended model must be that of the base; away from it the
+simulation must change.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.cause import Cause, Variant
-from hygrokf.discovery.discovery_results import Settings
+from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.estimate import Errors, Estimate
+from hygrokf.discovery.forms import Form, Ground, ground_of
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel
-from hygrokf.engine.timeline import Timeline
+from hygrokf.discovery.scene import Scene, scene_of
+from hygrokf.discovery.screening import added, start_values, widened
+from hygrokf.discovery.simulator import Simulator
+from hygrokf.discovery.starting_model import base_designs
 from hygrokf.errors import suggestion
-from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
-from hygrokf.modelling.design import CASCADE, HOLDS, design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.design import HOLDS
 from hygrokf.modelling.registry import name_faults
 from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
@@ -38,8 +38,7 @@ from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
 
 SAME = 1e-5
-"""[1] largest difference of two free runs that count as equal, as a share of the spread of the base's;
-sub-steps may differ."""
+"""[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
 DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
@@ -53,42 +52,41 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 
 # -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
-    """A record with every signal: sines of many periods in ordinary ranges.
-
-    The door is open too seldom to be an input of the base model; otherwise no opening would be left to find.
-    """
+    """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
     hour = np.arange(24 * DAYS + 1.0)
     series = []
     for place, signal in enumerate(SIGNALS.values()):
         low, high = _RANGES.get(signal.name, _RANGES[signal.unit])
         wave = 0.35 * np.sin(2.0 * np.pi * hour / 24.0 + place)
         value = low + (high - low) * (0.5 + wave + 0.15 * np.sin(2.0 * np.pi * hour / (31.0 + 3.0 * place)))
-        if signal.name == "preheating":
+        if signal.name in ("preheating", "door_open"):
             value = (value > 0.9).astype(float)
-        if signal.name == "door_open":
-            value = (np.arange(len(value)) % 200 == 100).astype(float)
         if signal.name == "active_power":
             value = np.maximum(value, 0.0)
-        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source="trial record"))
+        source = "cabinet" if signal.name.startswith("cabinet_") else "plant"
+        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source=source))
     return Record("trial record", tuple(series), Site(55.0, 8.0, 0.0), rated_power_W=2e6)
 
 
 @lru_cache(maxsize=1)
-def trial_baseline() -> Baseline:
-    """Both submodels of the base model on the trial record, at their start values: nothing is estimated."""
+def trial_estimate() -> Estimate:
+    """The base model on the trial record, at its start values: nothing is estimated."""
     record = trial_record()
-    submodels = {}
-    for name, kind in ((THERMAL, THERMAL), (HYGRIC, CASCADE)):
-        base = design(record, kind=kind)
-        run = prepare_run(base, record)
-        values = {p.name: p.start for p in base.model.parameters}
-        objective = Likelihood(base.model, run.timeline).value(values)
-        submodels[name] = Submodel(name, record, base, run, values, objective, True)
-    return Baseline(record, submodels)
+    heat, vapour = base_designs(record)
+    simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
+    theta = simulator.vector({p.name: p.start for p in simulator.parameters})
+    simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in simulator.scene.readings}
+    return Estimate(simulator, Errors({}, {}), theta, {}, simulated)
+
+
+def trial_ground() -> Ground:
+    """The ground on which forms are tried."""
+    simulator = trial_estimate().simulator
+    return ground_of(simulator.scene.record, simulator.heat, simulator.vapour)
 
 
 # -- faults, before anything is registered ------------------------------------------------------------------
-def form_faults(cause: Cause) -> list[str]:
+def declared_faults(cause: Cause) -> list[str]:
     """Faults of a cause's sentences, names, factories and features."""
     faults = [
         f"{word}: expected a sentence, found {getattr(cause, word)!r}"
@@ -101,8 +99,8 @@ def form_faults(cause: Cause) -> list[str]:
         )
     if cause.name in {own.name for own in LIBRARY}:
         faults.append("the package has a cause of that name; choose another name")
-    if not callable(cause.variants):
-        faults.append(f"variants: expected a function of a baseline, found {cause.variants!r}")
+    if not callable(cause.forms):
+        faults.append(f"forms: expected a function of a ground, found {cause.forms!r}")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
     if odd:
         return faults + [
@@ -176,119 +174,121 @@ def _factory_faults(
 @lru_cache(maxsize=1)
 def _package_names() -> frozenset[str]:
     """Parameters and states of the base models and of the package's further mechanisms."""
-    submodels = trial_baseline().submodels.values()
-    models = [m for submodel in submodels for m in submodel.base.model.mechanisms]
+    models = [m for one in trial_estimate().simulator.designs for m in one.model.mechanisms]
     models += [factory() for factory in (*LOGGED, *FURTHER)]
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
 
 
-# -- faults of its variants, with its mechanisms registered -------------------------------------------------
-def variant_faults(cause: Cause) -> list[str]:
-    """Faults of a cause's variants on the trial baseline: names, start values, equations, nesting."""
-    baseline = trial_baseline()
+# -- faults of its forms, with its mechanisms registered ----------------------------------------------------
+def form_faults(cause: Cause) -> list[str]:
+    """Faults of a cause's forms on the trial record: names, values, equations, nesting."""
     try:
-        variants = list(cause.variants(baseline))
+        forms = list(cause.forms(trial_ground()))
     except Exception as fault:
-        return [f"variants fails on a record with every signal: {exception_text(fault)}"]
-    if not variants:
+        return [f"forms fails on a record with every signal: {exception_text(fault)}"]
+    if not forms:
         return [
-            "variants gives none on a record with every signal (30 days, hourly); expected at least one there"
+            "forms gives none on a record with every signal (30 days, hourly); expected at least one there"
         ]
     faults = []
-    for variant in variants:
-        if not isinstance(variant, Variant) or variant.cause != cause.name:
-            faults.append(f"variants: expected Variant objects of the cause {cause.name}, found {variant!r}")
+    for form in forms:
+        if not isinstance(form, Form) or form.cause != cause.name:
+            faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
         else:
-            faults += [f"variant {variant.form!r}: {fault}" for fault in _faults_of(variant, baseline)]
+            faults += [f"form {form.code!r}: {fault}" for fault in _faults_of(form)]
     return list(dict.fromkeys(faults))
 
 
-def _faults_of(variant: Variant, baseline: Baseline) -> list[str]:
-    faults = [f"feature {fault}" for fault in feature_faults(variant.features)]
-    for submodel, pairs in variant.additions.items():
-        if submodel not in baseline.submodels:
-            faults.append(f"submodel {submodel!r}: expected {THERMAL} or {HYGRIC}")
-        faults += [
-            f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
-            for name, _ in pairs
-            if name not in MECHANISMS
-        ]
-    if faults or not variant.additions:
+def _faults_of(form: Form) -> list[str]:
+    one = trial_estimate()
+    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features)]
+    faults += [
+        f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
+        for name, _ in (*form.heat, *form.vapour)
+        if name not in MECHANISMS
+    ]
+    if not form.grid:
+        faults.append("expected a grid of at least one Setting, found none")
+    faults += [
+        f"steps: expected a setting of a feature in every point of the grid, found {key!r} of {name!r}"
+        for name, key in form.steps
+        if not form.clock and any(key not in s.features.get(name, {}) for s in form.grid)
+    ]
+    if faults or not (form.heat or form.vapour):
         return faults
-    names: set[str] = set()
-    for submodel, pairs in variant.additions.items():
-        try:
-            names |= _nested(baseline.submodels[submodel], pairs, variant.features)
-        except _Unnested as fault:
-            faults.append(f"{submodel} submodel: {fault}")
-        except Exception as fault:
-            faults.append(f"{submodel} submodel: {exception_text(fault)}")
-    if not faults:
-        known = names | {name for submodel in baseline.submodels.values() for name in submodel.values}
-        unknown = sorted({name for start in variant.starts for name in start} - known)
+    try:
+        wider = widened(one, form, form.grid[0])
+        own = {p.name: p for p in added(one, wider)}
+        unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
         if unknown:
             faults.append(
-                f"starts name unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(names))}"
+                f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}"
             )
+        faults += _nesting_faults(one, wider, form, start_values(one, wider, form.grid[0]))
+    except Exception as fault:
+        faults.append(exception_text(fault))
     return faults
 
 
-class _Unnested(Exception):
-    """A mechanism that is not nested in the base."""
-
-
-def _nested(
-    submodel: Submodel, pairs: tuple[tuple[str, Settings], ...], features: Mapping[str, Settings]
-) -> set[str]:
-    """Names of the parameters that mechanisms add to a submodel; raises where they are not nested in it."""
-    wider = extended(submodel.base, pairs, features=features)
-    added = [m for m in wider.model.mechanisms if m.name in {name for name, _ in pairs}]
-    own = {p.name: p for m in added for p in m.parameters}
-    null = {name: value for m in added for name, value in m.null.items()}
-    base = Likelihood(submodel.base.model, submodel.run.timeline)
-    made = prepare_run(wider, submodel.record).timeline
-    longer = Likelihood(wider.model, made)
-    before = base.trace(submodel.values, gain=False).prediction
-    scale = np.nanstd(before, axis=0)
-
-    def departure(values: Mapping[str, float], likelihood: Likelihood = longer) -> float:
-        """Largest difference of the free runs, as a share of the base's spread."""
-        after = likelihood.trace({**submodel.values, **values}, gain=False).prediction
-        return float(np.max(np.abs(after - before) / scale))
-
-    start = {name: p.start for name, p in own.items()}
-    other = {name: _away(p.start, p.lower, p.upper, p.positive) for name, p in own.items()}
-    for given in (start, other):
-        found = departure({**given, **null})
+def _nesting_faults(
+    one: Estimate, wider: Simulator, form: Form, start: Mapping[str, float]
+) -> Iterator[str]:
+    """Faults of a form that is not nested in the base, or has no effect beside it."""
+    own = added(one, wider)
+    null = {p.name: p.null for p in own if p.null is not None}
+    other = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own}
+    for given in ({**start, **null}, {**start, **other, **null}):
+        found = max(_departures(one, wider, given).values())
         if not found <= SAME:
             at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
-            raise _Unnested(
-                f"expected the base model at the null value ({at}), found a free run that differs by "
-                f"{100.0 * found:.3g} % of its spread; every effect must vanish there"
+            differs = f"differs by {100.0 * found:.3g} % of its spread"
+            yield (
+                f"expected the base model at the null value ({at}), found a simulation that "
+                f"{differs if found < math.inf else 'is not finite'}; every effect must vanish there"
             )
-    acting = {name: value for name, value in other.items() if name in null}
-    moved = Likelihood(wider.model, _with_waves(made, features))
-    if departure({**start, **acting}, moved) <= 1e-3 * SAME:
-        raise _Unnested(
-            "it changes nothing in the free run, whatever its parameters; contribute to one of "
-            + ", ".join(SUMS)
-        )
-    value, score = longer.score({**submodel.values, **start, **acting})
-    if not (math.isfinite(value) and np.all(np.isfinite(score))):
-        raise _Unnested(
-            "its likelihood is not finite near the start values; check divisions, logarithms and bounds"
-        )
-    return set(own)
+            return
+    acting = {**start, **{name: other[name] for name in null}}
+    moved = replace(wider, scene=_with_waves(wider), _cells={})
+    still = replace(one, simulated=_simulated(moved, {**start, **null}))
+    changes = _departures(still, moved, acting)
+    for quantity, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)):
+        if mechanisms and not changes[quantity] < math.inf:
+            yield (
+                f"the simulated {quantity} is not finite near the start values; check divisions, logarithms "
+                "and bounds"
+            )
+        elif mechanisms and changes[quantity] <= 1e-3 * SAME:
+            yield (
+                f"it changes nothing in the simulated {quantity}, whatever its parameters; contribute to one "
+                f"of {', '.join(SUMS)}"
+            )
 
 
-def _with_waves(made: Timeline, features: Mapping[str, Settings]) -> Timeline:
-    """The run with waves for features that are constant in it: a threshold that this record never reaches, a
-    late date."""
-    u = made.u.copy()
-    for column, name in enumerate(made.varying):
-        if name in features and np.ptp(u[:, column]) == 0.0:
-            u[:, column] = 0.5 + 0.4 * np.sin(np.arange(len(u)) / 7.0)
-    return replace(made, u=u)
+def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    theta = simulator.vector(values)[:, None]
+    return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
+
+
+def _departures(one: Estimate, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Largest difference of each quantity's simulation from the base's, as a share of that one's spread;
+    infinite where a simulation is not finite."""
+    made, found = _simulated(wider, values), {}
+    for q, base in one.simulated.items():
+        share = float(np.max(np.abs(made[q] - base)) / np.std(base))
+        found[q] = share if math.isfinite(share) else math.inf
+    return found
+
+
+def _with_waves(simulator: Simulator) -> Scene:
+    """The scene with waves for features that are constant in it: a threshold that this record never reaches,
+    a late date."""
+    scene, waves = simulator.scene, []
+    for design in simulator.designs:
+        for name in design.features:
+            value = scene.at_edges(name, design)
+            if np.ptp(value) == 0.0:
+                waves.append((name, design, 0.5 + 0.4 * np.sin(np.arange(len(value)) / 56.0)))
+    return scene.with_inputs(waves)
 
 
 def _away(start: float, lower: float, upper: float, positive: bool) -> float:

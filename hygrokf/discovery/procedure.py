@@ -3,52 +3,60 @@ gain."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hygrokf.data.clocks import shifted
 from hygrokf.data.drawn import drawn
 from hygrokf.data.progress import Progress, reporting
+from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
+from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
-from hygrokf.discovery.baseline import SECONDS, Baseline, Budget
-from hygrokf.discovery.candidate import Candidate, clock_shifts
+from hygrokf.discovery.as_fit import fit_of
+from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate
 from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.conclusion import Conclusion, concluded
 from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
+    Exclusion,
+    Line,
     ModelScores,
-    NotTried,
-    Refuted,
     Rejected,
-    ResidualStructure,
     Verdict,
+    Work,
 )
-from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.findings import findings
-from hygrokf.discovery.held_out import SIMULATION_STEP, HeldOut, model_of, without_refuted
+from hygrokf.discovery.forms import ground_of
+from hygrokf.discovery.gains import gains
+from hygrokf.discovery.leftover import lines
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.model_selection import Selection, brings_switch, select
 from hygrokf.discovery.own_causes import adopt, origins_of
-from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
-from hygrokf.discovery.residual_structure import remaining
+from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.submodel import HYGRIC, SEARCH_STEP, THERMAL, simulation_values, submodel_of
-from hygrokf.estimation.optimiser import refine
-from hygrokf.identification.estimation import DesignEstimate, Stage, assess_stage, output_errors
+from hygrokf.discovery.screening import added
+from hygrokf.discovery.search import FURTHER, Accepted, Found, search
+from hygrokf.discovery.starting_model import base_estimate
+from hygrokf.discovery.told import cause_found, evidence_of, refuted_cause
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import Basis, assemble_fit, identify_stages
-from hygrokf.modelling.design import CASCADE
+from hygrokf.identification.procedure import expect_readings
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-REFUTED = (
-    "the held-out period refutes the cause found in the identification period: the model lacks something else"
+BUDGET = 40_000
+"""Simulations after which no further cause is tried."""
+MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
+"""Readings that a simulation explains."""
+WET_SENSOR = (
+    "what the model takes as an error of the humidity sensor may be water in the cabinet; compare the sensor "
+    "with a second one"
 )
-UNEXPLAINED_AT_MOST = 0.5
-"""[1] largest confidence of a cause under the verdict "unexplained"."""
 
 
 @dataclass(frozen=True)
@@ -98,174 +106,167 @@ def discover(
     record: Record,
     *,
     library: Sequence[Cause] = LIBRARY,
-    starts: int = 4,
     progress: Progress | bool | None = None,
-    budget_s: float = SECONDS,
+    budget: int = BUDGET,
 ) -> Discovery:
-    """Find what the identified model of a record lacks, and name the cause from a library.
+    """Find what the base model of a record lacks, and name the cause from a library.
 
-    All choices use the identification period; the validation period can refute them and gives the reported
-    gain.
+    The model is simulated from its inputs alone; what it misses is a disturbance that enters as flows of heat
+    and vapour.  All choices use the identification period; the validation period can refute them and gives
+    the reported gain.
 
     record: as for `identify`.
     library: the causes to try; `load_library` reads further ones from a file.
-    starts: number of start points of each maximisation.
     progress: called with each step in words; True: shows them as one line, also in a notebook.
-    budget_s: [s] of wall-clock time.  `not_tried` of the results lists what was left out; `math.inf` gives
-        results that do not depend on the machine.
+    budget: simulations after which no further cause is tried; the results name those that were not judged.
+        The same record, library and budget give the same results on a busy machine.
 
     Returns the base fit, the extended fit where a cause was accepted, and `results` as in discovery.json.
     Raises ValueError as `identify` does, and LibraryFault for user causes that cannot be used.
     """
     adopt(library)
+    record = mask(record)
+    expect_readings(record.identification())
+    expect_movement(record.identification())
     with reporting(progress, "discover") as say:
-        return _discovered(record, library, starts, say, budget_s)
+        return _discovered(record, library, say, budget)
 
 
-def _discovered(
-    record: Record, library: Sequence[Cause], starts: int, say: Progress, budget_s: float
-) -> Discovery:
-    budget = Budget(budget_s)
-    record, repeated = without_repeats(record)
-    early = record.identification()
-    basis = identify_stages(early, CASCADE, starts, True, say)
-    simulated = output_errors(early, basis.whole, basis.values)
-    base = assemble_fit(record, basis, simulated, say=say)
-    names = (THERMAL, HYGRIC)[: len(basis.stages)]
-    baseline = Baseline(
-        early,
-        {
-            name: submodel_of(name, driven, stage)
-            for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
-        },
-        budget,
-    )
-    say("base model as a simulator")
-    simulator = assemble_fit(record, _simulating(basis, baseline), simulated, say=say)
-    selection = select(baseline, library, say)
-    baseline = replace(baseline, budget=Budget())
-    if selection.accepted:
-        say("held-out period")
-    tested = without_refuted(baseline, selection, record)
-    wider = basis
-    while tested.selection.accepted:
-        say("extended model")
-        selection = tested.selection
-        wider = replace(basis, stages=_stages(basis, selection, not budget.spent, say))
-        ended = model_of(_ended(selection.baseline, wider.stages), record, selection.candidates)
-        tested = tested.ending(ended)
-        if tested.selection is selection:
-            break
-    selection = tested.selection
-    before = after = residuals(base, record)
-    corrected = shifted(record, *clock_shifts(selection.candidates))
-    extended, stages = None, basis.stages
-    if selection.accepted:
-        stages = wider.stages
-        extended = assemble_fit(corrected, wider, {}, say=say, rate_step=SIMULATION_STEP)
-        wider = _simulating(wider, selection.baseline)
-        simulator = assemble_fit(corrected, wider, {}, say=say, rate_step=SIMULATION_STEP)
-        after = residuals(extended, corrected)
-    say("what is left")
-    left = remaining((after, residuals(simulator, corrected)))
-    results = _results(baseline, before, left, base, extended, tested, stages, library, repeated, budget_s)
-    return Discovery(base, extended, results, before, None if extended is None else after)
+def expect_movement(early: Record) -> None:
+    """Check that the cabinet's readings move in the identification period.
 
-
-def _simulating(basis: Basis, baseline: Baseline) -> Basis:
-    """The basis with parameters moved toward the least free-run error of each submodel."""
-    stages = []
-    for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        values = simulation_values(replace(baseline.submodels[name], values=stage.estimate.values))
-        stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
-    return replace(basis, stages=tuple(stages))
-
-
-def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -> tuple[Stage, ...]:
-    """The stages with the accepted causes, estimated to the end, with bounds by profiles or (without
-    `profiles`) Wald bounds."""
-    found: list[Stage] = []
-    for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        submodel = selection.baseline.submodels[name]
-        if submodel.base is not stage.base or submodel.record is not basis.records[len(found)]:
-            estimate = refine(submodel.likelihood, submodel.values)
-            estimated = DesignEstimate(submodel.base, submodel.run, estimate, SEARCH_STEP)
-            stage = assess_stage(submodel.record, estimated, profiles, say)
-        found.append(stage)
-    return tuple(found)
-
-
-def _ended(baseline: Baseline, stages: Sequence[Stage]) -> Baseline:
-    """The baseline with its submodels at the stages' final estimates."""
-    submodels = {
-        name: submodel_of(name, submodel.record, stage)
-        for (name, submodel), stage in zip(baseline.submodels.items(), stages, strict=True)
-    }
-    return replace(baseline, submodels=submodels)
-
-
-def verdict(
-    accepted: Sequence[Candidate], rest: ResidualStructure | None, foreign: bool, repeated: bool
-) -> Verdict:
-    """`none`, `named` or `unexplained`.
-
-    rest: structure that is left in the errors; foreign: whether no logged signal makes it; repeated: whether
-        repeated readings were set aside.  Both overrule the accepted causes, `foreign` unless a switch is
-        among them: a simulated switch loses its phase, and the errors of its cycles also go to one side.
+    Raises ValueError that names every signal whose middle 98 % are one value.
     """
-    overruled = repeated or (foreign and not any(brings_switch(candidate) for candidate in accepted))
-    if accepted and not overruled:
-        return "named"
-    return "none" if rest is None else "unexplained"
+    still = []
+    for series in early.series:
+        known = series.value[np.isfinite(series.value)]
+        if series.signal in MOVING and len(known) and np.ptp(np.quantile(known, (0.01, 0.99))) == 0.0:
+            still.append(
+                f"{series.signal}: expected readings that move, found {known[0]:.6g} "
+                f"{SIGNALS[series.signal].unit} throughout the identification period"
+            )
+    if still:
+        raise ValueError("; ".join(still) + ": check the sensor, or leave the signal out of the case")
 
 
-def _results(
-    baseline: Baseline,
-    before: Residuals,
-    left: tuple[ResidualStructure | None, bool],
-    base: Fit,
-    extended: Fit | None,
-    tested: HeldOut,
-    stages: Sequence[Stage],
-    library: Sequence[Cause],
-    repeated: Mapping[str, list[tuple[float, float]]],
-    budget_s: float,
-) -> DiscoveryResults:
-    selection = tested.selection
-    rest, foreign = left
-    if repeated:
-        rest = ResidualStructure("readings", REPEATED, repeated_text(repeated))
-    elif rest is None and tested.refuted and not selection.accepted:
-        rest = ResidualStructure(tested.refuted[0][1].quantity, "refuted", REFUTED)
-    said = verdict(selection.candidates, rest, foreign, bool(repeated))
-    known = {p.name for p in base.design.model.parameters}
-    causes = [
-        cause_entry(baseline, accepted, gain, known, stages, library, selection.tried)
-        for accepted, gain in zip(selection.accepted, tested.gains, strict=True)
-    ]
-    if said == "unexplained":
-        causes = [replace(one, confidence=min(one.confidence, UNEXPLAINED_AT_MOST)) for one in causes]
-    return DiscoveryResults(
+def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget: int) -> Discovery:
+    saturated = _saturated(record)
+    record, repeated = without_repeats(record)
+    say("base model")
+    start = base_estimate(record)
+    ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
+    # quantiles of too few readings leave a form without settings
+    forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
+    found = search(start, [form for one in forms.values() for form in one], say, budget)
+    say("parameters of the base and of the extended model")
+    ended = concluded(found)
+    base = fit_of(record, ended.base, say)
+    before = after = residuals(base, record)
+    extended = None
+    if ended.extended is not None:
+        doubts = (WET_SENSOR,) if any(_wet(one) for one in ended.accepted) else ()
+        extended = fit_of(record, ended.extended, say, doubts)
+        after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
+    say("what is left")
+    left = _lines(ended)
+    results = DiscoveryResults(
         name=base.results.name,
         version=__version__,
-        verdict=said,
+        verdict=verdict(ended, left),
         baseline=_scores(base),
         synthetic=base.results.synthetic,
         extended=None if extended is None else _scores(extended),
-        causes=tuple(causes),
-        rejected=tuple(
-            Rejected(t.variant.cause, t.variant.form, evidence(baseline, t, selection.tried), reason)
-            for t, reason in selection.rejected
-        ),
-        refuted=tuple(Refuted(t.variant.cause, t.variant.form, gain) for t, gain in tested.refuted),
-        unexplained=rest,
-        not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
-        own_causes={cause.name: found for cause in library if (found := origins_of(cause))},
+        estimator=ended.base.estimator,
+        gains=gains(ended, before, after),
+        held_out_days=_days(before.time_s[before.validation]),
+        causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
+        rejected=tuple(_rejected(found, ended, library, forms)),
+        refuted=tuple(refuted_cause(one, judged, found.searched) for one, judged in ended.refuted),
+        lines=tuple(left),
+        work=Work(start.simulator.work.simulations, budget, found.not_judged),
+        repeated={name: tuple(spans) for name, spans in repeated.items()},
+        saturated=saturated,
+        own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
         findings=tuple(findings(before)),
-        doubts=tuple(dict.fromkeys(line for lines in base.results.doubted.values() for line in lines)),
+        left=() if extended is None else tuple(findings(after)),
+        doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
     )
+    return Discovery(base, extended, results, before, None if extended is None else after)
+
+
+def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
+    """What is left overrules a name; a name with rivals is ambiguous."""
+    if left:
+        return "unexplained"
+    if ended.accepted:
+        return "ambiguous" if any(one.rivals for one in ended.accepted) else "named"
+    return "refuted" if ended.refuted else "none"
+
+
+def _lines(ended: Conclusion) -> list[Line]:
+    """What is left in the errors of the last model, and in the daily scores of what is named."""
+    one, own = ended.last.estimate, {}
+    for accepted in ended.accepted:
+        new = added(ended.base.estimate, accepted.candidate.estimate.simulator)
+        mine = {m[0] for m in (*accepted.candidate.form.heat, *accepted.candidate.form.vapour)}
+        names = {
+            p.name
+            for design in one.simulator.designs
+            for m in design.model.mechanisms
+            if m.name in mine
+            for p in m.parameters
+        }
+        own[accepted.candidate.cause] = tuple(p.name for p in new if p.name in names)
+    return lines(one, own)
+
+
+def _wet(one: Accepted) -> bool:
+    """Whether an error of the humidity sensor is told together with water."""
+    return one.candidate.cause == SENSOR and any(rival.cause in WATER for rival in one.rivals)
+
+
+def _rejected(
+    found: Found, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+) -> list[Rejected]:
+    """The causes that were left out: those that were estimated beside the last model first."""
+    told = {one.candidate.cause for one in ended.accepted} | {one.cause for one, _ in ended.refuted}
+    rest: dict[str, Rejected] = {}
+
+    def add(one: Candidate, reason: Exclusion) -> None:
+        if one.cause not in told:
+            rest.setdefault(
+                one.cause, Rejected(one.cause, one.form.code, evidence_of(one, found.searched), reason)
+            )
+
+    for one in found.left:
+        add(one, "later_gone")
+    least = FURTHER if ended.accepted else THRESHOLD
+    for one in sorted(found.beside, key=lambda c: -c.evidence):
+        add(one, "weak" if one.evidence < least else "weak_by_days")
+    for cause in library:
+        reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
+        if cause.name not in told:
+            rest.setdefault(
+                cause.name,
+                Rejected(cause.name, reason="left_to_budget" if cause.name in found.not_judged else reason),
+            )
+    return list(rest.values())
 
 
 def _scores(fit: Fit) -> ModelScores:
     found = fit.results
     return ModelScores(found.rmse, found.baselines, found.time_constants, found.loglik, found.n_obs)
+
+
+def _days(time_s: np.ndarray) -> int:
+    """Days that have an instant."""
+    return len(np.unique(np.floor(time_s / 86_400.0)))
+
+
+def _saturated(record: Record) -> float:
+    """[1] share of the humidity readings at the upper end of the sensor's range."""
+    if "cabinet_relative_humidity" not in record:
+        return math.nan
+    humidity = record["cabinet_relative_humidity"]
+    count = len(humidity.known[0]) + humidity.saturated
+    return humidity.saturated / count if count else math.nan

@@ -3,7 +3,7 @@ explained by physics."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +12,6 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.residuals import first_dates, run_lengths
 
-REPEATED = "repeated readings"
-"""Kind of the residual structure in `discovery.json`."""
 SHORTEST_S = 3600.0
 """[s] shortest stretch."""
 FEWEST_REPEATED = 6
@@ -98,7 +96,7 @@ def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
     return found
 
 
-def repeated_text(spans: Mapping[str, list[tuple[float, float]]]) -> str:
+def repeated_text(spans: Mapping[str, Sequence[tuple[float, float]]]) -> str:
     """The repeats in one sentence."""
     name, found = max(spans.items(), key=lambda pair: len(pair[1]))
     days, rest = first_dates(first for first, _ in found)

@@ -27,6 +27,8 @@ QUANTITIES = (TEMPERATURE, HUMIDITY)
 UNITS = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
 SERIES = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
 """Quantity -> stem of its names in a fit's series."""
+TIME_CONSTANT = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
+"""Quantity -> parameter that is the time constant [h] of its low pass."""
 RESPONSES = ("cabinet_", "converter_")
 """Signals that respond to the cabinet instead of driving it."""
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
@@ -39,8 +41,6 @@ PAUSE_H = 3.0
 """[h] below which a pause does not end an episode."""
 LONGEST_DURATION_H = 48.0
 """[h] longer episodes have no common duration."""
-FEWEST_HOURS = 72
-"""[h] bins with an error below which there is nothing to analyse."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,7 @@ class Residuals:
     validation: (T,) bool, True after the end of the identification period.
     sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's
         and of the ambient sensors brings about.
+    time_constants: quantity -> [h] of the cabinet's low pass.
     measured, simulated, sd: quantity -> (T,) [K], [g/m³]: reading, free run and its standard deviation.
     name: of the record.
     """
@@ -74,6 +75,7 @@ class Residuals:
     preheating: np.ndarray
     validation: np.ndarray
     sensor_error: Mapping[str, np.ndarray]
+    time_constants: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, np.ndarray] = field(default_factory=dict)
     simulated: Mapping[str, np.ndarray] = field(default_factory=dict)
     sd: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -134,6 +136,7 @@ def residuals(fit: Fit, record: Record) -> Residuals:
         preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,
         validation=time > until if math.isfinite(until) else np.zeros(len(time), bool),
         sensor_error=_sensor_error(s, record),
+        time_constants={q: fit.values[name] for q, name in TIME_CONSTANT.items() if name in fit.values},
         measured=measured,
         simulated=simulated,
         sd={q: np.asarray(s[f"{SERIES[q]}_sd"], dtype=float) for q in QUANTITIES},
@@ -294,13 +297,18 @@ class Hours:
 
 def hourly(residuals: Residuals) -> Hours:
     """The identification period in bins of an hour, or of the readings' step where that is longer."""
+    return binned(residuals, 1.0)
+
+
+def binned(residuals: Residuals, least_h: float) -> Hours:
+    """The identification period in bins of a length [h], or of the readings' step where that is longer."""
     chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
         raise ValueError("hourly: the period has no instants")
     read = np.isfinite(residuals.temperature_error[chosen]) | np.isfinite(residuals.humidity_error[chosen])
     step = float(np.median(np.diff(time[read]))) / 3600.0 if read.sum() > 1 else 1.0
-    length = max(1.0, math.ceil(step - 0.05))
+    length = least_h * max(1, math.ceil(step / least_h - 0.05))
     place = np.floor(time / (3600.0 * length)).astype(np.int64)
     first = int(place[0])
     place -= first
@@ -333,21 +341,6 @@ def hourly(residuals: Residuals) -> Hours:
         heated=heated,
         sensor_error={q: mean(values) for q, values in residuals.sensor_error.items()},
     )
-
-
-def reading_grid(residuals: Residuals, quantity: str) -> tuple[float, float, np.ndarray]:
-    """Start [s], step [s] and errors (n,) of the free run in the identification period at the readings' own
-    step, NaN = missing."""
-    values = residuals.error(quantity)
-    chosen = ~residuals.validation & np.isfinite(values)
-    time, value = residuals.time_s[chosen], values[chosen]
-    if len(time) < 3:
-        return math.nan, math.nan, np.empty(0)
-    step = float(np.median(np.diff(time)))
-    place = np.round((time - time[0]) / step).astype(np.int64)
-    grid = np.full(int(place[-1]) + 1, np.nan)
-    grid[place] = value
-    return float(time[0]), step, grid
 
 
 def _carried(values: np.ndarray) -> np.ndarray:

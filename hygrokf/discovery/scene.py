@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.data.clocks import source_of
+from hygrokf.data.clocks import Shift, in_america, source_of
 from hygrokf.data.input_paths import centred, input_path, without_response
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.engine.cell_loop import IDLE, TEMPERATURE, Cells
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import HUMIDITIES, Design, reading_step_h
@@ -47,7 +47,6 @@ UNKNOWN_K = 25.0
 """[K²] variance of the temperature's error where a run begins or goes on after a gap."""
 UNKNOWN_SHARE = 0.3
 """The same standard deviation of the vapour, as a share of its mean."""
-QUANTITIES = ("temperature", "vapour")
 AMBIENT_HUMIDITIES = (
     "ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature",
 )  # fmt: skip
@@ -62,7 +61,6 @@ SIGNAL_OF = {
     "night_sky": "global_horizontal_irradiance",
     "wind_tenth": "wind_speed",
     "wind_square": "wind_speed",
-    "heavy_rain": "rain",
 }
 """Derived input → the signal whose clock it has."""
 
@@ -129,7 +127,7 @@ class Scene:
     vapour: Design | None
     readings: Mapping[str, Readings] = field(default_factory=dict)
     drive: np.ndarray = field(default_factory=lambda: np.empty(0))
-    shifts: Mapping[str, float] = field(default_factory=dict)
+    shifts: tuple[Shift, ...] = ()
     _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
@@ -168,10 +166,17 @@ class Scene:
     def at_edges(self, name: str, design: Design) -> np.ndarray:
         """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
         value = self._unmoved(name, design)
-        seconds = self.shifts.get(self._source(name), 0.0)
-        if not seconds:
+        mine = [one for one in self.shifts if one.source == self._source(name)]
+        if not mine:
             return value
-        return np.interp(self.edges_s - seconds, self.edges_s, value)
+        later = sum(self._later(one, self.edges_s) for one in mine)
+        return np.interp(self.edges_s - later, self.edges_s, value)
+
+    def _later(self, shift: Shift, time_s: np.ndarray) -> np.ndarray:
+        """By how much a correction moves stamps at times (n,) [s]."""
+        if not shift.summer:
+            return np.full(len(time_s), shift.seconds)
+        return shift.seconds * summer_time(time_s, in_america(self.record))
 
     def _source(self, name: str) -> str:
         """The source whose clock stamps an input; empty where there is none."""
@@ -186,16 +191,21 @@ class Scene:
             return self.drive
         if name in self._base()[0]:
             return self._base()[0][name]
-        settings = design.features.get(name)
-        key = json.dumps([name, settings], default=float)
-        if key not in self._cache:
-            if settings is not None:
-                value = feature(self.record, name, settings, self.edges_s)
-            else:
-                mean = design.actuator_means.get(name)
-                value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
-            self._cache[key] = np.asarray(value, dtype=float)
+        settings, key = design.features.get(name), _key(name, design.features.get(name))
+        if key in self._cache:
+            return np.asarray(self._cache[key])
+        if settings is not None:
+            # of hundreds of settings only the means over cells are kept
+            return np.asarray(feature(self.record, name, settings, self.edges_s), dtype=float)
+        mean = design.actuator_means.get(name)
+        value = _further(self.record, name, self.edges_s, design.model.holds[name], mean)
+        self._cache[key] = np.asarray(value, dtype=float)
         return self._cache[key]
+
+    def with_inputs(self, given: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
+        """The scene in which inputs of designs have other values (F,) at the edges of parts."""
+        values = {_key(name, design.features.get(name)): value for name, design, value in given}
+        return replace(self, _cache={"": self._base(), **values})
 
     def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> Cells:
         """The inputs of a model over the cells."""
@@ -208,9 +218,10 @@ class Scene:
         return Cells(self.cell_h, means, edges)
 
     def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-        seconds = self.shifts.get(self._source(name), 0.0)
+        source = self._source(name)
+        moved = [[one.seconds, one.summer] for one in self.shifts if one.source == source]
         drive = id(self.drive) if name == TEMPERATURE else 0
-        key = json.dumps([name, design.features.get(name), seconds, drive, straight], default=float)
+        key = json.dumps([name, design.features.get(name), moved, drive, straight], default=float)
         if key not in self._cache:
             # the temperature is kept with its means, so that its identity stays its own
             made = over_cells(self.at_edges(name, design), straight)
@@ -221,20 +232,24 @@ class Scene:
         """(K,) means of an input over the cells."""
         return self._over_cells(name, design, design.model.holds.get(name) == LINEAR)[0]
 
-    def moved(self, source: str, seconds: float) -> Scene:
-        """The scene with a source's stamps later by `seconds` [s]; the readings stay the same ones."""
-        shifts = {**self.shifts, source: self.shifts.get(source, 0.0) + seconds}
-        if source != source_of(self.record[TEMPERATURE]):
-            return replace(self, shifts=shifts)
-        cells = seconds / (HOUR_S * self.cell_h)
-        readings = {
-            q: replace(one, begin=one.begin + cells, end=one.end + cells) for q, one in self.readings.items()
-        }
-        return replace(self, shifts=shifts, readings=readings)
+    def moved(self, shift: Shift) -> Scene:
+        """The scene with a source's stamps corrected; the readings stay the same ones."""
+        made = replace(self, shifts=(*self.shifts, shift))
+        if shift.source != source_of(self.record[TEMPERATURE]):
+            return made
+        readings = {}
+        for q, one in self.readings.items():
+            cells = self._later(shift, one.time_s) / (HOUR_S * self.cell_h)
+            readings[q] = replace(one, begin=one.begin + cells, end=one.end + cells)
+        return replace(made, readings=readings)
 
     def place(self, time_s: np.ndarray) -> np.ndarray:
         """Times [s] in cells from the first one's beginning."""
         return (time_s - self.first_s) / (HOUR_S * self.cell_h)
+
+
+def _key(name: str, settings: Any) -> str:
+    return json.dumps([name, settings], default=float)
 
 
 def over_cells(value: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:

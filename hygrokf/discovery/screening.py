@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.error_model import filtered
+from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Columns, Estimate, frame, slopes
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import SWITCHES
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 SMALL = 0.1
 """Share of an effect's usual size at which its column is taken."""
@@ -86,7 +87,9 @@ def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...]
     vapour = None
     if before.vapour is not None:
         vapour = _wider(_altered(before.vapour, form.altered), form.vapour, setting.features)
-    scene = before.scene.moved(form.clock, setting.shift_s) if form.clock else before.scene
+    scene = before.scene
+    if form.clock:
+        scene = scene.moved(Shift(form.clock, setting.shift_s, form.summer))
     limits = {**before.limits, **form.limits}
     if form.freed and vapour is not None:
         vapour = _without_prior(vapour, form.freed)
@@ -155,8 +158,8 @@ def start_values(parent: Estimate, wider: Simulator, setting: Setting) -> dict[s
     values = {p.name: p.start for p in added(parent, wider)} | parent.values
     values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
     for name, settings in setting.features.items():
-        if name in SWITCHES and name in wider.controls:
-            first, second = SWITCHES[name](**settings).levels
+        if name in CONTROLLED and name in wider.controls:
+            first, second = Throttle(**settings).levels
             values |= {f"{name}_first": first, f"{name}_second": second}
     return values | dict(setting.values)
 
@@ -178,7 +181,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
     rows = [start_values(one, wider, setting) for setting in form.grid]
     columns = {name: [wider.column(name, s.features[name]) for s in form.grid] for name in varied}
     given = {p.name: SMALL * size_of(p) for p in sizes}
-    theta = np.column_stack([wider.vector({**row, **_sized(row, sizes, given)}) for row in rows])
+    theta = np.column_stack([wider.vector({**row, **_sized(sizes, given)}) for row in rows])
     gain, found = np.zeros(len(rows)), {p.name: np.zeros(len(rows)) for p in sizes}
     for p in sizes:
         for q in wider.affects(p.name):
@@ -199,15 +202,13 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
 
 def _varied(form: Form) -> tuple[str, ...]:
     """Features whose settings differ within the grid and that no controller gives."""
-    names = {name for s in form.grid for name in s.features if name not in SWITCHES}
+    names = {name for s in form.grid for name in s.features if name not in CONTROLLED}
     return tuple(
         sorted(n for n in names if any(s.features.get(n) != form.grid[0].features.get(n) for s in form.grid))
     )
 
 
-def _sized(
-    row: Mapping[str, float], sizes: Sequence[Parameter], found: Mapping[str, float]
-) -> dict[str, float]:
+def _sized(sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, float]:
     return {
         p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper))
         for p in sizes
@@ -232,7 +233,7 @@ def _run(
     for i in order:
         for factor in SIZES:
             size = {p.name: factor * float(found[p.name][i]) for p in sizes}
-            made.append(wider.vector({**rows[i], **_sized(rows[i], sizes, size)}))
+            made.append(wider.vector({**rows[i], **_sized(sizes, size)}))
             owned.append(i)
     theta = np.column_stack(made)
     own = {name: [part[i] for i in owned] for name, part in columns.items()}
@@ -280,18 +281,76 @@ EVERY_S = 900.0
 MOST_WINDOWS = 12
 
 
+EDGES_H = (-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
+"""[h] by which the edges of a window are moved."""
+EXCHANGES = (0.5, 3.0, 15.0)
+"""Sizes of an open door's exchange at which windows are run, in units of the cabinet's own."""
+
+
 def _windows(parent: Parent, form: Form) -> list[Screened]:
-    found = openings(parent.estimate, form, identified=True)
+    one = parent.estimate
+    found = openings(one, form, identified=True)
     if not found.spans:
         return []
-    setting = Setting({"door_open": {"spans": found.spans}}, price=found.price * len(found.spans))
-    wider = widened(parent.estimate, form, setting)
-    sizes = amplitudes(added(parent.estimate, wider))
-    row = start_values(parent.estimate, wider, setting)
-    unit = {
-        p.name: np.array([SMALL * size_of(p) * found.size[q]]) for p in sizes for q in wider.affects(p.name)
-    }
-    return _run(parent, replace(form, grid=(setting,)), wider, sizes, [0], [row], {}, unit)
+    spans, sizes, gain = _edged(one, form, found.spans)
+    setting = Setting({"door_open": {"spans": spans}}, price=found.price * len(spans))
+    return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
+
+
+def _edged(
+    one: Estimate, form: Form, spans: list[list[float]]
+) -> tuple[list[list[float]], dict[str, float], float]:
+    """Windows whose edges are those of the best real runs, with the sizes and the gain there: a matched
+    filter sees an opening late, and as if its effect were there at once."""
+    wider = widened(one, form, form.grid[0], ("door_open",))
+    sizes = amplitudes(added(one, wider))
+    rest = start_values(one, wider, form.grid[0])
+
+    def gains(trials: list[list[list[float]]]) -> dict[str, np.ndarray]:
+        """(sizes, trials) of each amplitude."""
+        columns = {"door_open": [wider.column("door_open", {"spans": spans}) for spans in trials]}
+        found = {}
+        for p in sizes:
+            found[p.name] = np.zeros((len(EXCHANGES), len(trials)))
+            for i, size in enumerate(EXCHANGES):
+                theta = wider.vector({**rest, p.name: size})[:, None].repeat(len(trials), axis=1)
+                for q in wider.affects(p.name):
+                    known, r = one.filtered[q], one.simulator.scene.readings[q]
+                    read = np.where(r.identified, r.value, np.nan)[:, None]
+                    white = known.whitened(read - wider.simulated(theta, q, columns))
+                    before = loss(np.nan_to_num(known.standardised), known.bound).sum()
+                    found[p.name][i] += before - loss(white, known.bound).sum(axis=0)
+        return found
+
+    for edge in (0, 1):
+        trials = [spans]
+        for i in range(len(spans)):
+            for hours in EDGES_H:
+                moved = [list(span) for span in spans]
+                moved[i][edge] += 3600.0 * hours
+                trials.append(moved if moved[i][0] < moved[i][1] else spans)
+        total = sum(np.max(one, axis=0) for one in gains(trials).values())
+        best = [list(span) for span in spans]
+        for i in range(len(spans)):
+            mine = slice(1 + i * len(EDGES_H), 1 + (i + 1) * len(EDGES_H))
+            place = mine.start + int(np.argmax(total[mine]))
+            if total[place] > total[0]:
+                best[i] = trials[place][i]
+        spans = _apart(best)
+    at = gains([spans])
+    chosen = {name: EXCHANGES[int(np.argmax(gain[:, 0]))] for name, gain in at.items()}
+    return spans, chosen, float(sum(gain.max() for gain in at.values()))
+
+
+def _apart(spans: list[list[float]]) -> list[list[float]]:
+    """Windows in order; those that overlap are one."""
+    found: list[list[float]] = []
+    for first, last in sorted(spans):
+        if found and first <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], last)
+        else:
+            found.append([first, last])
+    return found
 
 
 @dataclass(frozen=True)
@@ -314,7 +373,7 @@ def openings(one: Estimate, form: Form, identified: bool) -> Openings:
     sizes = amplitudes(added(one, wider))
     given = {p.name: SMALL * size_of(p) for p in sizes}
     row = start_values(one, wider, form.grid[0])
-    theta = wider.vector({**row, **_sized(row, sizes, given)})[:, None]
+    theta = wider.vector({**row, **_sized(sizes, given)})[:, None]
     scene = one.simulator.scene
     count = int(scene.count * scene.cell_h * 3600.0 / EVERY_S) + 2
     products, squares = np.zeros((2, len(one.quantities), count))

@@ -1,193 +1,230 @@
-"""Whether correlated errors depend on a condition: block bootstrap, effective size, false discoveries.
+"""Whether errors depend on a condition: score tests under the error model, and false discoveries.
 
-The errors of a free run are correlated over half a day and more, so readings are not independent.  The
-surrogates are post-blackened (`evaluation.bootstrap`): blocks of the raw errors would lose a share τ/L of
-the variance of their means (τ integral time, L block), which changes p in the far tail by a factor of two or
-three.
+What a simulation misses is a stationary process with a free spectrum behind the cabinet's low pass
+(`error_model`).  Standardised innovations e of such an error are white.  A condition whose columns become x
+in the same filter leaves in them
 
-Shapes: n bins of equal length, k columns of a basis, B surrogates, J tests.
+    e = x β + white,    (x'e)' (x'x)⁻¹ (x'e) ~ χ²(k) without an effect.
 
-Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley
-1997, section 8.2.3 (post-blackening); Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
+Innovations beyond the Huber bound count as the bound.  Where the scores of whole days scatter more than this
+law says, because errors are livelier under the condition, the statistic is divided by the excess.
+
+Shapes: n bins of equal length, k columns of a condition, q nuisance columns, J tests.
+
+Source: Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.evaluation.bootstrap import SURROGATES, autoregression, block_h, effective_size, surrogates
+from hygrokf.discovery.error_model import HUBER, Filtered, course, filtered, maximised
 
-SECOND_LOOK = 200
-"""Surrogates where the noise is judged again without an effect."""
-FEWEST_CLUSTERS = 10.0
-"""Effective number of blocks from which a condition's own scatter can be judged."""
-LIVELY = 1.5
-"""Ratio of variances from which errors are livelier under a condition; then the number of blocks counts."""
+SLOWER = 4.0
+"""[1] time constant of a slower mass over that of the low pass."""
+POSSIBLE = math.log(0.05)
+"""ln p above which the scatter of the days does not matter any more."""
+EDGE = 0.05
+"""[1] share of the record at either end in which no change is looked for."""
+INTERVAL = 4.0
+"""Statistic by which one explanation must lead another to be clearly better: that of a 95 % interval."""
+
+ROUNDING = 1e-12
+"""Share of a column's square beside the nuisance that is rounding."""
+NEAR = 2
+"""Bins around a change within which something that does not last may explain it."""
+SHARP_H = 1.0
+"""[h] longest interval of a date that is sure."""
 
 
 @dataclass(frozen=True)
-class Null:
-    """A series (n,), surrogates of its noise (B, n), its degrees of freedom, and the length of its blocks.
+class Change:
+    """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
+    sure to the hour."""
 
-    Surrogates of a series with a large effect take the effect for noise, which limits its significance; those
-    `without` the effect do not.
+    first: int
+    flow: bool
+    tried: int
+    sharp: bool
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """An error (n,) in standardised innovations, beside nuisance columns (n, q).
+
+    error: NaN without a reading; largest: its variance; step_h, tau_h: [h] length of a bin, time constant of
+    the low pass; basis: (n, q) of the whitened nuisance, orthonormal; e: (n,) innovations beside it, 0
+    without a reading.
     """
 
-    values: np.ndarray
-    made: np.ndarray
+    error: np.ndarray
+    largest: float
     step_h: float
-    freedom: float
-    block: int
+    tau_h: float
+    known: Filtered
+    nuisance: np.ndarray
+    basis: np.ndarray
+    e: np.ndarray
 
     @classmethod
-    def of(cls, values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES) -> Null:
-        """Surrogates of a series: the same memory, no condition."""
-        known = np.isfinite(values)
-        freedom = max(4.0, effective_size(values, step_h))
-        block = max(1, round(block_h(values, step_h) / step_h))
-        made = surrogates(values, step_h, count)
-        return cls(np.where(known, values, np.nan), np.where(known, made, 0.0), step_h, freedom, block)
+    def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
+        """Under the variances of the greatest likelihood, beside a constant."""
+        seen = course(step_h * np.arange(len(error)), tau_h, np.zeros(len(error)))
+        error = error - np.nanmean(error)
+        largest = max(float(np.nanvar(error)), 1e-12)
+        known = filtered(seen, maximised(seen, error, largest), error)
+        empty = np.empty((len(error), 0))
+        return cls(error, largest, step_h, tau_h, known, empty, empty, error)._with(
+            error, known.variances, np.ones((len(error), 1))
+        )
 
-    @property
-    def deviations(self) -> np.ndarray:
-        """The series (n,) less its mean, 0 where it is missing."""
-        known = np.isfinite(self.values)
-        return np.where(known, self.values - float(np.mean(self.values[known])), 0.0)
+    def _with(self, error: np.ndarray, variances: np.ndarray, nuisance: np.ndarray) -> Whitened:
+        known = filtered(self.known.course, variances, error)
+        white = known.whitened(nuisance)
+        root = _root(white)
+        basis = white[:, :0] if root is None else white @ root
+        e = np.nan_to_num(known.standardised)
+        return replace(
+            self, error=error, known=known, nuisance=nuisance, basis=basis, e=e - basis @ (basis.T @ e)
+        )
 
-    def without(self, basis: np.ndarray) -> Null:
-        """The same series, its noise estimated without the part that a basis (n, k) explains."""
-        x, e = centred(basis, np.isfinite(self.values)), self.deviations
-        effect, *_ = np.linalg.lstsq(x, e, rcond=None)
-        noise = np.where(np.isfinite(self.values), e - x @ effect, np.nan)
-        return replace(Null.of(noise, self.step_h, min(SECOND_LOOK, len(self.made))), values=self.values)
+    def columns(self, condition: np.ndarray, flow: bool) -> np.ndarray:
+        """Columns (n, k) of a condition (n, m), NaN = unknown, less their means; with `flow` also those that
+        it leaves if it acts as a flow on the air, or on a slower mass."""
+        there = np.isfinite(condition)
+        known = np.where(there, condition, 0.0)
+        mean = known.sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+        centred = np.where(there, known - mean, 0.0)
+        if not flow:
+            return centred
+        return np.column_stack([centred, self.low_passed(centred), self.low_passed(centred, SLOWER)])
 
-
-def centred(basis: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Columns (n, k) less their means over the known bins, zero elsewhere; unknown entries count as the
-    mean."""
-    there = known[:, None] & np.isfinite(basis)
-    number = np.maximum(there.sum(axis=0), 1)
-    filled = np.where(there, basis, 0.0)
-    return np.where(there, filled - filled.sum(axis=0) / number, 0.0)
-
-
-@dataclass(frozen=True)
-class Prewhitened:
-    """A series (n,) without its memory: its prediction errors, and the same operation for a basis.
-
-    A condition that sets in within an hour stands out from errors that change slowly (generalised least
-    squares).
-    """
-
-    phi: np.ndarray
-    errors: np.ndarray
-
-    @classmethod
-    def of(cls, values: np.ndarray) -> Prewhitened:
-        """With the autoregression that the series itself suggests."""
-        return cls(*autoregression(values))
-
-    def basis(self, basis: np.ndarray) -> np.ndarray:
-        """Columns (n, k) without the same memory."""
+    def low_passed(self, columns: np.ndarray, slower: float = 1.0) -> np.ndarray:
+        """Columns (n, k) behind the low pass: τ dz/dt = −z + column, with τ by so much longer."""
         from scipy.signal import lfilter
 
-        return lfilter(np.concatenate([[1.0], -self.phi]), [1.0], basis, axis=0)
+        left = np.exp(-self.step_h / (slower * self.tau_h))
+        return lfilter([1.0 - left], [1.0, -left], columns, axis=0)
 
-    def size(self, column: np.ndarray) -> float:
-        """Coefficient of a column (n,) by generalised least squares [unit of the series]."""
-        known = np.isfinite(self.errors)
-        x = centred(self.basis(column[:, None]), known)[known, 0]
-        return float(x @ self.errors[known]) / max(float(x @ x), 1e-300)
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, k) in the innovations, without the nuisance."""
+        white = self.known.whitened(columns)
+        before = np.einsum("ni,ni->i", white, white)
+        white -= self.basis @ (self.basis.T @ white)
+        white[:, np.einsum("ni,ni->i", white, white) <= ROUNDING * before] = 0.0
+        return white
 
-
-def linear_p(null: Null, bases: Sequence[np.ndarray]) -> np.ndarray:
-    """p (J,) that a series is free of each basis (n, k_j): Hotelling's T² with the surrogates' covariance.
-
-    The statistic is (X'e)' Σ⁻¹ (X'e); its law is F(k, ν) with ν the smaller of the surrogates' number and the
-    series' effective size.  Where a condition holds in ten blocks or more, the scatter between the blocks is
-    also estimated, and the larger variance counts: errors may be livelier under that condition.
-    """
-    from scipy.stats import f as f_law
-
-    known, e = np.isfinite(null.values), null.deviations
-    columns = [centred(basis, known) for basis in bases]
-    table = np.concatenate(columns, axis=1)
-    score, world = table.T @ e, null.made @ table
-    result, first = np.ones(len(bases)), 0
-    count = len(null.made)
-    for j, x in enumerate(columns):
-        part = slice(first, first + x.shape[1])
-        first += x.shape[1]
-        root = _whitening(world[:, part].T @ world[:, part] / count)
+    def log_p(self, white: np.ndarray, full: bool = False) -> float:
+        """ln p that the error is free of a condition, of its whitened columns (n, k); full: innovations count
+        in full."""
+        root = _root(white)
         if root is None:
-            continue
-        u = root @ score[part]
-        k = len(u)
-        inflation, clusters = _inflation(x, e, root, null.block)
-        freedom = min(count - k + 1.0, null.freedom)
-        if inflation > LIVELY:
-            freedom = min(freedom, clusters)
-        statistic = float(u @ u) / inflation * (count - k + 1.0) / (k * count)
-        result[j] = float(f_law.sf(statistic, k, freedom))
-    return result
+            return 0.0
+        e, rank = self.e if full else _clipped(self.e), root.shape[1]
+        size = _square(root.T @ (white.T @ e))
+        if _log_tail(size, rank) > POSSIBLE:
+            return _log_tail(size, rank)
+        left = _clipped(self.e - white @ (root @ (root.T @ (white.T @ self.e))))
+        daily = np.add.reduceat(white * left[:, None], np.arange(0, len(left), round(24.0 / self.step_h)))
+        return _log_tail(size / max(1.0, _square(daily @ root) / rank), rank)
+
+    def effect(self, columns: np.ndarray) -> np.ndarray:
+        """(n,) what columns (n, k) explain of the error, by generalised least squares."""
+        white = self.whitened(columns)
+        root = _root(white)
+        if root is None:
+            return np.zeros(len(columns))
+        return columns @ (root @ (root.T @ (white.T @ self.e)))
+
+    def rejudged(self, columns: np.ndarray) -> Whitened:
+        """The same under variances of the error without what columns (n, k) explain: an effect feigns a
+        memory, which would hide it."""
+        rest = self.error - self.effect(columns)
+        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        return self._with(self.error, variances, self.nuisance)
+
+    def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
+        """The error without what columns (n, k) explain; they and their `kin` (n, c) are nuisance from here
+        on."""
+        rest = self.error - self.effect(columns)
+        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
+
+    def change(self) -> Change:
+        """The likeliest lasting change of the readings, or of a flow.
+
+        The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
+        what is behind t.  Its information is that in a record without holes.  Innovations count in full;
+        dates near which a stray reading, or a shock that the process itself forgets, explains them clearly
+        better are left out.
+        """
+        from scipy.ndimage import maximum_filter1d
+        from scipy.signal import lfilter
+
+        count, left = len(self.e), np.exp(-self.step_h / self.tau_h)
+        told = np.column_stack([self._adjoint(one) for one in (self.e, *self.basis.T)])
+        ahead = told[::-1]
+        direct = np.cumsum(ahead, axis=0)
+        sums = np.stack([direct, direct - left * lfilter([1.0], [1.0, -left], ahead, axis=0)], axis=1)[::-1]
+        first = round(EDGE * count)
+        place = np.arange(count)
+        step, stray = (place >= first)[:, None].astype(float), (place == first)[:, None].astype(float)
+        steady = filtered(self.known.course, self.known.variances, np.zeros(count))
+        white = steady.whitened(np.column_stack([step, self.low_passed(step), stray]))[first:]
+        within = place[first : count - first]
+        within = within[np.isfinite(self.error[within])]
+        square = np.cumsum(white[:, :2] ** 2, axis=0)[count - 1 - within]
+        square = square - (sums[within, :, 1:] ** 2).sum(axis=2)
+        safe = np.where(square > 0.0, square, np.inf)
+        value = sums[within, :, 0] ** 2 / safe
+        shock = np.maximum(self.e**2, told[:, 0] ** 2 / _square(white[:, 2]))
+        value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
+        best, flow = np.unravel_index(np.argmax(value), value.shape)
+        likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
+        return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
+
+    def _adjoint(self, white: np.ndarray) -> np.ndarray:
+        """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""
+        seen = np.isfinite(self.known.innovation)
+        innovation = np.where(seen, white * np.sqrt(self.known.variance), np.nan)
+        told = replace(self.known, innovation=innovation, predicted=np.zeros(len(white))).smoothed()
+        noise = self.known.variances[0] * self.known.course.shape
+        return np.where(seen, (innovation - told) / noise, 0.0)
 
 
-def _whitening(covariance: np.ndarray) -> np.ndarray | None:
-    """Rows W with W Σ W' = 1 for the directions that the covariance resolves; None without any."""
-    scale = np.sqrt(np.diag(covariance))
-    used = scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300)
-    if not used.any() or not np.isfinite(scale).all():
+def _square(values: np.ndarray) -> float:
+    return float(np.sum(values**2))
+
+
+def _clipped(e: np.ndarray) -> np.ndarray:
+    return np.clip(e, -HUBER, HUBER)
+
+
+def _root(white: np.ndarray) -> np.ndarray | None:
+    """R (k, r) that makes columns (n, k) orthonormal in the directions that they resolve; None without
+    any."""
+    gram = white.T @ white
+    scale = np.sqrt(np.diag(gram))
+    used = scale > 1e-9 * max(float(scale.max(initial=0.0)), 1e-9)
+    if not used.any():
         return None
-    safe = np.where(used, scale, 1.0)
-    value, vector = np.linalg.eigh(covariance / np.outer(safe, safe))
+    scale = np.where(used, scale, np.inf)
+    value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = value > 1e-6 * value[-1]
-    return (vector[:, kept] / np.sqrt(value[kept])).T / safe
+    return vector[:, kept] / np.sqrt(value[kept]) / scale[:, None]
 
 
-def _inflation(x: np.ndarray, e: np.ndarray, root: np.ndarray, block: int) -> tuple[float, float]:
-    """Scatter of the blocks' shares in the score over that of the surrogates, at least 1; effective number of
-    blocks."""
-    effect, *_ = np.linalg.lstsq(x, e, rcond=None)
-    starts = np.arange(0, len(e), block)
-    weight = np.add.reduceat(((x @ root.T) ** 2).sum(axis=1), starts)
-    clusters = float(weight.sum()) ** 2 / max(float((weight**2).sum()), 1e-300)
-    if clusters < FEWEST_CLUSTERS:
-        return 1.0, clusters
-    shares = np.add.reduceat(x * (e - x @ effect)[:, None], starts, axis=0) @ root.T
-    return max(1.0, float((shares**2).sum()) / root.shape[0]), clusters
+def _log_tail(value: float, freedom: int) -> float:
+    """ln of the chance that χ² with so many degrees of freedom exceeds a value."""
+    from scipy.special import chdtrc, gammaln
 
-
-def largest_p(null: Null, table: np.ndarray) -> float:
-    """p that the largest |z| of many columns (n, m) is chance."""
-    x = centred(table, np.isfinite(null.values))
-    score, world = x.T @ null.deviations, null.made @ x
-    scale = np.sqrt(np.mean(world**2, axis=0))
-    scale = np.where(scale > 0, scale, np.inf)
-    z = float(np.abs(score / scale).max())
-    # a tail like that of t: the scale itself is known from `freedom` values only
-    shrunk = z / math.sqrt(1.0 + 0.5 * z**2 / null.freedom)
-    return tail(shrunk, np.abs(world / scale).max(axis=1))
-
-
-def tail(observed: float, simulated: np.ndarray) -> float:
-    """p of a value among simulated ones (B,): counted, or beyond the tenth largest by a fitted gamma law."""
-    exceeding = int((simulated >= observed).sum())
-    if exceeding >= 10:
-        return (exceeding + 1.0) / (len(simulated) + 1.0)
-    from scipy.stats import pearson3
-
-    mean, sd = float(simulated.mean()), float(simulated.std())
-    if sd <= 0:
-        return 1.0 if observed <= mean else 1.0 / (len(simulated) + 1.0)
-    skew = max(float(np.mean(((simulated - mean) / sd) ** 3)), 0.05)
-    return float(min(pearson3.sf(observed, skew, mean, sd), 10.0 / len(simulated)))
-
-
-# --- many conditions -------------------------------------------------------------------------
+    p = float(chdtrc(freedom, value))
+    if p > 0.0:
+        return math.log(p)
+    return (0.5 * freedom - 1.0) * math.log(0.5 * value) - 0.5 * value - float(gammaln(0.5 * freedom))
 
 
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -196,8 +233,7 @@ def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.n
     weights: (J,) fixed beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for
     independent and for positively dependent tests.  Here overlapping conditions share hours, so the squares
     of the statistics rise and fall together: positive dependence, which needs no factor Σ 1/j (Benjamini &
-    Yekutieli 2001, doi:10.1214/aos/1013699998).  The tests count the false alarms on plants without a hidden
-    cause.
+    Yekutieli 2001, doi:10.1214/aos/1013699998).
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """

@@ -21,7 +21,7 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.modelling.design import Design
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import HUMIDITY, SWITCHES, TEMPERATURE, Switch
+from hygrokf.physics.switches import CONTROLLED, HUMIDITY, TEMPERATURE, Throttle
 
 OUTPUT = {
     "temperature": ("cabinet_temperature",),
@@ -35,9 +35,11 @@ ACCURACY = 2.0
 
 @dataclass
 class Work:
-    """Simulations so far."""
+    """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as
+    long as ten runs."""
 
     simulations: int = 0
+    models: dict[tuple[object, ...], tuple[CellModel, tuple[Model, ...]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,6 @@ class Simulator:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     work: Work = field(default_factory=Work, compare=False)
     _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
-    _models: dict[str, CellModel] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def designs(self) -> tuple[Design, ...]:
@@ -82,24 +83,28 @@ class Simulator:
     @cached_property
     def controls(self) -> tuple[str, ...]:
         inputs = {name for one in self.designs for name in one.model.inputs}
-        return tuple(name for name in SWITCHES if name in inputs)
+        return tuple(name for name in CONTROLLED if name in inputs)
 
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
         settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = SWITCHES[name](**settings)
+        switch = Throttle(**settings)
         warm = switch.reads == TEMPERATURE
         low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
-        return tuple(
-            Parameter(f"{name}_{word}", unit, level, low, high)
-            for word, level in zip(CONTROL, switch.levels, strict=False)
-        )  # type: ignore[return-value]
+        first, second = (
+            Parameter(
+                f"{name}_{word}", unit, level, low, high, meaning=f"reading at which the controller {does}"
+            )
+            for word, level, does in (
+                ("first", switch.start, "begins to act"), ("second", switch.full, "acts fully"),
+            )
+        )  # fmt: skip
+        return first, second
 
-    def _steering(self, name: str) -> tuple[float, float, float]:
-        """Whether a controller has two positions, follows the humidity, acts at standstill only."""
+    def _steering(self, name: str) -> tuple[float, float]:
+        """Whether a controller follows the humidity, and acts at standstill only."""
         settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = SWITCHES[name](**settings)
-        two = isinstance(switch, Switch)
-        return float(two), float(switch.reads == HUMIDITY), float(switch.idle)
+        switch = Throttle(**settings)
+        return float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:
         """The quantities that a parameter acts on."""
@@ -116,20 +121,26 @@ class Simulator:
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
         """The models that a quantity needs."""
-        if quantity not in self._models:
-            heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
-            steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
-            damp = any(self._steering(c)[1] for c in self.controls)
-            if quantity == "temperature" and not damp:
-                vapour = None
-            made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
-            inputs = {name for one in made.models for name in one.inputs}
-            self._models[quantity] = replace(
-                made,
-                controls=tuple(name for name in self.controls if name in inputs),
-                own=tuple(name for name in self.own if name in inputs),
-            )
-        return self._models[quantity]
+        damp = any(self._steering(c)[0] for c in self.controls)
+        models = tuple(one.model for one in self.designs)
+        key = (quantity, damp, self.own, *map(id, models))
+        if key not in self.work.models:
+            # the entry keeps the models, so that their identities stay their own
+            self.work.models[key] = self._cell_model(quantity, damp), models
+        return self.work.models[key][0]
+
+    def _cell_model(self, quantity: str, damp: bool) -> CellModel:
+        heat, vapour = _silent(self.heat), None if self.vapour is None else _silent(self.vapour)
+        steered = {c for c in self.controls if c in (vapour.inputs if vapour else ())}
+        if quantity == "temperature" and not damp:
+            vapour = None
+        made = CellModel(heat, vapour) if quantity != "vapour" or steered else CellModel(None, vapour)
+        inputs = {name for one in made.models for name in one.inputs}
+        return replace(
+            made,
+            controls=tuple(name for name in self.controls if name in inputs),
+            own=tuple(name for name in self.own if name in inputs),
+        )
 
     def cells(self, model: CellModel) -> Cells:
         if model.inputs not in self._cells:

@@ -36,8 +36,8 @@ SIMULATED = "simulated_temperature"
 """Parameter of every run: 1 where vapour runs on the simulated temperature."""
 TEMPERATURE = "cabinet_temperature"
 HUMIDITY = "cabinet_relative_humidity"
-CONTROL = ("first", "second", "two_point", "humidity", "idle")
-"""Parameters of a controller: its two levels [K] or [1]; 1 for two positions, for following the humidity, for
+CONTROL = ("first", "second", "humidity", "idle")
+"""Parameters of a controller: its two levels [K] or [1]; 1 for following the humidity, for
 standstill only."""
 IDLE = "standstill"
 
@@ -121,11 +121,11 @@ class TracedCell:
         shown = self._shown(self.states, {**self.begin, **self.own, **self.before}) if self.before else {}
         found = {}
         for name in self.model.controls:
-            first, second, two, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
+            first, second, humid, idle = (self.parameters[f"{name}_{word}"] for word in CONTROL)
             warm = shown[TEMPERATURE]
             value = warm + humid * (shown.get(HUMIDITY, warm) - warm)
             allowed = 1.0 - idle * (1.0 - self.mean[IDLE])
-            found[name] = allowed * position(value, self.before[name], first, second, two)
+            found[name] = allowed * position(value, first, second)
         return found
 
     def _stage(
@@ -139,7 +139,7 @@ class TracedCell:
         """Move the states of a model in `state`, one after the other; returns them in the middle."""
 
         def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
-            made = model.evaluate([at[one] for one in model.states], inputs, self.values).rates
+            made = model.system.drift([at[one] for one in model.states], inputs, self.values)
             return [self.graph.lift(one) for one in made]
 
         floors = dict(zip(model.states, model.amounts, strict=True))

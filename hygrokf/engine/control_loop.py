@@ -16,18 +16,15 @@ from hygrokf.physics.expression import Expression
 class Control:
     """A controller within the loop, which sets a varying input according to the reading a logger would show.
 
-    `input` and `reads` are names; `mean_h` [h] is the logger's averaging interval, 0 for instants.  A
-    `proportional` controller has the position (reading − a)/(b − a), limited to 0 … 1, with its two levels a
-    and b.  A switch turns on when the reading passes a and off when it passes b: with `rising` on above a and
-    off below b, otherwise on below a and off above b.  With `idle` it is 0 except at standstill.
+    `input` and `reads` are names; `mean_h` [h] is the logger's averaging interval, 0 for instants.  Its
+    position is (reading − a)/(b − a), limited to 0 … 1, with its two levels a and b.  With `idle` it is 0
+    except at standstill.
     """
 
     input: str
     reads: str
     mean_h: float
-    proportional: bool
-    rising: bool = True
-    idle: bool = False
+    idle: bool
 
 
 def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
@@ -59,7 +56,7 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
         for c, (control, value) in enumerate(zip(controls, shown, strict=True)):
             if not control.mean_h:  # this is the innovation of a reading of 0
                 value = w.value(f"fneg double {value}")
-            position = _position(w, control, c, value, begun[r.now[control.input].index], idle)
+            position = _position(w, control, c, value, idle)
             w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
             column = w.integer("add", row, r.varying.index(control.input))
             w.store(SCALAR, position, w.at(SCALAR, "%u", column))
@@ -82,19 +79,10 @@ def _shown(recursion: Recursion, control: Control) -> Expression:
     return recursion.updates[names.index(control.reads)][-3]
 
 
-def _position(w: Writer, control: Control, c: int, value: str, before: str, idle: str) -> str:
+def _position(w: Writer, control: Control, c: int, value: str, idle: str) -> str:
     first, second = (w.load(SCALAR, w.at(SCALAR, "%levels", 2 * c + i)) for i in (0, 1))
     zero, one = literal(0.0), literal(1.0)
-    if control.proportional:
-        share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
-        low = w.value(
-            f"select i1 {w.value(f'fcmp ogt double {share}, {zero}')}, double {share}, double {zero}"
-        )
-        return w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
-    above, below = ("ogt", "olt") if control.rising else ("olt", "ogt")
-    started = w.value(f"fcmp {above} double {value}, {first}")
-    stopped = w.value(f"fcmp {below} double {value}, {second}")
-    if control.idle:
-        stopped = w.value(f"or i1 {stopped}, {w.value(f'xor i1 {idle}, true')}")
-    on = w.value(f"select i1 {started}, double {one}, double {before}")
-    return w.value(f"select i1 {stopped}, double {zero}, double {on}")
+    share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
+    low = w.value(f"select i1 {w.value(f'fcmp ogt double {share}, {zero}')}, double {share}, double {zero}")
+    found = w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
+    return w.value(f"select i1 {idle}, double {found}, double {zero}") if control.idle else found

@@ -103,8 +103,8 @@ class Emission:
                 w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
 
     # -- pieces of the time loop -----------------------------------------------------------------------------
-    def slots(self, prefix: Sequence[Expression], kind: str = SCALAR) -> Names:
-        return {e.index: self.writer.slot(kind) for e in prefix}
+    def slots(self, prefix: Sequence[Expression]) -> Names:
+        return {e.index: self.writer.slot(SCALAR) for e in prefix}
 
     def read(self, slots: Names, kind: str = SCALAR) -> Names:
         return {i: self.writer.load(kind, s) for i, s in slots.items()}

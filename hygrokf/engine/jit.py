@@ -19,6 +19,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from threading import Lock
+from weakref import WeakValueDictionary
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -65,8 +66,8 @@ def has_fused_multiply_add() -> bool:
     return arm or bool(llvm.get_host_cpu_features().get("fma", False))
 
 
-_engines: dict[str, llvm.ExecutionEngine] = {}
-"""Engines by key, kept for the life of the process: code that may run is never freed."""
+_engines: WeakValueDictionary[str, llvm.ExecutionEngine] = WeakValueDictionary()
+"""Engines by key; the code that uses one keeps it, so that what may run is never freed."""
 _compiling = Lock()
 """Held while code is compiled: a second engine of the same code would replace the first and free running
 code."""
@@ -75,9 +76,10 @@ code."""
 def _engine(text: str) -> llvm.ExecutionEngine:
     key = hashlib.sha256((_identity() + "\n" + text).encode()).hexdigest()
     with _compiling:
-        if key not in _engines:
-            _engines[key] = _compiled(text, key)
-        return _engines[key]
+        engine = _engines.get(key)
+        if engine is None:
+            engine = _engines[key] = _compiled(text, key)
+        return engine
 
 
 def _compiled(text: str, key: str) -> llvm.ExecutionEngine:
@@ -111,9 +113,9 @@ class Code:
     """Compiled functions of one module."""
 
     def __init__(self, text: str, functions: Sequence[str]) -> None:
-        engine = _engine(text)
+        self._engine = _engine(text)
         self._functions = {
-            name: ctypes.CFUNCTYPE(None)(engine.get_function_address(name)) for name in functions
+            name: ctypes.CFUNCTYPE(None)(self._engine.get_function_address(name)) for name in functions
         }
 
     def __call__(self, function: str, *arguments: np.ndarray | int) -> None:

@@ -417,7 +417,6 @@ class Likelihood:
         columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
-        own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
         code = filter_loop(self.recursion, "controlled", False, tuple(controls))
         steps = self._steps(values)
         for part in steps.pieces(self._whole):
@@ -473,13 +472,12 @@ class Likelihood:
     # where the filter breaks down and the value is −∞, these sums are not finite either
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")
     def sensitivities(
-        self, values: Mapping[str, float], directions: np.ndarray, each: bool = False, gain: bool = True
+        self, values: Mapping[str, float], directions: np.ndarray, each: bool = False
     ) -> Sensitivities:
         """Score and expected information along directions (d, r) of the parameters.
 
             I = Σ_k w_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
         with w_k = min(1, b² S_k/e_k²), the weight ρ'(e_k²/S_k) of a reading beyond the model's bound b.
-        Without `gain` the filter runs free (no reading corrects the state): derivatives of the output error.
         """
         count = directions.shape[1]
         blocks = self._tangent_start(values, directions)
@@ -488,7 +486,7 @@ class Likelihood:
         steps = self._steps(values)
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
-            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain)
+            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
             weight = bounded_weight(e * e / s, self.model.bound)
             e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds

@@ -432,14 +432,14 @@ def reject_below(least: float, found: Estimate) -> Estimate:
     return replace(found, converged=False, message=message)
 
 
-def refine(likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1) -> Estimate:
+def refine(likelihood: Likelihood, values: Mapping[str, float]) -> Estimate:
     """The estimate after a bounded number of scoring passes from values near a maximum.
 
     There is no quasi-Newton climb where scoring gets stuck: on a likelihood with edges it would take hundreds
     of passes.
     """
     coordinates = Coordinates(likelihood.model.parameters)
-    found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes)
+    found = climb(Objective(likelihood, coordinates), coordinates.start(values), MAXIMUM_PASSES - 1)
     return estimate_of(likelihood, coordinates, [found])
 
 

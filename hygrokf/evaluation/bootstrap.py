@@ -1,15 +1,12 @@
 """Resampling of correlated errors: their memory, blocks of them, and bounds of root mean squared errors.
 
-The errors of a free run are correlated over half a day and more, so readings are not independent.  This
-module draws such errors in two ways.  Surrogates (post-blackened: an autoregression removes most of the
-memory, the remainder is drawn in circular blocks, and the memory is restored) test whether errors depend on a
-condition.  Circular blocks of the squared errors give the uncertainty of a root mean squared error, and of
-the difference of two on the same instants.
+The errors of a free run are correlated over half a day and more, so readings are not independent.  Circular
+blocks of the squared errors give the uncertainty of a root mean squared error, and of the difference of two
+on the same instants.
 
 Shapes: n bins of equal length, T instants, k columns of errors, B draws.
 
-Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley
-1997, section 8.2.3 (post-blackening).
+Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks).
 """
 
 from __future__ import annotations
@@ -23,16 +20,12 @@ from hygrokf.data.timestamps import HOUR_S
 
 LEVEL = 0.95
 """[1] probability of the bounds."""
-SURROGATES = 400
-"""Surrogate series of a test."""
 SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
 """[h] shortest block."""
 BLOCKS_PER_TIME = 4.0
 """Length of blocks in integral times."""
-LARGEST_ORDER = 24
-"""Largest order of an autoregression."""
 SHORT_HOLE = 6
 """Longest hole, in bins, that is bridged by a straight line before the memory is estimated."""
 DRAWS = 600
@@ -84,39 +77,10 @@ def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
     return step_h * max(0.5, 0.5 + float(rho[1:last].sum()))
 
 
-def effective_size(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Number of independent values that determine the mean as well as the n correlated ones."""
-    there = int(np.isfinite(values).sum())
-    return max(1.0, there * step_h / (2.0 * integral_time_h(values, step_h)))
-
-
 def block_h(values: np.ndarray, step_h: float = 1.0) -> float:
     """Length of the blocks [h]: four integral times, at least a day, at most a tenth of the record."""
     longest = max(LEAST_BLOCK_H, 0.1 * step_h * len(values))
     return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values, step_h)), longest)
-
-
-def autoregression(values: np.ndarray, largest: int = LARGEST_ORDER) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients φ (p,) of x_t = Σ φ_j x_{t−j} + w_t by Yule–Walker and AIC, and its errors w (n,).
-
-    values: (n,), NaN = missing.  Errors are NaN where a value within reach is missing, and at the first p.
-    """
-    centred = bridged(values)
-    n = int(np.isfinite(values).sum())
-    largest = max(1, min(largest, n // 20))
-    covariance = autocovariance(centred, largest)
-    if covariance[0] <= 0:
-        return np.empty(0), np.where(np.isfinite(values), 0.0, np.nan)
-    phi, spread = np.zeros(0), covariance[0]
-    best, best_aic = phi, n * math.log(spread)
-    for order in range(1, largest + 1):
-        part = (covariance[order] - float(phi @ covariance[order - 1 : 0 : -1])) / spread
-        phi = np.append(phi - part * phi[::-1], part)
-        spread *= max(1.0 - part * part, 1e-12)
-        aic = n * math.log(spread) + 2.0 * order
-        if aic < best_aic:
-            best, best_aic = phi, aic
-    return best, prediction_error(centred, np.isfinite(values), best)
 
 
 def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -129,27 +93,6 @@ def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) ->
     spoilt = np.convolve((~known).astype(float), np.ones(order + 1))[:n] > 0.5
     spoilt[:order] = True
     return np.where(spoilt, np.nan, error)
-
-
-def surrogates(
-    values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES, seed: int = SEED
-) -> np.ndarray:
-    """Series (count, n) with the memory of `values` (n,) but independent of any condition."""
-    from scipy.signal import lfilter
-
-    n = len(values)
-    phi, error = autoregression(values)
-    pool = error[np.isfinite(error)]
-    if len(pool) < 2:
-        return np.zeros((count, n))
-    pool = pool - pool.mean()
-    lead = max(24, 8 * len(phi))
-    block = max(1, min(round(block_h(values, step_h) / step_h), len(pool)))
-    random = np.random.default_rng(seed)
-    starts = random.integers(0, len(pool), (count, -(-(n + lead) // block)))
-    place = (starts[:, :, None] + np.arange(block)) % len(pool)
-    drawn = pool[place.reshape(count, -1)[:, : n + lead]]
-    return lfilter([1.0], np.concatenate([[1.0], -phi]), drawn, axis=1)[:, lead:]
 
 
 # --- root mean squared errors ----------------------------------------------------------------

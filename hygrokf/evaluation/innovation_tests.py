@@ -43,6 +43,8 @@ LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
 BEYOND = 3.0
 """[1] size of a standardised innovation beyond which it counts as an outlier."""
+LEVEL = 0.05
+"""[1] probability of any false alarm among all tests."""
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
     "step, hours are lags times the median step; inputs are whitened by an autoregression before they are "
@@ -56,7 +58,6 @@ def diagnose(
     standardised: Mapping[str, np.ndarray],
     inputs: Mapping[str, np.ndarray],
     *,
-    level: float = 0.05,
     longest_h: float = 24.0,
 ) -> Diagnosis:
     """Whiteness of standardised innovations [1] and their correlation with every input.
@@ -64,7 +65,6 @@ def diagnose(
     time_h: [h] (T,) instants, increasing.
     standardised: output -> (T,) e/√S [1]; NaN where there is no reading.
     inputs: input -> (T,) values at the same instants [any unit]; NaN where unknown.
-    level: [1] probability of any false alarm among all tests, 0 … 1.
     longest_h: [h] longest lag; none is longer than a tenth of the readings.
 
     An output with fewer than 30 readings, or one that does not vary, has a statement only.
@@ -74,18 +74,18 @@ def diagnose(
     Kolmogorov–Smirnov); Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
     """
     time = np.asarray(time_h, dtype=float)
-    _check(time, standardised, inputs, level, longest_h)
+    _check(time, standardised, inputs, longest_h)
     tests: list[tuple[str, _Test]] = []
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
         there = np.isfinite(e)
         known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
-        outputs[name], found = _output(name, time[there], e[there], known, level, longest_h)
+        outputs[name], found = _output(name, time[there], e[there], known, longest_h)
         tests += [(name, one) for one in found]
     adjusted = _holm([one.p for _, one in tests])
     rows = tuple(
-        InnovationTest(name, one.name, one.p, p, p < level)
+        InnovationTest(name, one.name, one.p, p, p < LEVEL)
         for (name, one), p in zip(tests, adjusted, strict=True)
     )
     for name, data in outputs.items():
@@ -96,7 +96,7 @@ def diagnose(
                 crossed[one.source] = replace(crossed[one.source], p_adjusted=row.p_adjusted)
         outputs[name] = replace(data, cross_correlation=crossed, statements=_statements(name, data, own))
     statements = tuple(sentence for one in outputs.values() for sentence in one.statements)
-    return Diagnosis(level, NOTE, outputs, rows, statements)
+    return Diagnosis(LEVEL, NOTE, outputs, rows, statements)
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,6 @@ def _check(
     time: np.ndarray,
     standardised: Mapping[str, np.ndarray],
     inputs: Mapping[str, np.ndarray],
-    level: float,
     longest_h: float,
 ) -> None:
     faults = []
@@ -144,8 +143,6 @@ def _check(
         for name, values in group.items():
             if np.shape(values) != time.shape:
                 faults.append(f"{kind} {name!r} must have shape {time.shape}, found {np.shape(values)}")
-    if not 0.0 < level < 1.0:
-        faults.append(f"level must lie between 0 and 1, found {level}")
     if not 0.0 < longest_h < math.inf:
         faults.append(f"longest_h must be a number above 0, found {longest_h}")
     if faults:
@@ -153,12 +150,7 @@ def _check(
 
 
 def _output(
-    name: str,
-    time: np.ndarray,
-    e: np.ndarray,
-    inputs: Mapping[str, np.ndarray],
-    level: float,
-    longest_h: float,
+    name: str, time: np.ndarray, e: np.ndarray, inputs: Mapping[str, np.ndarray], longest_h: float
 ) -> tuple[OutputDiagnosis, list[_Test]]:
     n = len(e)
     if n < FEWEST_READINGS:
@@ -171,14 +163,14 @@ def _output(
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
     moments, tests = _moments(name, e)
-    ljung_box, autocorrelation, found = _autocorrelation(name, e, step, lags, level)
+    ljung_box, autocorrelation, found = _autocorrelation(name, e, step, lags)
     tests += found
-    cumulative, periodogram, spectral = _spectrum(name, e, step, level)
+    cumulative, periodogram, spectral = _spectrum(name, e, step)
     daily, cyclic = _daily_cycle(name, time, e)
     tests += [spectral, *cyclic]
     crossed = {}
     for source, values in inputs.items():
-        crossed[source], test = _cross_correlation(name, source, e, values, step, lags, level)
+        crossed[source], test = _cross_correlation(name, source, e, values, step, lags)
         tests += [] if test is None else [test]
     result = replace(
         moments,
@@ -251,7 +243,7 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
 
 
 def _autocorrelation(
-    name: str, e: np.ndarray, step: float, lags: int, level: float
+    name: str, e: np.ndarray, step: float, lags: int
 ) -> tuple[tuple[LjungBox, ...], Autocorrelation, list[_Test]]:
     from statsmodels.tsa.stattools import acf, q_stat
 
@@ -261,9 +253,9 @@ def _autocorrelation(
     hour = int(min(max(round(1.0 / step), 1), lags))
     chosen = sorted({1, hour, int(min(max(round(6.0 / step), 1), lags)), lags})
     ljung_box = tuple(LjungBox(k, k * step, float(statistic[k - 1]), float(p[k - 1])) for k in chosen)
-    limit_all = _simultaneous(level, lags) / math.sqrt(n)
+    limit_all = _simultaneous(lags) / math.sqrt(n)
     kept = _extremes(values)
-    limit = _two_sided_quantile(level) / math.sqrt(n)
+    limit = _two_sided_quantile(LEVEL) / math.sqrt(n)
     found = Autocorrelation(_rounded((kept + 1) * step), _rounded(values[kept]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
@@ -282,9 +274,7 @@ def _autocorrelation(
     return ljung_box, found, tests
 
 
-def _spectrum(
-    name: str, e: np.ndarray, step: float, level: float
-) -> tuple[CumulativePeriodogram, Periodogram, _Test]:
+def _spectrum(name: str, e: np.ndarray, step: float) -> tuple[CumulativePeriodogram, Periodogram, _Test]:
     """Periodogram over the sequence of readings and its cumulative form with the Kolmogorov–Smirnov test."""
     from scipy.stats import chi2, kstest, kstwo
 
@@ -297,7 +287,7 @@ def _spectrum(
     # under whiteness the first m−1 of them are the order statistics of as many uniform numbers
     tested = kstest(cumulative[:-1], "uniform")
     distance, p = float(tested.statistic), float(tested.pvalue)
-    limit = float(kstwo.isf(level, m - 1))
+    limit = float(kstwo.isf(LEVEL, m - 1))
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
     kept = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
@@ -307,8 +297,8 @@ def _spectrum(
     banded = Periodogram(
         _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
         _rounded(np.add.reduceat(power, edges[:-1]) / count),
-        _rounded(chi2.ppf(level / 2.0, 2 * count) / (2 * count)),
-        _rounded(chi2.isf(level / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.ppf(LEVEL / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.isf(LEVEL / 2.0, 2 * count) / (2 * count)),
     )
     side = "too much" if offset[worst] > 0 else "too little"
     words = (
@@ -364,7 +354,7 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _cross_correlation(
-    name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int, level: float
+    name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int
 ) -> tuple[CrossCorrelation, _Test | None]:
     words = source.replace("_", " ")
     known = values[np.isfinite(values)]
@@ -390,7 +380,7 @@ def _cross_correlation(
     worst = int(np.argmax(z))
     single = _two_sided(float(z[worst]))
     p = float(-math.expm1(len(lag) * math.log1p(-single))) if single < 1.0 else 1.0
-    limit_all = _simultaneous(level, len(lag)) / math.sqrt(n)
+    limit_all = _simultaneous(len(lag)) / math.sqrt(n)
     kept = _extremes(r)
     at = float(lag[worst] * step)
     value = float(r[worst])
@@ -406,7 +396,7 @@ def _cross_correlation(
     found = CrossCorrelation(
         _rounded(lag[kept] * step),
         _rounded(r[kept]),
-        _two_sided_quantile(level) / math.sqrt(n),
+        _two_sided_quantile(LEVEL) / math.sqrt(n),
         limit_all,
         order,
         LargestCorrelation(at, value, sentence),
@@ -445,9 +435,9 @@ def _two_sided_quantile(level: float) -> float:
     return NormalDist().inv_cdf(1.0 - level / 2.0)
 
 
-def _simultaneous(level: float, count: int) -> float:
-    """Quantile below which `count` independent normal numbers all stay with probability 1 − level (Šidák)."""
-    return _two_sided_quantile(-math.expm1(math.log1p(-level) / count))
+def _simultaneous(count: int) -> float:
+    """Quantile below which `count` independent normal numbers all stay with probability 1 − LEVEL (Šidák)."""
+    return _two_sided_quantile(-math.expm1(math.log1p(-LEVEL) / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from hygrokf.modelling.inputs import Run
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
-from hygrokf.physics.switches import SWITCHES, Switch, Throttle
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 DECIDE_H = 1.0 / 12.0
 """[h] longest time between two decisions of a simulated switch."""
@@ -34,16 +34,16 @@ DECIDED_H = 720.0
 earlier switching."""
 
 
-def switches_of(design: Design) -> dict[str, Switch | Throttle]:
+def switches_of(design: Design) -> dict[str, Throttle]:
     """The switches of a design by input, as far as the model predicts the reading that they follow."""
     return {
         name: switch
         for name, settings in design.features.items()
-        if name in SWITCHES and (switch := SWITCHES[name](**settings)).reads in design.model.outputs
+        if name in CONTROLLED and (switch := Throttle(**settings)).reads in design.model.outputs
     }
 
 
-def all_on(t: Timeline, switches: Mapping[str, Switch | Throttle]) -> Timeline:
+def all_on(t: Timeline, switches: Mapping[str, Throttle]) -> Timeline:
     """The run with all its switches on, so that the range by which sub-steps are chosen contains both
     states."""
     return t.with_inputs({name: np.ones(len(t)) for name in switches})
@@ -71,7 +71,7 @@ class Switchboard:
 
     model: Model
     values: Mapping[str, np.ndarray | float]
-    switches: Mapping[str, Switch | Throttle]
+    switches: Mapping[str, Throttle]
     flags: dict[str, Value]
 
     def decide(
@@ -89,7 +89,7 @@ class Switchboard:
                 reading = made.rates[place] * self.model.averaged[switch.reads]
             else:
                 reading = made.outputs[switch.reads][0]
-            self.flags[name] = switch.after(self.flags[name], reading, idle)
+            self.flags[name] = switch.at(reading, idle)
 
 
 def self_switched(
@@ -110,7 +110,7 @@ def self_switched(
 def _self_switched(
     model: Model,
     values: Mapping[str, float],
-    switches: Mapping[str, Switch | Throttle],
+    switches: Mapping[str, Throttle],
     run: Run,
     start: Gaussian | None,
 ) -> Run:
@@ -125,12 +125,9 @@ def _self_switched(
     return replace(run, timeline=t.with_inputs(shares))
 
 
-def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:
+def _control(model: Model, name: str, switch: Throttle) -> Control:
     """A switch in the form used by the compiled loop."""
-    mean_h = model.averaged.get(switch.reads, 0.0)
-    if isinstance(switch, Throttle):
-        return Control(name, switch.reads, mean_h, proportional=True)
-    return Control(name, switch.reads, mean_h, proportional=False, rising=switch.rising, idle=switch.idle)
+    return Control(name, switch.reads, model.averaged.get(switch.reads, 0.0), switch.idle)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,6 @@ class FitOptions:
 class DiscoverOptions(LibraryOptions):
     """The options of the task "discover"."""
 
-    starts: int = setting(5, "starts of the search for the maximum", least=1)
     report: bool = setting(True, "write each turbine's own page too")
 
 
@@ -179,9 +178,10 @@ TASKS: Mapping[str, Task] = {
         DiscoverOptions,
         {
             **_RECORD,
-            "verdict": "none, named or unexplained",
-            "causes": "accepted causes, in the order in which they were accepted",
-            "confidence": "smallest confidence of the accepted causes [1]",
+            "verdict": "none, named, ambiguous, unexplained or refuted",
+            "causes": "named causes in the order of their acceptance, each with those that it could also be",
+            "confidence": "smallest confidence of the named causes [1]",
+            "not_judged": "causes that the budget of simulations left out",
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,

@@ -95,7 +95,6 @@ def clock_offsets(
     run: Run,
     estimate: Estimate,
     uncertainty: Uncertainty,
-    rate_step: float | None = None,
 ) -> ClockOffsets:
     """Offsets of the sources that drive a design's run on a record, at its estimate; sources without clock
     uncertainty are left out."""
@@ -106,7 +105,7 @@ def clock_offsets(
     for series in early.series:
         if series.signal in DRIVERS and prior_s(series, reference) > 0:
             groups.setdefault(_system(series), []).append(series)
-    likelihood = Likelihood(base.model, run.timeline, rate_step=rate_step)
+    likelihood = Likelihood(base.model, run.timeline)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
     moved, names = [], []
     for name, group in groups.items():
@@ -115,7 +114,7 @@ def clock_offsets(
         there = _matched(run, other)
         if there is None:
             continue
-        trace = Likelihood(base.model, other.timeline, rate_step=rate_step).trace(estimate.values)
+        trace = Likelihood(base.model, other.timeline).trace(estimate.values)
         change = (other.timeline.y - trace.prediction)[there[1]] - errors[there[0]]
         column = np.zeros_like(errors)
         column[there[0]] = np.nan_to_num(change) / STEP_S

@@ -72,19 +72,15 @@ class Stage:
 
 @dataclass(frozen=True)
 class DesignEstimate:
-    """One likelihood with its maximum, before its uncertainty is known.
-
-    `rate_step`: as in `Likelihood`, for the estimate and its uncertainty.
-    """
+    """One likelihood with its maximum, before its uncertainty is known."""
 
     base: Design
     run: Run
     estimate: Estimate
-    rate_step: float | None = None
 
     @property
     def likelihood(self) -> Likelihood:
-        return Likelihood(self.base.model, self.run.timeline, rate_step=self.rate_step)
+        return Likelihood(self.base.model, self.run.timeline)
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
@@ -142,7 +138,7 @@ def assess_stage(
         found = replace(found, estimate=refine(found.likelihood, better))
         spread, bounds = _bounded(found, profiles, say)
     base, run, estimate = found.base, found.run, found.estimate
-    clock = clock_offsets(early, base, run, estimate, spread, found.rate_step)
+    clock = clock_offsets(early, base, run, estimate, spread)
     sampling = _sampling(early, found, tuple(bounds), say)
     moist = early[base.humidity] if base.humidity is not None and base.humidity in early else None
     stated = moist is not None and moist.response_time_s is not None
@@ -187,7 +183,7 @@ def _sampling(
         return None
     say("ambient sampling")
     estimate, run = old.estimate, prepare_run(old.base, early.replace_series(*sparse))
-    likelihood = Likelihood(old.base.model, run.timeline, rate_step=old.rate_step)
+    likelihood = Likelihood(old.base.model, run.timeline)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
     values = estimate.coordinates.values(found.z)
     shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}

@@ -49,6 +49,8 @@ WORSE = 2.0
 Some increase is expected: a slow cabinet smooths the disturbances of its heat release, and settling undoes
 the smoothing.
 """
+LARGEST_ORDER = 3
+"""Largest order of the polynomial in the power that is tried."""
 MOST_POINTS = 2000
 """Largest number of points of a regime in the results of a fit."""
 
@@ -178,13 +180,7 @@ class HeatRelease:
 
 
 def heat_release_regression(
-    record: Record,
-    *,
-    scale_W: float | None = None,
-    reference_K: float | None = None,
-    time_constant_h: float | None = None,
-    largest_order: int = 3,
-    settle: bool = True,
+    record: Record, *, reference_K: float | None = None, time_constant_h: float | None = None
 ) -> HeatRelease:
     """Heat release f_ΔT = Q R_AT [K] in operation and at standstill, by regression over quasi-stationary
     periods.
@@ -192,44 +188,36 @@ def heat_release_regression(
         T_conv,a − T_amb = a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref) in operation,  b₀ + b_T (T_amb −
         T_ref) else
 
-    record: only its identification period is used; every series on its own clock.
-    scale_W: [W] power that counts as p = 1; None: `design.power_scale`.
+    record: only its identification period is used; every series on its own clock; p = 1 at
+        `design.power_scale`.
     reference_K: [K] T_ref; None: the mean of the ambient readings, as in `design.design`.
     time_constant_h: [h] thermal time constant, where known; None: a rough estimate is made.
-    largest_order: [1] 0 … 3, largest K tried.
-    settle: whether the effect of a period's own warming or cooling is subtracted; False: the paper's
-        regression.
 
     Periods (`periods.Periods`) are three time constants long, so that the contribution of a period's own
     change ΔT_conv,a to its mean difference, −τ ΔT_conv,a/window by equation (2), is at most a third of a
     kelvin. Where that yields fewer than 30 periods in 10 episodes, or loses a quarter of the range of power
     or ambient temperature, shorter periods are used, down to an hour or two steps of the slowest series. As
-    short periods are not settled, this contribution is subtracted before the regression where `settle` is
-    True and cross-validation does not contradict it. Standard errors are clustered by episode; they include
+    short periods are not settled, this contribution is subtracted before the regression, unlike in the paper,
+    where cross-validation does not contradict it. Standard errors are clustered by episode; they include
     neither the sensors' accuracy nor omitted forms. Times at which a logged heater is on are left out.
     Between the powers of the periods the form is an interpolation.
 
-    A regime with too few periods is None, and the statement gives the reason. Raises ValueError for arguments
-    out of range. Source: equation (1), Fig. 3 and Fig. 4 of the paper.
+    A regime with too few periods is None, and the statement gives the reason. Source: equation (1), Fig. 3
+    and Fig. 4 of the paper.
     """
-    _expect_arguments(
-        largest_order, scale_W=scale_W, reference_K=reference_K, time_constant_h=time_constant_h
-    )
     early = record.identification()
     missing = [name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name)]
     if missing:
         text = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
-        return HeatRelease(None, None, reference_K, scale_W, time_constant_h, text)
+        return HeatRelease(None, None, reference_K, None, time_constant_h, text)
     if reference_K is None:
         reference_K = float(np.nanmean(early[AMBIENT].value))
     statements = []
+    scale_W = power_scale(early) if has_readings(early, POWER) else None
     if not has_readings(early, POWER):
-        scale_W = None
         statements.append("no power in the record: all of it counts as standstill")
     elif scale_W is None:
-        scale_W = power_scale(early)
-        if scale_W is None:
-            statements.append("the power never rises above zero: all of the record counts as standstill")
+        statements.append("the power never rises above zero: all of the record counts as standstill")
     used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
     slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
     first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
@@ -249,24 +237,11 @@ def heat_release_regression(
             statements.append(_too_few(cells, regime, choice))
             continue
         lead = _length_words(wanted_h, shortest_h, time_constant_h, rough, choice.reason)
-        fit = _regression(regime, choice, reference_K, time_constant_h, largest_order, settle, lead)
+        fit = _regression(regime, choice, reference_K, time_constant_h, lead)
         regressions[regime] = fit
         statements.append(fit.statement)
     pair = (regressions.get(OPERATION), regressions.get(STANDSTILL))
     return HeatRelease(*pair, reference_K, scale_W, time_constant_h, "; ".join(statements))
-
-
-def _expect_arguments(largest_order: int, **positive: float | None) -> None:
-    """Raises ValueError with every argument of `heat_release_regression` that is out of range."""
-    faults = [
-        f"{name} must be a number above 0, found {value}"
-        for name, value in positive.items()
-        if value is not None and not 0.0 < value < math.inf
-    ]
-    if largest_order not in (0, 1, 2, 3):
-        faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
-    if faults:
-        raise ValueError("heat_release_regression: " + "; ".join(faults))
 
 
 # --- regression -----------------------------------------------------------------------------
@@ -304,15 +279,16 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
     return np.array(sums)
 
 
-def _supported_order(points: Periods, largest: int) -> int:
-    """Largest order K for which each of K+1 equal parts of the power's range occurs in enough episodes.
+def _supported_order(points: Periods) -> int:
+    """Largest order K, up to `LARGEST_ORDER`, for which each of K+1 equal parts of the power's range occurs
+    in enough episodes.
 
     Periods cluster near standstill and at rated power, because the wind in between is rarely steady.  Without
     this rule a curve through both ends would be unconstrained in the middle, where cross-validation has no
     data either.
     """
     low, high = points.power.min(), points.power.max()
-    for order in range(largest, 0, -1):
+    for order in range(LARGEST_ORDER, 0, -1):
         part = np.minimum(((points.power - low) / (high - low) * (order + 1)).astype(int), order)
         met = [len(np.unique(points.episode[part == k])) for k in range(order + 1)]
         if min(met) >= EPISODES_A_PARAMETER:
@@ -320,11 +296,11 @@ def _supported_order(points: Periods, largest: int) -> int:
     return 0
 
 
-def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, bool]]:
+def _forms(regime: str, points: Periods) -> list[tuple[int, bool]]:
     """Forms (order, ambient slope) that the spread of the periods permits, the constant first."""
     orders = 0
     if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
-        orders = _supported_order(points, largest_order)
+        orders = _supported_order(points)
     warm = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
     forms = [
         (order, ambient) for order in range(orders + 1) for ambient in ((False, True) if warm else (False,))
@@ -362,29 +338,22 @@ def _cross_validate(
 
 
 def _regression(
-    regime: str,
-    choice: Choice,
-    reference_K: float,
-    time_constant_h: float | None,
-    largest_order: int,
-    settle: bool,
-    lead: str,
+    regime: str, choice: Choice, reference_K: float, time_constant_h: float | None, lead: str
 ) -> Regression:
     """Least squares with errors clustered by episode, and Huber's M-estimate beside it."""
     from statsmodels.regression.linear_model import OLS
     from statsmodels.robust.robust_linear_model import RLM
 
-    points, forms = choice.periods, _forms(regime, choice.periods, largest_order)
+    points, forms = choice.periods, _forms(regime, choice.periods)
     response, transient_K, settled = points.difference_K, None, False
     candidates = _cross_validate(points, response, forms, reference_K)
     if time_constant_h is not None:
         lag = time_constant_h * points.rate_K_h
         transient_K = float(np.sqrt(np.mean(lag**2)))
-        if settle:
-            others = _cross_validate(points, response + lag, forms, reference_K)
-            settled = min(c.error_K for c in others) <= WORSE * min(c.error_K for c in candidates)
-            if settled:
-                response, candidates = response + lag, others
+        others = _cross_validate(points, response + lag, forms, reference_K)
+        settled = min(c.error_K for c in others) <= WORSE * min(c.error_K for c in candidates)
+        if settled:
+            response, candidates = response + lag, others
     chosen = next(c for c in candidates if c.chosen)
     regressors = _regressors(points, chosen.order, chosen.ambient, reference_K)
     fit = OLS(response, regressors).fit(cov_type="cluster", cov_kwds={"groups": points.episode})
@@ -403,8 +372,8 @@ def _regression(
     }
     words = [
         f"{regime}: {_periods_words(choice)} ({lead})",
-        _form_words(regime, points, chosen, sd, max(c.order for c in candidates) < largest_order),
-        *_transient_words(transient_K, settled, settle),
+        _form_words(regime, points, chosen, sd, max(c.order for c in candidates) < LARGEST_ORDER),
+        *_transient_words(transient_K, settled),
         *_doubts(points, coefficients),
     ]
     return Regression(
@@ -482,17 +451,15 @@ def _form_words(regime: str, points: Periods, chosen: Candidate, sd: float, limi
     return text
 
 
-def _transient_words(transient_K: float | None, settled: bool, settle: bool) -> list[str]:
+def _transient_words(transient_K: float | None, settled: bool) -> list[str]:
     if transient_K is None:
         return []
     if settled:
         return [f"{transient_K:.2g} K is subtracted for warming and cooling within the periods"]
-    if settle:
-        return [
-            "by the time constant, warming and cooling within the periods would be far larger than "
-            "observed: nothing is subtracted"
-        ]
-    return [f"{transient_K:.2g} K of it due to warming and cooling within the periods"]
+    return [
+        "by the time constant, warming and cooling within the periods would be far larger than "
+        "observed: nothing is subtracted"
+    ]
 
 
 def _doubts(points: Periods, coefficients: Mapping[str, Coefficient]) -> list[str]:

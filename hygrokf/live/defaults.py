@@ -42,6 +42,8 @@ NAMES = {
 }
 """Turbine -> signals that it lacks."""
 FIRST = next(iter(NAMES))
+SEED = 1
+"""Of the synthetic turbine."""
 DAYS = 100.0
 LIVE_DAYS = 60.0
 """Length of the record, and from its start to the live part [d]."""
@@ -131,24 +133,24 @@ def table_of(url: str) -> dict[str, str | list[str]]:
 
 # -- the demonstration ---------------------------------------------------------------------------------------
 def demo_turbines(
-    folder: Path, seed: int = 1, progress: Callable[[str], None] = lambda text: None
+    folder: Path, progress: Callable[[str], None] = lambda text: None
 ) -> tuple[dict[str, Turbine], Record, float]:
     """The turbines with their model, the record to play back, and the start of its live part [s].
 
     Files of an earlier demonstration in `folder` are reused.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    record = _record(folder / "turbine", seed, SyntheticParameters())
+    record = _record(folder / "turbine", SyntheticParameters())
     live_s = record.start_s + LIVE_DAYS * DAY_S
     date_s = live_s + CHANGED_DAYS * DAY_S
-    model = folder / f"model-{seed}"
+    model = folder / f"model-{SEED}"
     if not (model / "fit.json").is_file():
         until_s = min(date_s, live_s)
         history = record.window(until_s - IDENTIFIED_DAYS * DAY_S, until_s)
         fit = identify(history, starts=1, progress=progress)
         write_fit(replace(fit, name=FIRST), model)
     fit = read_fit(model)
-    changed = _record(folder / "changed", seed, CHANGED)
+    changed = _record(folder / "changed", CHANGED)
     series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
     forms = {s.signal: form_of(s) for s in series}
@@ -172,8 +174,8 @@ def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
     return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s, label)
 
 
-def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:
-    return read_case(write_case(synthetic_turbine(seed=seed, days=DAYS, parameters=parameters), folder))
+def _record(folder: Path, parameters: SyntheticParameters) -> Record:
+    return read_case(write_case(synthetic_turbine(seed=SEED, days=DAYS, parameters=parameters), folder))
 
 
 def _splice(before: Series, after: Series, date_s: float) -> Series:

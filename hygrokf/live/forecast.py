@@ -140,7 +140,6 @@ def _member_moments(
     future = made.window(first, len(made))
     unread = future.with_readings(np.full_like(future.y, np.nan))
     later = Run(unread, whole.operating[first:], whole.scored[first:])
-    # the state alone decides a switch's initial position; within its hysteresis it starts off
     part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
     trace = plan.likelihood(part).trace(plan.values, start=state.state)
     mean = np.concatenate([state.state.mean[None], trace.mean])

@@ -21,6 +21,7 @@ from functools import partial
 from typing import TypeVar
 
 from hygrokf.live.acknowledgement import look_again
+from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
@@ -48,8 +49,8 @@ SHARE = 0.3
 """Largest share of time spent on forecasts while deliveries come."""
 LEAST_SHARE = 0.05
 """The same while deliveries or unfiltered turbines wait."""
-RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
-"""[s] between attempts to reopen a failed store; the last value repeats."""
+RETRY_S = (0.5, 10.0)
+"""Shortest and longest pause [s] between attempts to reopen a failed store."""
 
 
 WAITS_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
@@ -414,8 +415,8 @@ class Service:
         """
         while True:
             self._open_store.close()
-            self.ending.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
             attempt += 1
+            self.ending.wait(pause_s(attempt, RETRY_S))
             try:
                 self._open()
                 return attempt

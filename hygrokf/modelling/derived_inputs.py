@@ -1,4 +1,4 @@
-"""Features: inputs of mechanisms derived from a record's signals (sun, wind, calendar, dates, switches).
+"""Features: inputs of mechanisms derived from a record's signals (sun, wind, calendar, dates, controllers).
 
 A design stores its features with their settings, so that an extended model can be driven by any record:
 `{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over
@@ -24,14 +24,14 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.model import Feature
-from hygrokf.physics.switches import SWITCHES, Switch, Throttle
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 SOLAR_CONSTANT = 1361.0
 """[W/m²] irradiance outside the atmosphere."""
 RATE_WINDOW_S = 5400.0
 READING_BRIDGE_H = 2.0
-"""[h] a switch follows an interpolated reading over gaps up to this length, and keeps its state in longer
-ones."""
+"""[h] a controller follows an interpolated reading over gaps up to this length, and keeps its position in
+longer ones."""
 
 
 def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
@@ -112,13 +112,6 @@ def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
     return wind_tenth(record, time) ** 2
 
 
-def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
-    """Excess of the rain signal over a threshold, in its own unit; gaps count as dry."""
-    series = record["rain"]
-    value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
-    return np.maximum(value - above, 0.0)
-
-
 def scheduled(
     record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
 ) -> np.ndarray:
@@ -163,29 +156,22 @@ def standstill(record: Record, time: np.ndarray) -> np.ndarray:
     return 1.0 - operating(record, time)
 
 
-def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.ndarray:
-    """State of a cooling stage that follows the cabinet's readings; see `physics.switches`."""
-    return _switched(record, time, SWITCHES["cooling"](on_K, off_K))
-
-
-def heating(
-    record: Record, time: np.ndarray, reads: str, on: float, off: float, idle: bool = True
-) -> np.ndarray:
-    """State of a heater that follows the signal `reads`, at standstill only with `idle`; see
-    `physics.switches`."""
-    return _switched(record, time, SWITCHES["heating"](reads, on, off, idle))
-
-
 def throttled(
     record: Record, time: np.ndarray, reads: str, start: float, full: float, idle: bool = False
 ) -> np.ndarray:
-    """Position of a proportional controller that follows the signal `reads`; see `physics.switches`."""
-    return _switched(record, time, Throttle(reads, start, full, idle))
+    """Position (T,) of a proportional controller that follows the signal `reads`, as `physics.switches` says;
+    0 in a run without any cabinet reading.
 
-
-def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
-    """State of a drier that follows the cabinet's readings; see `physics.switches`."""
-    return _switched(record, time, SWITCHES["drying"](on, off))
+    Such a run can only be simulated, and simulations drive their own controllers
+    (`evaluation.self_switching`).
+    """
+    if not any(signal.startswith("cabinet_") for signal in record.signals):
+        return np.zeros(len(time))
+    if reads not in record:
+        raise ValueError(f"the model switches by {reads}, which the record does not have; add the signal")
+    power = Same(record["active_power"]) if "active_power" in record else None
+    value, still = _followed(Same(record[reads]), power, time.tobytes())
+    return Throttle(reads, start, full, idle).course(value, still)
 
 
 FEATURES: dict[str, Feature] = {
@@ -197,29 +183,32 @@ FEATURES: dict[str, Feature] = {
     "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
-    "heavy_rain": (heavy_rain, MEAN),
     "standstill": (standstill, MEAN),
     "after_step": (after_step, MEAN),
     "door_open": (door_open, MEAN),
-    "cooling": (cooling, MEAN),
-    "heating": (heating, MEAN),
-    "throttled_heating": (throttled, MEAN),
-    "venting": (throttled, MEAN),
-    "throttled_drying": (throttled, MEAN),
     "scheduled": (scheduled, MEAN),
-    "open_hours": (scheduled, MEAN),
-    "drying": (drying, MEAN),
+    **dict.fromkeys(CONTROLLED, (throttled, MEAN)),
     **{name: one for factory in LIBRARY.values() for name, one in factory().features.items()},
 }
 """Features, with their holds, by the name of the input that they provide."""
 
 
 def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
-    """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
+    """Values (T,) of a feature at the instants `time` (T,) [s] of a run.
+
+    Raises ValueError where its function returns something else, or a value that is not finite.
+    """
     function, hold = FEATURES[name]
     if hold == MEAN:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
-    return function(record, time, **settings)
+    found = np.asarray(function(record, time, **settings))
+    if found.shape != time.shape or found.dtype.kind not in "bif":
+        raise ValueError(
+            f"{name}: expected {len(time)} values, found shape {found.shape} of type {found.dtype}"
+        )
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected finite values, found {found[~np.isfinite(found)][0]}")
+    return found
 
 
 def without_settings(inputs: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -304,26 +293,10 @@ def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 
-def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np.ndarray:
-    """State (T,) of a switch that follows the record's readings; off in a run without any cabinet reading.
-
-    Such a run can only be simulated, and simulations drive their own switches (`evaluation.self_switching`).
-    """
-    if not any(signal.startswith("cabinet_") for signal in record.signals):
-        return np.zeros(len(time))
-    if switch.reads not in record:
-        raise ValueError(
-            f"the model switches by {switch.reads}, which the record does not have; add the signal"
-        )
-    power = Same(record["active_power"]) if "active_power" in record else None
-    value, idle = _followed(Same(record[switch.reads]), power, time.tobytes())
-    return switch.course(value, idle)
-
-
 @lru_cache(maxsize=8)
 def _followed(reads: Same, power: Same | None, time: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """The reading (T,) that a switch follows at `time` (T,) [s], and True (T,) at standstill; cached, since
-    searches repeat it often."""
+    """The reading (T,) that a controller follows at `time` (T,) [s], and True (T,) at standstill; cached,
+    since searches repeat it often."""
     at = np.frombuffer(time)
     idle = np.ones(len(at), bool) if power is None else ~_feeds(power.series, at)
     return at_times(input_path(reads.series), at, READING_BRIDGE_H), idle

@@ -432,14 +432,10 @@ def reverse(graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]
 
 
 def forward(
-    graph: Graph,
-    outputs: Sequence[Expression],
-    tangents: Mapping[int, Expression],
-    stop: Iterable[int] = (),
+    graph: Graph, outputs: Sequence[Expression], tangents: Mapping[int, Expression]
 ) -> list[Expression]:
     """Forward mode: directional derivatives of `outputs` along `tangents` of leaf nodes."""
-    halt = set(stop) | set(tangents)
-    order = graph.needed(outputs, halt)
+    order = graph.needed(outputs, tangents)
     active = _depends(graph, order, set(tangents))
     zero = graph.constant(0.0)
     dot: dict[int, Expression] = dict(tangents)

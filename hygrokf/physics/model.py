@@ -393,9 +393,3 @@ def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None =
     ratio compares them.  Raises ValueError at first use, as `compose` does.
     """
     return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})
-
-
-def without(model: Model, name: str) -> Model:
-    """The model without one of its mechanisms."""
-    model.mechanism(name)
-    return replace(model, mechanisms=tuple(m for m in model.mechanisms if m.name != name))

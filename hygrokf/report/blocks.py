@@ -13,7 +13,7 @@ from hygrokf.identification.verdict_terms import REJECT, WORDS, Inherited, verdi
 from hygrokf.identification.wording import interval
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
+    from hygrokf.report.figures.panels import Panels
 
 FREE_RUN = (
     "Free run: a simulation from weather, power and other inputs alone, which sees no reading of the cabinet."
@@ -22,8 +22,6 @@ INNOVATIONS = "Innovations: readings less their one-step predictions."
 """Terms of the reports, explained where a page or a text begins to use them."""
 SYNTHETIC_PAGE = "A computer made this record. Nothing on this page was measured."
 SYNTHETIC_RECORD = "A computer made at least one of these records: its numbers were not measured."
-
-Kind: TypeAlias = Literal["believe", "caution", "reject"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Card:
-    """One number of the answer: label, value, bounds, verdict and its reason; `sentence` says it in one line.
+    """One number of the answer: label, value, bounds, verdict and its reason.
 
     `symbol`: the formula beside the label, with an underscore before an index ("R_D*·V*").  `kind`: the
     verdict; "" for an answer without one, whose edge then shows its `tone`: "open" a warning, "plain" none,
@@ -105,7 +103,6 @@ class Card:
 
     label: str
     value: str
-    sentence: str
     kind: str = ""
     bounds: str = ""
     reason: str = ""
@@ -166,15 +163,19 @@ class Figure:
     name: str
     heading: str
     caption: str
-    draw: Callable[[], Drawing]
+    draw: Callable[[], Panels]
 
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are folded until a reader asks for them; a printed page shows them."""
+    """Blocks that are folded until a reader asks for them; a printed page shows them.
+
+    `printed`: whether a terminal shows them too.
+    """
 
     summary: str
     blocks: tuple[Block, ...]
+    printed: bool = False
 
 
 Block: TypeAlias = (
@@ -188,8 +189,7 @@ class Page:
 
     `kind` says what sort of result it is, `name` whose, `about` the lines below the name.  `lead` is the
     first screen: warnings, the answer with its verdict, and the picture that shows it.  `body` holds the
-    rest, `foot` how it was computed.  `brief` is what a terminal prints.  `sheet` above 0: it prints on one
-    page, in letters of this size [pt].
+    rest, `foot` how it was computed.  `sheet` above 0: it prints on one page, in letters of this size [pt].
     """
 
     kind: str
@@ -198,7 +198,6 @@ class Page:
     lead: tuple[Block, ...]
     body: tuple[Block, ...]
     foot: tuple[Block, ...] = ()
-    brief: tuple[Block, ...] = ()
     sheet: float = 0.0
 
 

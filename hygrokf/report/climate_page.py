@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -20,13 +19,11 @@ from hygrokf.report.blocks import (
     Cards,
     Details,
     Figure,
-    Heading,
     Items,
     Page,
     Prose,
     inherited_verdicts,
     method,
-    present,
     section,
     synthetic,
     table_or,
@@ -45,17 +42,9 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
     year_table,
 )
-from hygrokf.report.figures.climate import (
-    DURATION_CAPTION,
-    JOINT_CAPTION,
-    REGIONS_CAPTION,
-    figure_duration,
-    figure_joint,
-    figure_profile,
-    figure_regions,
-)
+from hygrokf.report.figures.climate import figure_profile
 from hygrokf.report.figures.drawing import png
-from hygrokf.report.figures.lead import DURATION_HEADING, REGIONS_HEADING, YEAR_HEADING
+from hygrokf.report.figures.lead import duration_figure, lead_of_climate, year_figure
 from hygrokf.report.page import page_html
 
 PICTURE = "test_profile.png"
@@ -86,7 +75,7 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
         write_climate(study, folder)
     page = page_html(climate_blocks(study))
     if len(study.regions) == 1 and study.regions[0].test_profile is not None:
-        write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0])))
+        write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0]).figure()))
     else:
         (folder / PICTURE).unlink(missing_ok=True)
     return write_text_whole(folder / REPORT, page)
@@ -96,10 +85,8 @@ def climate_blocks(study: Study) -> Page:
     """What a climate says: the answer with the picture of the year, then statements, tables and the test."""
     regions = study.regions
     several = len(regions) > 1
-    inherited = inherited_verdicts(study.verdicts, "The time constants of the model")
     cards = Cards(_region_cards(study) if several else _cards(regions[0], doubt_text(study)))
     answer: tuple[Block, ...] = (cards,) if cards.cards else ()
-    side_by_side = regions_table(regions)
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
     made_up = study.synthetic or any(one.synthetic for one in regions)
     return Page(
@@ -109,17 +96,14 @@ def climate_blocks(study: Study) -> Page:
         (
             *synthetic(made_up, SYNTHETIC_CLIMATE),
             *answer,
-            _regions_figure(regions) if several else _year_figure(regions[0], 1),
+            lead_of_climate(study),
         ),
         (
-            *section("Regions side by side", side_by_side),
-            *section("The model", inherited),
+            *section("Regions side by side", regions_table(regions)),
+            *section("The model", inherited_verdicts(study.verdicts, "The time constants of the model")),
             *(block for part in parts for block in part),
         ),
         _method(study),
-        present(
-            *answer, inherited, *(block for one in regions for block in _brief(one, several)), side_by_side
-        ),
     )
 
 
@@ -152,9 +136,8 @@ def _cards(region: RegionClimate, doubt: str) -> tuple[Card, ...]:
             cards.append(_hours_card(region, name, label, doubt, lines))
     if "wetness_h" not in region.year:
         value, bounds = value_and_bounds(region.year["mean_temperature_degC"])
-        said = f"Mean temperature: {value} °C{f' ({bounds})' if bounds else ''}"
         kind = REJECT if doubt else ""
-        cards.append(Card("Mean temperature", f"{value} °C", said, kind, bounds, doubt, tone="plain"))
+        cards.append(Card("Mean temperature", f"{value} °C", kind, bounds, doubt, tone="plain"))
     return tuple(cards)
 
 
@@ -162,11 +145,9 @@ def _hours_card(
     region: RegionClimate, name: str, label: str, doubt: str, lines: tuple[str, ...] = ()
 ) -> Card:
     """A card of hours a year with bounds."""
-    one = region.year[name]
-    value, bounds = value_and_bounds(one, hours_text)
+    value, bounds = value_and_bounds(region.year[name], hours_text)
     held = f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
-    said = f"{label}: {span_text(one, hours_text)} h/a{f', {lines[0]}' if lines else ''}"
-    return Card(label, f"{value} h/a", said, REJECT if doubt else "", held, doubt, lines=lines, tone="plain")
+    return Card(label, f"{value} h/a", REJECT if doubt else "", held, doubt, lines=lines, tone="plain")
 
 
 def _limits_card(region: RegionClimate) -> Card:
@@ -174,9 +155,8 @@ def _limits_card(region: RegionClimate) -> Card:
     failed = [one for one in region.limits if one.verdict == "fail"]
     lines = tuple(f"Fails: {one.name}, {span_text(one.hours, hours_text)} h/a" for one in failed[:2])
     part = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
-    said = f"Limits: {counted}{part}"
     label = f"Limits, {len(region.limits)} in all{part}"
-    return Card(label, counted, said, lines=lines, wide=True, words=True, tone=TONES[region.verdict])
+    return Card(label, counted, lines=lines, wide=True, words=True, tone=TONES[region.verdict])
 
 
 def _counted(region: RegionClimate) -> str:
@@ -202,24 +182,6 @@ def _region_cards(study: Study) -> tuple[Card, ...]:
     return tuple(cards)
 
 
-def _year_figure(region: RegionClimate, place: int) -> Figure:
-    """The picture of the year: temperature with humidity, or duration curves without humidity."""
-    if region.joint is None:
-        return _duration_figure(region, place)
-    return Figure(f"r{place}-joint", YEAR_HEADING, JOINT_CAPTION, partial(figure_joint, region))
-
-
-def _duration_figure(region: RegionClimate, place: int) -> Figure:
-    caption = DURATION_CAPTION.format(share=share_held([region]))
-    return Figure(f"r{place}-duration", DURATION_HEADING, caption, partial(figure_duration, region))
-
-
-def _regions_figure(regions: Sequence[RegionClimate]) -> Figure:
-    means = percent(min(one.mean_bounds_hold for one in regions))
-    caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
-    return Figure("regions", REGIONS_HEADING, caption, partial(figure_regions, regions))
-
-
 # --- a region --------------------------------------------------------------------------------
 
 
@@ -237,13 +199,15 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
         *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
         *section(
             _heading(title, "the year"),
-            _year_figure(region, place) if several else None,
+            year_figure(region, place) if several else None,
             year_table(region),
             table_or(regimes_table(region), one_kind),
             Details(
-                "Excursions, rates of change and cycles", (excursions_table(region), rates_table(region))
+                "Excursions, rates of change and cycles",
+                (excursions_table(region), rates_table(region)),
+                printed=True,
             ),
-            _duration_figure(region, place) if region.joint is not None else None,
+            duration_figure(region, place) if region.joint is not None else None,
         ),
         *section(_heading(title, "test profile"), *_profile(region, place)),
     )
@@ -302,12 +266,6 @@ def _profile_text(profile: ChamberProfile) -> str:
         f"{said} The chamber cannot reach the ageing of the stated years of service within these limits and "
         f"this length: state {remedy}."
     )
-
-
-def _brief(region: RegionClimate, several: bool) -> tuple[Block | None, ...]:
-    """What a terminal prints of a region."""
-    tables = (limits_table(region), year_table(region), regimes_table(region), excursions_table(region))
-    return (Heading(region.name) if several else None, _statements(region), *tables)
 
 
 def _method(study: Study) -> tuple[Block, ...]:

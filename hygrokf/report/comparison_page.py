@@ -27,7 +27,6 @@ from hygrokf.report.blocks import (
     Table,
     inherited_verdicts,
     method,
-    present,
     section,
     synthetic,
     table_or,
@@ -154,7 +153,6 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
         ),
         body,
         method("Method", *METHOD, f"Compared by hygrokf {found.version}; page by hygrokf {__version__}."),
-        present(*verdicts, *notes, cards, _PERIODS, *scores, *differences, skill),
     )
 
 
@@ -183,7 +181,9 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
     """The differences of the first pairs, those of further ones folded."""
     if not tables:
         return (Prose("No two columns have common instants.", "missing"),)
-    rest = (Details("The other pairs", tuple(tables[MOST_PAIRS:])),) if tables[MOST_PAIRS:] else ()
+    rest = (
+        (Details("The other pairs", tuple(tables[MOST_PAIRS:]), printed=True),) if tables[MOST_PAIRS:] else ()
+    )
     return (*tables[:MOST_PAIRS], _BOLD, *rest)
 
 
@@ -208,8 +208,7 @@ def _cards(found: ComparisonResults) -> Cards:
     cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))
     if cards:
         return Cards(cards)
-    said = "Nothing could be scored"
-    return Cards((Card("Comparison", said, f"{said}.", wide=True, words=True),))
+    return Cards((Card("Comparison", "Nothing could be scored", wide=True, words=True),))
 
 
 def _card(found: ComparisonResults, quantity: str) -> Card:
@@ -220,8 +219,7 @@ def _card(found: ComparisonResults, quantity: str) -> Card:
     value = f"{best}: {fixed(scored[best])} {unit}"
     lines = summary(found, quantity, best)
     label = f"Smallest error of the {name}, {_WHERE[period]}"
-    text = f"{label}: {value}. {' '.join(lines)}".strip()
-    return Card(label, value, text, lines=tuple(lines[:2]), words=True, tone="plain")
+    return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
 
 
 _WHERE = {"validation": "in validation", "whole": "over the whole record"}

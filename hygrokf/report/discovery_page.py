@@ -10,12 +10,12 @@ import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults
+from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Refuted
 from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.residuals import QUANTITIES, UNITS, Residuals
+from hygrokf.discovery.residuals import QUANTITIES, Residuals
 from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.identification.verdict import inherited
-from hygrokf.identification.wording import fixed, one_line, sentence
+from hygrokf.identification.wording import one_line, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
     INNOVATIONS,
@@ -24,7 +24,6 @@ from hygrokf.report.blocks import (
     Card,
     Cards,
     Details,
-    Facts,
     Figure,
     Heading,
     Items,
@@ -39,47 +38,44 @@ from hygrokf.report.blocks import (
     table_or,
 )
 from hygrokf.report.discovery_tables import (
-    constants_sentences,
-    constants_table,
+    evidence_table,
     findings_table,
+    gains_table,
+    held_out_table,
     parameters_table,
-    rejected_table,
     scores_table,
 )
 from hygrokf.report.discovery_text import (
-    NO_CHECK,
-    NOT_RIGHT,
-    confidence_of,
-    error_sentences,
-    evidence_sentence,
-    gain_sentence,
+    actions,
+    capital,
+    formed,
     headline,
-    remainder,
-    remainder_driver,
-    rivals_sentence,
+    held_out_sentence,
+    held_out_sentences,
+    line_sentence,
+    named_alone,
+    reasons,
     settings_words,
-    spoken,
-    title,
     tried,
-    untried,
-    verdict_sentences,
+    warned,
 )
-from hygrokf.report.figures.findings import drawable, episodes_caption, events, figure_episodes
+from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import (
-    DRIVERS_HEADING,
-    drivers_caption,
+    TITLE,
     figure_day_hour,
-    figure_drivers,
+    figure_error_course,
     figure_innovations,
-    telling_drivers,
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
 from hygrokf.version import __version__
 
-EPISODE_FIGURES = 3
+ERRORS = "Errors before and after"
 BY = "By driver, by day and hour, and by period"
-TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
+TOGETHER = (
+    "In the order of their acceptance, each beside those before it. The errors are those of the extended "
+    "model with all of them together."
+)
 
 
 def write_discovery_report(found: Discovery | None, directory: str | os.PathLike[str]) -> Path:
@@ -103,42 +99,53 @@ def write_discovery_report(found: Discovery | None, directory: str | os.PathLike
 def discovery_blocks(
     found: DiscoveryResults, before: Residuals | None = None, after: Residuals | None = None
 ) -> Page:
-    """What a discovery says: the verdict, and the readings beside base and extended model, first.
+    """What a discovery says: the verdict, the errors, and the readings beside base and extended model, first.
 
     before, after: residuals of both models, for the pictures.
     """
-    verdict = _verdict_card(found)
-    episodes = [] if before is None else _episodes(found, before, after)
-    events = [] if before is None else _events(found, before, after)
+    shown = [] if before is None else episodes(found, before, after)
     courses = [] if before is None else _courses(found, before, after)
-    lead = [*episodes, *events, *courses][:1]
-    rest = [one for one in (*episodes, *events) if one not in lead]
+    lead = [*shown, *courses][:1]
+    evidence = evidence_table(found)
+    rest = [one for one in shown if one not in lead]
     body = (
         *section(
             "What the simulation gets wrong",
             Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
-            *(Prose(line) for line in _on_the_whole(before)),
             table_or(
-                findings_table(found),
+                findings_table(found.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
             ),
             *rest,
         ),
-        *_causes(found),
-        *_errors(found),
+        *section(
+            "The causes" if len(found.causes) > 1 else "The cause",
+            *(block for one in found.causes for block in _judged(found, one)),
+            Prose(TOGETHER) if len(found.causes) > 1 else None,
+        ),
+        *section(
+            "Refuted by held-out readings",
+            *(block for one in found.refuted for block in _judged(found, one)),
+        ),
+        *_errors(found, before, after),
         *_constants(found),
         *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
-        *section("Unexplained errors", *(Prose(line) for line in _left(found))),
-        *section("Causes tried and rejected", *_rejected(found)),
+        *_left(found),
+        *section(
+            "Causes and their evidence",
+            Details(f"{len(evidence.rows)} causes", (evidence,), printed=True)
+            if evidence
+            else Prose("No cause was tried.", "missing"),
+        ),
     )
+    gains = table_or(gains_table(found), "No errors of a free run are known.")
     return Page(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
+        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((_verdict_card(found),)), *lead, gains),
         body,
         _method(found),
-        _brief(found, verdict),
     )
 
 
@@ -155,177 +162,96 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 
 
 def _verdict_card(found: DiscoveryResults) -> Card:
-    """The verdict with its sentences; of a single cause, with its confidence."""
-    heading, lines = headline(found), tuple(verdict_sentences(found))
-    sure = ""
-    if found.verdict == "named" and len(found.causes) == 1:
-        sure = f"confidence {confidence_of(found.causes[0])}"
-    said = f"{heading}{f' ({sure})' if sure else ''}. {' '.join(lines)}"
-    warned = found.verdict == "unexplained" or heading == NOT_RIGHT
+    """The verdict with what speaks for it and what to do; of a single cause, with its confidence."""
     return Card(
-        "Verdict", heading, said, bounds=sure, lines=lines, wide=True, words=True,
-        tone="open" if warned else "plain",
+        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
+        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
+        tone="open" if warned(found) else "plain",
     )  # fmt: skip
-
-
-def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
-    """What a terminal shows: verdict, findings, causes, refuted names, time constants, and what is left."""
-    findings = Items(tuple(one.statement for one in found.findings))
-    blocks: list[Block | None] = [
-        Cards((verdict,)),
-        Prose(f"{FREE_RUN} {INNOVATIONS}"),
-        Heading("What the simulation gets wrong"),
-        findings if found.findings else Prose("No significant and material error."),
-    ]
-    for cause in found.causes:
-        blocks += _cause(cause)
-    for one in found.refuted:
-        blocks += [
-            Heading(f"Refuted by the held-out period: {spoken(one.cause)}"),
-            Prose(sentence(gain_sentence(one.gain))),
-        ]
-    blocks += _verdicts(found)
-    left = _left(found)
-    blocks += [Heading("Unexplained errors"), Items(left)] if remainder(found) else []
-    out = len(found.rejected)
-    causes = "cause" if out == 1 else "causes"
-    blocks.append(Prose(f"Tried and rejected: {out} {causes} (discovery.json has the evidence)."))
-    blocks += [Prose(sentence(untried(found)))] if untried(found) else []
-    return present(*blocks)
 
 
 # --- sections --------------------------------------------------------------------------------
 
 
-def _on_the_whole(before: Residuals | None) -> list[str]:
-    """Mean and root mean square of the free run's errors in the identification period, which no condition
-    shows."""
-    if before is None:
-        return []
-    said = []
-    for quantity in QUANTITIES:
-        error = -before.error(quantity)[~before.validation]
-        error = error[np.isfinite(error)]
-        if len(error):
-            mean, unit = float(error.mean()), UNITS[quantity]
-            side = "too high" if mean > 0 else "too low"
-            rmse = f"{fixed(before.rmse(quantity))} {unit} (RMSE)"
-            said.append(f"{TITLES[quantity]} by {rmse}, {fixed(abs(mean))} {unit} {side} on average")
-    where = "In the identification period the free run of the base model misses the "
-    return [sentence(where + "; the ".join(said))] if said else []
-
-
-def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
-    if not found.causes:
-        return ()
-    several = len(found.causes) > 1
-    together = Prose(
-        "In the order of their acceptance, each in addition to those before it. The gain of the extended "
-        "model was measured with all of them together."
+def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
+    """A cause: settings and parameters of one that was accepted, and the held-out test."""
+    blocks: list[Block | None] = [Heading(capital(formed(one.cause, one.form)), 3)]
+    if isinstance(one, CauseFound):
+        settings = settings_words(one.settings)
+        without = "The cause has no parameters of its own: it corrects time stamps."
+        blocks += [
+            Prose(f"Found by search: {'; '.join(settings)}.") if settings else None,
+            table_or(parameters_table(one), without),
+        ]
+    return present(
+        *blocks, Prose(sentence(held_out_sentence(found, one.held_out))), held_out_table(one.held_out)
     )
+
+
+def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> tuple[Block, ...]:
+    course = None
+    if before is not None and after is not None and before.validation.any():
+        course = Figure(
+            "error-course",
+            "The error on held-out readings, day by day",
+            "The green course should stay below the red one, on most days and not on a few.",
+            lambda: figure_error_course(before, after),
+        )
     return section(
-        "The causes" if several else "The cause",
-        together if several else None,
-        *(block for one in found.causes for block in _cause(one)),
-    )
-
-
-def _cause(cause: CauseFound) -> list[Block]:
-    """A cause: meaning, confidence, evidence, gain, rivals and what to check."""
-    rivals, settings = rivals_sentence(cause), settings_words(cause.settings)
-    rows = [
-        ("What it is", cause.statement or spoken(cause.cause)),
-        ("Confidence", confidence_of(cause)),
-        ("Evidence", evidence_sentence(cause.evidence)),
-        ("Gain", gain_sentence(cause.gain)),
-        *([("Found by search", "; ".join(settings))] if settings else []),
-        ("Could also be", rivals or "no other cause of the library comes near it"),
-        ("To check", cause.remedy or NO_CHECK),
-    ]
-    form = f" ({cause.form})" if cause.form else ""
-    return [
-        Heading(f"{title(cause.cause)}{form}", 3),
-        Facts(tuple((term, sentence(said)) for term, said in rows)),
-        table_or(parameters_table(cause), "The cause has no parameters of its own: it corrects time stamps."),
-    ]
-
-
-def _errors(found: DiscoveryResults) -> tuple[Block, ...]:
-    note = Prose(
-        "The tables show both models as identified by their innovations, as the fit’s own page does. For the "
-        "gain of a cause each model may also have its parameters moved toward the least free-run error, if "
-        "that simulates the identification period better. The gain may therefore be smaller.",
-        "note",
-    )
-    said = tuple(error_sentences(found))
-    return section(
-        "Errors before and after",
-        Items(said) if said else None,
+        ERRORS,
+        *map(Prose, held_out_sentences(found)),
+        course,
         table_or(
             scores_table(found, "validation"),
             "There is no held-out period with readings (`until` is not stated).",
         ),
         table_or(scores_table(found, "identification"), "Nothing was scored in the identification period."),
-        note if any(one.gain is not None and one.gain.known for one in found.causes) else None,
     )
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    table = constants_table(found)
-    said = [Prose(line) for line in constants_sentences(found)]
-    return section("The time constants without and with the cause", *said, table, *_verdicts(found))
-
-
-def _verdicts(found: DiscoveryResults) -> list[Block | None]:
     """The time constants of both models with their verdicts."""
+    heading = "The time constants without and with the cause" if found.extended else "The time constants"
     base = "Time constants of the base model" if found.extended else "Time constants of the model"
-    blocks: list[Block | None] = [inherited_verdicts(inherited(found.baseline.fit), base)]
+    verdicts = [inherited_verdicts(inherited(found.baseline.fit), base)]
     if found.extended is not None:
         extended = "Time constants of the extended model"
-        blocks.append(inherited_verdicts(inherited(found.extended.fit), extended))
-    return blocks
+        verdicts.append(inherited_verdicts(inherited(found.extended.fit), extended))
+    return section(heading, *verdicts)
 
 
-def _left(found: DiscoveryResults) -> tuple[str, ...]:
-    left, driver = remainder(found), remainder_driver(found)
-    if not left:
-        which = "base model" if found.extended is None else "extended model"
-        return (
-            f"Nothing: the errors of the {which} show no structure under any tested condition, no repeated "
-            "readings of the day before, and no excursions to one side.",
+def _left(found: DiscoveryResults) -> tuple[Block, ...]:
+    """Lines in the spectra, and the errors of the extended model where there is one."""
+    lines = Items(tuple(sentence(line_sentence(one)) for one in found.lines)) if found.lines else None
+    errors = None
+    if found.extended is not None:
+        errors = table_or(
+            findings_table(found.left, "of the extended model"),
+            "The errors of the extended model show no structure under any tested condition.",
         )
-    return (sentence(left), *([sentence(driver)] if driver else []))
-
-
-def _rejected(found: DiscoveryResults) -> tuple[Block, ...]:
-    said, table = untried(found), rejected_table(found)
-    folded = Details(f"{len(table.rows)} causes, and why each was rejected", (table,))
-    return (
-        *([Prose(sentence(said))] if said else []),
-        folded if table else Prose("No other cause was tried.", "missing"),
-    )
+    return section("What is left", lines, errors)
 
 
 def _method(found: DiscoveryResults) -> tuple[Block, ...]:
     count = tried(found)
     which = "base" if found.extended is None else "extended"
     lines = (
-        "The base model was identified on the identification period by its innovations, and again by its "
-        "free run. A block bootstrap, which keeps the autocorrelation of the errors, tested the errors of "
-        "the free run under every condition: episodes, regimes, hour, season, level, rate and lag of every "
-        "driver, steps and drifts. The rate of false discoveries is controlled over all conditions together.",
-        f"{count} {'cause was' if count == 1 else 'causes were'} tried, each in several forms and settings, "
-        "with all parameters estimated again every time. A cause is accepted if its gain in likelihood "
-        "exceeds the penalty for its parameters and for the settings searched, if the squared error of the "
-        "free run falls materially, also without the days that gained most, and if no free run gets worse. "
-        "The other causes are then tried again in addition to it. p-values are corrected for the number of "
-        "causes and settings.",
-        "The held-out period took no part in any choice. The bounds of a gain come from a bootstrap of "
-        "blocks of days: they show how much the gain varies within this period, not in another season.",
-        "Confidence is the estimated probability that the named cause, or a cause that this record cannot "
-        "distinguish from it, is right. It depends on the distance to the rivals and on the lasting gain, "
-        "and was calibrated on simulated plants alone. A cause that is not in the library cannot be named, "
-        "and a cause with a similar effect may be named instead: check in the turbine before acting on it.",
+        "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
+        "enters as flows of heat and vapour, with a spectrum of its own. A block bootstrap, which keeps the "
+        "autocorrelation of the errors, tested the errors under every condition: episodes, regimes, hour, "
+        "season, level, rate and lag of every driver, steps and drifts. The rate of false discoveries is "
+        "controlled over all conditions together.",
+        f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
+        f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
+        "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
+        "same must hold by days, which are fewer than readings where they resemble each other.",
+        "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
+        "3, 12 and 48 h ahead or of the free run grow; they choose nothing else. The bounds of the errors’ "
+        "fall take days as independent; they show how much it varies within this period, not in another "
+        "season.",
+        "Confidence is how often a name with such evidence and such a lead over its rivals was right on "
+        "simulated plants. A cause that is not in the library cannot be named, and a cause with a similar "
+        "effect may be named instead: check in the turbine before acting on it.",
     )
     version = found.version or "(version not stated)"
     return (
@@ -338,52 +264,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 # --- pictures --------------------------------------------------------------------------------
 
 
-def _episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The worst findings: readings, base and extended model where the error shows."""
-    caption = episodes_caption(after is not None)
-    return [
-        Figure(
-            f"episodes-{place}",
-            f"Finding {place}: {TITLES[one.quantity]}",
-            caption if place == 1 else "",
-            partial(figure_episodes, before, one, after),
-        )
-        for place, one in enumerate(drawable(found)[:EPISODE_FIGURES], start=1)
-    ]
-
-
-def _events(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """Accepted causes that were found in stretches of time, in the quantity that gained most there."""
-    said = "Shaded: where the cause was found. The simulation should stay with the blue readings there."
-    return [
-        Figure(
-            f"event-{place}",
-            f"{title(cause.cause)}: when",
-            said,
-            partial(figure_episodes, before, event, after),
-        )
-        for place, (cause, event) in enumerate(events(found), start=1)
-    ]
-
-
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """The errors over drivers, over days and hours, and the innovations."""
-    drivers = [one.driver for one in drawable(found) if one.driver]
-    figures = [
-        Figure(
-            "drivers",
-            DRIVERS_HEADING,
-            drivers_caption(after is not None),
-            lambda: figure_drivers(before, telling_drivers(before, drivers), after),
-        )
-    ]
+    figures = [errors_over_drivers(found, before, after)]
     for quantity in QUANTITIES:
         changed = after if _differ(before, after, quantity) else None
         same = " The extended model leaves these errors as they are." if after is not changed else ""
         figures.append(
             Figure(
                 f"days-{quantity}",
-                f"Error of the {TITLES[quantity]} by day and hour",
+                f"Error of the {TITLE[quantity].lower()} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
                 f"weather or operation. A lasting change of colour: something changed on that date.{same}",
                 partial(figure_day_hour, before, quantity, changed),

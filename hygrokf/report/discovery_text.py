@@ -1,52 +1,122 @@
-"""A discovery in sentences: verdict, gain, evidence, settings and what to check."""
+"""A discovery in sentences: verdict, causes and their forms, held-out test, and what to check."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from typing import Any
 
 from hygrokf.discovery.discovery_results import (
     CauseFound,
     CauseParameter,
     DiscoveryResults,
-    Evidence,
     Gain,
+    HeldOutTest,
+    Line,
     Settings,
 )
-from hygrokf.discovery.repeats import REPEATED
-from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.verdict import best_rule, inherited
+from hygrokf.discovery.forms import IN_SUMMER
+from hygrokf.discovery.judgement import WORSE_GROWTH, WORSE_Z
+from hygrokf.discovery.repeats import repeated_text
+from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
     QUANTITIES,
     decimals_for,
     fixed,
-    minus,
     percent,
     plain_number,
     sentence,
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.fit_tables import unit
-from hygrokf.report.fit_text import p_value, share_text
 
+FORMS = {
+    "second_mass": "a second mass beside the converter",
+    "roof": "on the roof",
+    "wall": "on a wall",
+    "linear": "in proportion to the wind speed",
+    "square": "in proportion to its square",
+    "thermostat_always": "thermostat, at any time",
+    "thermostat_standstill": "thermostat, at standstill",
+    "humidistat_always": "humidistat, at any time",
+    "humidistat_standstill": "humidistat, at standstill",
+    "stage": "a stage that grows with the temperature",
+    "capacity": "of constant power",
+    "vent": "a vent opened by temperature",
+    "vent_by_humidity": "a vent opened by humidity",
+    "date": "from a date on",
+    "windows": "single openings",
+    "straight": "in proportion to time",
+    "saturating": "from a date on, and less and less",
+    "daily": "every day",
+    "workdays": "on workdays",
+    "smoothed": "a smoothed series",
+    "air_lags": "the air around the cabinet lags the series",
+    "intake_lags": "the intake air lags the series",
+    "offset": "offset of the vapour",
+    "humidity": "offset of the relative humidity",
+    "gain": "gain of the vapour",
+    "thin": "thin material, alike at all temperatures",
+    "thin_activated": "thin material, faster when warm",
+    "slab": "a slab, alike at all temperatures",
+    "slab_activated": "a slab, faster when warm",
+    "cold_surface": "on a cold surface",
+    "night_sky": "on a surface cooled by the night sky",
+    "all_rain": "with all rain",
+    "plate": "a cold plate",
+    "plate_warms": "a cold plate whose heat stays in the cabinet",
+    "desiccant": "a desiccant",
+    "constant": "constant",
+    "wet_surface": "a wet surface",
+    "standstill": "at standstill",
+    "fading": "drying out from a date on",
+    "by_the_clock": "in the same hours of the day",
+    "drift": "an offset that grows",
+    "scale_drifts": "a scale that goes off",
+    "scale": "a scale that is off",
+    "ceiling": "a ceiling of the readings",
+    "as_given": "",
+}
+"""Code of a form → words; that of a clock is its source's name and stays as it is."""
+EXCLUSIONS = {
+    "no_effect": "the screening finds no effect",
+    "weak": "too little evidence",
+    "weak_by_days": "too little evidence in independent days",
+    "later_gone": "it lost its place to a cause that was accepted later",
+    "left_to_budget": "not judged: the budget ended the search",
+    "no_form": "this record cannot show it",
+}
+ESTIMATORS = {
+    "likelihood": "maximise the likelihood of the search",
+    "output-error": "minimise the error of the free run (output error)",
+}
 VERDICTS = {
     "none": "This record shows no missing cause",
     "unexplained": "Something is missing; the cause is unknown",
 }
 """The verdict where no cause is named."""
 NOT_RIGHT = "No cause was found, but the model is not right"
-REPETITION = "The logger repeats readings of the day before"
-PERIOD = {"validation": "the held-out period", "identification": "the identification period"}
-PARTS = {"thermal": "temperature", "hygric": "humidity"}
-NO_GAIN = (
-    "no gain is stated: held-out data cannot confirm an event, or a cause that was seen in one episode only; "
-    "for a single episode the confidence is capped"
-)
-MOST_SENTENCES = 5
-"""Sentences below the verdict; the sections contain the rest."""
-NO_CHECK = "nothing is stated"
+PERIOD = {"validation": "held-out readings", "identification": "identification readings"}
+SCORED_AS = {
+    "temperature": "temperature_K",
+    "humidity": "absolute_humidity_g_m3",
+    "vapour": "absolute_humidity_g_m3",
+}
+"""Quantity of residuals or of the search → scored quantity."""
+NOT_BETTER = "it does not improve the prediction of held-out readings"
+NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
+LEAST_IMPROVEMENT = 0.02
+"""Share by which a cause must lower a levelled free-run error, else it is marked."""
+SHORT_DAYS = 14
+"""Held-out days below which little can be refuted."""
+MOST_SATURATED = 0.01
+"""Share of readings at the sensor's ceiling from which condensation cannot be excluded."""
+UNCHANGED = 5e-3
+"""Relative change of an error that is told as none."""
+MOST_SPANS = 5
+"""Stretches of time of a cause that are told."""
 
 
 # --- words -----------------------------------------------------------------------------------
@@ -57,20 +127,27 @@ def spoken(name: str) -> str:
     return name.replace("_", " ").strip() or "unnamed cause"
 
 
-def title(name: str) -> str:
-    """An identifier as it stands at the beginning of a line."""
-    return capital(spoken(name))
-
-
 def capital(text: str) -> str:
     """A text with a capital letter."""
     return text[:1].upper() + text[1:]
 
 
-def listed(words: Iterable[str]) -> str:
+def listed(words: Iterable[str], last: str = "and") -> str:
     """ "a", "a and b", "a, b and c"."""
     words = list(words)
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+    return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def form_words(code: str) -> str:
+    """A form in words; of a clock its source."""
+    source, summer, _ = code.partition(IN_SUMMER)
+    return f"{source}, in summer time" if summer else FORMS.get(code, code)
+
+
+def formed(cause: str, form: str) -> str:
+    """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
+    words = form_words(form)
+    return f"{spoken(cause)} ({words})" if words else spoken(cause)
 
 
 def signed_percent(share: float) -> str:
@@ -80,32 +157,71 @@ def signed_percent(share: float) -> str:
 
 
 def quantity_of(name: str) -> tuple[str, str]:
-    """Name and unit of a scored quantity."""
-    return QUANTITIES.get(name, (spoken(name) if name else "error", ""))
+    """Name and unit of a quantity of residuals or of the search."""
+    return QUANTITIES.get(SCORED_AS.get(name, ""), (spoken(name) if name else "error", ""))
+
+
+def unchanged(before: float, after: float) -> bool:
+    """Whether two errors are told as equal."""
+    return abs(after - before) <= UNCHANGED * before
 
 
 # --- the verdict -----------------------------------------------------------------------------
 
 
 def tried(found: DiscoveryResults) -> int:
-    """How many causes were tried."""
-    return len({one.cause for one in found.causes} | {one.cause for one in found.rejected})
+    """How many causes were judged."""
+    judged = {one.cause for one in found.rejected if one.reason not in ("left_to_budget", "no_form")}
+    return len(judged | {one.cause for one in found.causes} | {one.cause for one in found.refuted})
 
 
-def repeats_itself(found: DiscoveryResults) -> bool:
-    """Whether the remaining structure is a logger's repetition of readings."""
-    return found.unexplained is not None and found.unexplained.kind == REPEATED
+def unfinished(found: DiscoveryResults) -> str:
+    """That the budget ended the search, and which causes were not judged; empty where it did not."""
+    if not found.work.not_judged:
+        return ""
+    left = listed(map(spoken, found.work.not_judged))
+    return f"The budget of {_simulations(found)} ended the search; not judged: {left}"
+
+
+def _simulations(found: DiscoveryResults) -> str:
+    """The budget in words."""
+    return f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
 
 
 def headline(found: DiscoveryResults) -> str:
+    """The first sentence of the verdict."""
+    return unfinished(found) or answer(found)
+
+
+def named_alone(found: DiscoveryResults) -> str:
+    """The confidence behind the only cause that the headline names; empty where it names none or several."""
+    alone = found.verdict in ("named", "ambiguous") and len(found.causes) == 1 and not unfinished(found)
+    return sure_of(found.causes[0]) if alone else ""
+
+
+def warned(found: DiscoveryResults) -> bool:
+    """Whether the verdict is a warning: the model is wrong, or the search did not end."""
+    return found.verdict == "unexplained" or answer(found) == NOT_RIGHT or bool(unfinished(found))
+
+
+def answer(found: DiscoveryResults) -> str:
     """The verdict in a few words: the causes' names, or that none is named."""
-    if found.verdict == "named":
-        return title(" + ".join(spoken(one.cause) for one in found.causes) or "a cause")
-    if found.verdict == "none" and _doubts(found):
-        return NOT_RIGHT
-    if found.verdict == "unexplained" and repeats_itself(found):
-        return REPETITION
-    return VERDICTS[found.verdict]
+    names = " + ".join(map(class_of, found.causes))
+    if found.verdict in ("named", "ambiguous"):
+        return capital(names or "a cause")
+    if found.verdict == "unexplained" and names:
+        return f"Something is missing beside {names}"
+    if found.verdict == "refuted":
+        return f"Held-out readings refute {listed(formed(one.cause, one.form) for one in found.refuted)}"
+    return NOT_RIGHT if found.verdict == "none" and _doubts(found) else VERDICTS[found.verdict]
+
+
+def class_of(one: CauseFound) -> str:
+    """A cause with those that the record cannot tell from it; a long class names nothing."""
+    rest = [spoken(rival) for rival in one.ambiguous_with]
+    if not one.told_apart:
+        return f"not told apart: {', '.join([spoken(one.cause), *rest])}"
+    return listed([formed(one.cause, one.form), *rest], "or")
 
 
 def _doubts(found: DiscoveryResults) -> list[str]:
@@ -117,245 +233,230 @@ def _doubts(found: DiscoveryResults) -> list[str]:
     ]
 
 
-def verdict_sentences(found: DiscoveryResults) -> list[str]:
-    """The verdict in at most five sentences: cause, gain, rivals, check in the turbine, remaining errors."""
-    if found.verdict == "named" and len(found.causes) == 1:
-        (one,) = found.causes
-        rivals = rivals_sentence(one)
-        said = [
-            one.statement,
-            short_gain(one.gain),
-            f"this record cannot distinguish it from {rivals}" if rivals else "",
-            f"check in the turbine: {one.remedy or NO_CHECK}",
-            *_consequences(found),
-        ]
-    else:
-        named = [
-            f"{spoken(one.cause)} (confidence {confidence_of(one)}): {short_gain(one.gain)}"
-            for one in found.causes
-        ]
-        left = _consequences(found)
-        said = [*left[:1], *named] if named and found.verdict == "unexplained" else [*named, *left]
-        refuted = listed(spoken(one.cause) for one in found.refuted)
-        if refuted:
-            said.append(f"the held-out period refutes {refuted}, named on the identification period")
-    first = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
-    return [sentence(text) for text in (*first, *said) if text][:MOST_SENTENCES]
+def reasons(found: DiscoveryResults) -> list[str]:
+    """What follows the headline: doubts, what is left, the causes, and what limits the verdict."""
+    said = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
+    if unfinished(found):
+        known = "no cause is named" if found.verdict == "none" and not _doubts(found) else answer(found)
+        said.insert(0, f"so far: {known[:1].lower()}{known[1:]}")
+    causes = (_cause(found, one) for one in found.causes)
+    return [text for text in (*said, *meaning(found), *causes, *warnings(found)) if text]
 
 
-def _consequences(found: DiscoveryResults) -> list[str]:
-    """What the verdict means for a user of the simulation."""
-    return [*meaning(found), *advice(found)]
+def _cause(found: DiscoveryResults, one: CauseFound) -> str:
+    """A cause: its name where the headline does not state it alone, meaning, mark and rivals."""
+    what = "" if one.ambiguous_with else one.statement
+    if len(found.causes) > 1 or unfinished(found):
+        name = f"{class_of(one)}{sure_of(one)}"
+        what = f"{name}: {what}" if what else name
+    return "; ".join(text for text in (what, marked(found, one.held_out), alike_sentence(one)) if text)
+
+
+def actions(found: DiscoveryResults) -> list[str]:
+    """What to check in the turbine, and what to do after a verdict that does not name the whole cause."""
+    said = []
+    for one in found.causes:
+        if one.told_apart and one.remedy not in ("", one.separate_by):
+            said.append(f"check in the turbine for {spoken(one.cause)}: {one.remedy}")
+        if one.ambiguous_with and one.separate_by:
+            said.append(f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}")
+    if unfinished(found):
+        said.append(f"allow more than {_simulations(found)} with --budget")
+    elif found.verdict == "unexplained":
+        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
+    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
+        said.append("keep the base model; a cause may be missing that this record does not show")
+    if found.repeated:
+        said.append("find out why the logger repeats readings")
+    return said
 
 
 def meaning(found: DiscoveryResults) -> list[str]:
     """What the verdict says of the model and of the errors that are left."""
-    left = remainder(found)
-    none_of = f"none of {tried(found)} causes of the library"
-    if found.verdict == "named":
-        return [f"the extended model still errs: {left}"] if left else []
+    none_of = f"none of the {tried(found)} causes that were judged"
     if found.verdict == "none" and (doubts := _doubts(found)):
-        return [
-            f"{none_of} improves the simulation significantly and by enough to matter, yet the base model is "
-            "wrong",
-            *doubts,
-        ]
-    if found.verdict == "none":
-        return [
-            f"{none_of} improves the simulation significantly and by enough to matter; its errors look like "
-            "the ordinary disturbances of a cabinet"
-        ]
-    if repeats_itself(found):
-        return [left]
-    said = left or "the remaining errors have a structure that no cause of the library explains"
-    if not found.causes:
-        return [said, f"{none_of} explains it, so no cause is named"]
-    names = listed(spoken(one.cause) for one in found.causes)
-    return [said, f"{names} explains only a part of the errors; take the name with caution"]
-
-
-def advice(found: DiscoveryResults) -> list[str]:
-    """What to do after a verdict that names no cause, or not the whole one."""
-    if found.verdict == "named" or (found.verdict == "none" and _doubts(found)):
+        return [f"{none_of} has enough evidence, yet the base model is wrong", *doubts]
+    if found.verdict == "none" and unfinished(found):
         return []
     if found.verdict == "none":
-        return ["keep the base model; a cause may be missing that this record does not show"]
-    if repeats_itself(found):
-        check = "find out why the logger repeats readings, and correct that first"
-        return [f"{check}; the causes named here were found in the other readings" if found.causes else check]
-    return ["do not rely on the simulation under these conditions; look there for influences not logged"]
+        return [f"{none_of} has enough evidence; the errors look like the ordinary disturbances of a cabinet"]
+    left = [line_sentence(one) for one in found.lines]
+    if found.verdict == "unexplained" and not found.causes:
+        left.append(f"{none_of} explains it, so no cause is named")
+    if found.refuted:
+        names = listed(formed(one.cause, one.form) for one in found.refuted)
+        reasons = [f"{spoken(one.cause)}: {refutation(one.held_out)}" for one in found.refuted]
+        beside = "" if found.verdict == "refuted" else f"held-out readings refute {names}; "
+        left.append(beside + "; ".join(reasons))
+    return left
 
 
-def remainder(found: DiscoveryResults) -> str:
-    """The structure that is left in words; empty where none is."""
-    return "" if found.unexplained is None else found.unexplained.statement
+def warnings(found: DiscoveryResults) -> list[str]:
+    """The worst error of the extended model, and readings that were saturated or repeated."""
+    said = [f"the extended model still errs: {one.statement}" for one in found.left[:1]]
+    if found.saturated > MOST_SATURATED:
+        said.append(
+            f"{percent(found.saturated, 1)} of the humidity readings are at the sensor’s ceiling, so "
+            "condensation cannot be excluded"
+        )
+    known = {name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()}
+    return [*said, repeated_text(known)] if any(known.values()) else said
 
 
-def remainder_driver(found: DiscoveryResults) -> str:
-    """The logged signal that the remaining error correlates with most; empty without one."""
-    left = found.unexplained
-    if left is None or not left.driver or not math.isfinite(left.correlation):
-        return ""
-    late = f", {plain_number(left.lag_h, 2)} h later" if left.lag_h > 0 else ""
-    return (
-        f"of all logged signals it correlates most with the {spoken(left.driver)} "
-        f"(correlation {fixed(left.correlation)}{late})"
-    )
+def line_sentence(one: Line) -> str:
+    """A line that is left in a spectrum."""
+    name, _ = quantity_of(one.quantity)
+    long = one.period_h >= 48.0
+    period = f"{plain_number(one.period_h / 24.0)} days" if long else f"{plain_number(one.period_h)} h"
+    if one.cause:
+        where = f"the daily scores of {spoken(one.cause)} in the {name} have a period of {period}"
+        return f"{where}: the effect changes with it, which this cause does not describe"
+    return f"the errors of the {name} have a period of {period} that no cause explains"
 
 
-def untried(found: DiscoveryResults) -> str:
-    """The trials for which the time budget was too short; empty where there are none."""
-    names = [spoken(name) for name in found.not_tried.causes]
-    parts = [f"{listed(names)} {'was' if len(names) == 1 else 'were'} not tried"] if names else []
-    if found.not_tried.beside:
-        parts.append("no further cause was tried beside the accepted one")
-    seconds = found.not_tried.budget_s
-    return f"within {seconds:.0f} s {' and '.join(parts)}: allow more time with --budget" if parts else ""
+# --- errors ----------------------------------------------------------------------------------
+
+
+def selected(found: DiscoveryResults) -> bool:
+    """Whether held-out readings were used to refute causes."""
+    return found.held_out_days > 0 and bool(found.causes or found.refuted)
+
+
+def place_of(found: DiscoveryResults, gain: Gain) -> str:
+    """The readings that errors are told from."""
+    after = ", after selection" if gain.period == "validation" and selected(found) else ""
+    return f"{PERIOD.get(gain.period, gain.period)}{after}"
+
+
+def held_out_sentences(found: DiscoveryResults) -> list[str]:
+    """How both models were estimated, and what the held-out part can show."""
+    said = []
+    if found.estimator:
+        which = "parameters of both models" if found.extended is not None else "model’s parameters"
+        said.append(f"the {which} {ESTIMATORS.get(found.estimator, found.estimator)}")
+    days = found.held_out_days
+    if not days:
+        said.append("no readings were held out, so nothing could be refuted and errors are those of the fit")
+    elif days < SHORT_DAYS:
+        said.append(
+            f"readings of {days} day{'s' if days > 1 else ''} were held out: too short a part to refute much"
+        )
+    if selected(found):
+        said.append(
+            "after selection: held-out readings can refute a cause, so their errors are those of models that "
+            "passed; in another season they may be larger"
+        )
+    return [sentence(one) for one in said]
 
 
 # --- a cause ---------------------------------------------------------------------------------
 
 
-def confidence_of(cause: CauseFound) -> str:
-    """Confidence in per cent."""
-    if not math.isfinite(cause.confidence):
-        return "not stated"
-    return percent(cause.confidence) if cause.confidence < 0.995 else "> 99 %"
-
-
-def short_gain(gain: Gain | None) -> str:
-    """What a cause gained, in one clause; why none is stated."""
-    if gain is None or not gain.known:
-        return "no gain is stated, because the cause was seen once or is an event"
-    name, symbol = quantity_of(gain.quantity)
-    verb = "falls" if gain.rmse_after < gain.rmse_before else "rises"
-    return (
-        f"the {name} error {verb} from {fixed(gain.rmse_before)} to {fixed(gain.rmse_after)} {symbol} on "
-        f"{PERIOD.get(gain.period, gain.period)}"
-    )
-
-
-def gain_sentence(gain: Gain | None) -> str:
-    """What a cause gained on the held-out period, with bounds; why none is stated."""
-    if gain is None or not gain.known:
-        return NO_GAIN
-    before, after, low, high = gain.rmse_before, gain.rmse_after, gain.lower, gain.upper
-    name, symbol = quantity_of(gain.quantity)
-    change = f", by {percent(abs(1.0 - after / before))}" if before > 0 else ""
-    verb = "falls" if after < before else "rises"
-    said = (
-        f"on {PERIOD.get(gain.period, gain.period)} the {name} error of the free run {verb} from "
-        f"{fixed(before)} to {fixed(after)} {symbol}{change}"
-    )
-    if math.isfinite(low) and high < 0.0:
-        said += f" (95 % bounds of the rise: {fixed(-high)} … {fixed(-low)} {symbol})"
-    elif math.isfinite(low) and math.isfinite(high):
-        said += f" (95 % bounds of the fall: {fixed(low)} … {fixed(high)} {symbol})"
-        if low <= 0.0:
-            said += ": on this period alone the gain is not certain"
-    own = [gain.identified_before, gain.identified_after]
-    if all(map(math.isfinite, own)) and [fixed(v) for v in own] != [fixed(before), fixed(after)]:
-        said += (
-            ". Both models are compared here with the parameters that simulate better; as identified, their "
-            f"errors are {fixed(own[0])} and {fixed(own[1])} {symbol}, as in the tables and on the fit's page"
-        )
-    elif math.isfinite(own[0]) != math.isfinite(own[1]):
-        which = "with" if math.isfinite(own[0]) else "without"
-        said += f". As identified, the model {which} the cause diverges in the free run and has no error"
-    if gain.period == "identification":
-        said += "; there is no held-out period, so the cause is scored on the data that it was chosen on"
-    return said
-
-
-def evidence_sentence(found: Evidence) -> str:
-    """Likelihood and free run of the identification period, by which a cause was chosen."""
-    parts = []
-    if math.isfinite(found.lr):
-        said = f"2 ln L grows by {found.lr:.0f}"
-        if math.isfinite(found.df):
-            said += f" for {found.df:.0f} {'parameter' if found.df == 1 else 'parameters'}"
-        if math.isfinite(found.bic_gain):
-            said += (
-                f"; evidence {minus(f'{found.bic_gain:.0f}')} after corrections for the base model's misfit "
-                "and for the search"
-            )
-        parts.append(said)
-    if math.isfinite(found.score_statistic):
-        parts.append(f"score statistic {plain_number(found.score_statistic)}")
-    p = found.p_adjusted
-    if math.isfinite(p):
-        parts.append(f"p {p_value(p) if p < 1e-3 else f'= {p_value(p)}'}, corrected for all that was tried")
-    for part, share in found.free_run_gain.items():
-        if math.isfinite(share):
-            lasting = found.lasting_gain.get(part, math.nan)
-            without = f" ({share_text(lasting)} without the best days)" if math.isfinite(lasting) else ""
-            name = PARTS.get(part, spoken(part))
-            parts.append(f"the squared {name} error {_fell(share)}{without}")
-    return "; ".join(parts) or "no evidence is stated"
-
-
-def _fell(share: float) -> str:
-    """By how much an error fell, or grew."""
-    if abs(share) < 0.005:
-        return "stays"
-    return f"falls by {percent(share)}" if share > 0 else f"grows by {percent(-share)}"
-
-
-def rivals_sentence(cause: CauseFound) -> str:
-    """The causes that this record cannot distinguish, and what could; empty where there are none."""
-    if not cause.ambiguous_with:
+def sure_of(one: CauseFound) -> str:
+    """The confidence behind a name; empty for a class that names nothing."""
+    if not one.told_apart:
         return ""
-    measure = f"; to distinguish them: {cause.separate_by}" if cause.separate_by else ""
-    return f"{listed(spoken(one) for one in cause.ambiguous_with)}{measure}"
+    share = one.confidence
+    known = "> 99 %" if share >= 0.995 else percent(share) if math.isfinite(share) else "not stated"
+    return f", confidence {known}"
+
+
+def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
+    """The mark of a cause that does not lower the held-out errors; empty for one that does."""
+    if not found.held_out_days:
+        return ""
+    if not one.days:
+        return NOT_SEEN
+    return NOT_BETTER if one.improvement < LEAST_IMPROVEMENT else ""
+
+
+def refutation(one: HeldOutTest) -> str:
+    """Why held-out readings refute a cause."""
+    if one.reason == "no_gain":
+        return "on held-out readings neither the errors fall nor the likelihood grows"
+    grown = [q for q in one.z if one.z[q] > WORSE_Z or one.growth.get(q, math.nan) > WORSE_GROWTH]
+    names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
+    return f"with it the errors of the {names} on held-out readings grow"
+
+
+def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
+    """What held-out readings say of a cause beside the errors of its table."""
+    if not one.days:
+        return NOT_SEEN if found.held_out_days else "no readings were held out"
+    said = [f"a levelled free-run error falls by {percent(one.improvement)}"]
+    if math.isfinite(one.gain):
+        said.append(f"2 ln L {'grows' if one.gain >= 0 else 'falls'} by {abs(one.gain):.0f}")
+    return "; ".join([*said, f"{one.days} days with readings"])
+
+
+def alike_sentence(cause: CauseFound) -> str:
+    """The forms and causes that this record cannot tell apart; empty where there are none."""
+    said = []
+    if cause.forms_alike:
+        forms = listed((form_words(form) or "as given" for form in cause.forms_alike), "or")
+        said.append(f"in this form or {forms}: this record cannot tell these apart")
+    if cause.ambiguous_with and cause.told_apart:
+        said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
+    return "; ".join(said)
 
 
 def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
-    """(value, bounds, unit) of a parameter with the digits that its bounds justify."""
+    """(value, bounds, unit) of a parameter with the digits that its bounds justify; levels in °C."""
     value, low, high = row.value, row.lower, row.upper
+    symbol = unit(row.unit)
+    if row.unit == "K" and value > 150.0:
+        value, low, high, symbol = *(v - ZERO_CELSIUS_K for v in (value, low, high)), "°C"
     if math.isfinite(low) and math.isfinite(high) and high > low:
         decimals = decimals_for(0.25 * (high - low))
         shown = [fixed(v, decimals) for v in (value, low, high)]
     else:
         shown = [plain_number(value), *(plain_number(v) if math.isfinite(v) else "open" for v in (low, high))]
-    return shown[0], f"{shown[1]} … {shown[2]}", unit(row.unit)
+    return shown[0], f"{shown[1]} … {shown[2]}", symbol
 
 
+TOLD_ELSEWHERE = (
+    "start_s", "end_s", "reads", "idle", "rising", "workdays", "start", "full", "on", "off", "on_K", "off_K",
+    "source", "relative_to",
+)  # fmt: skip
+"""Settings that the form, the record or the parameters (levels of controllers) tell."""
 _UNITS = {"_K": "K", "_h": "h", "_deg": "°", "_min": "min", "_mm": "mm"}
 
 
 def settings_words(settings: Settings) -> list[str]:
-    """Settings that were found on a grid: dates, thresholds, clock errors, each in its own words."""
-    found = []
-    for key, value in settings.items():
-        if key in ("start_s", "end_s", "reads"):
-            continue
-        if isinstance(value, list | tuple):
-            spans = [one for one in value if isinstance(one, list | tuple) and len(one) == 2]
-            found += [f"from {date_words(a)} to {date_words(b)}" for a, b in spans]
-        elif isinstance(value, bool) or not isinstance(value, int | float):
-            if not isinstance(value, bool) and value:
-                found.append(f"{spoken(key)} {value}")
-        elif key == "date_s":
-            found.append(f"date {date_words(value)}")
-        elif key == "shift_s":
-            found.append(f"stamps moved by {fixed(value / 60.0, 1)} min")
-        elif key == "days":
-            if value:
-                found.append(f"over {plain_number(value)} days")
-        elif key in ("on", "off", "on_K", "off_K", "above"):
-            found.append(f"{spoken(key.removesuffix('_K'))} {_level(value)}")
-        else:
-            ending = next((end for end in _UNITS if key.endswith(end)), "")
-            said = f"{spoken(key.removesuffix(ending))} {plain_number(value)} {_UNITS.get(ending, '')}"
-            found.append(said.strip())
-    return found
+    """Settings that were found on a grid: dates, hours, clock errors, each in its own words."""
+    return [
+        words
+        for key, value in settings.items()
+        if key not in TOLD_ELSEWHERE
+        for words in _setting_words(key, value, settings)
+    ]
 
 
-def _level(value: float) -> str:
-    """A threshold: temperatures above 150 K in °C, humidities up to 1 in per cent."""
-    if value > 150.0:
-        return f"{fixed(value - ZERO_CELSIUS_K, 1)} °C"
-    return percent(value) if 0.0 < value <= 1.0 else plain_number(value)
+def _setting_words(key: str, value: Any, settings: Settings) -> list[str]:
+    if isinstance(value, list | tuple):
+        spans = [one for one in value if isinstance(one, list | tuple) and len(one) == 2]
+        rest = len(spans) - MOST_SPANS
+        said = [f"from {date_words(a)} to {date_words(b)}" for a, b in spans[:MOST_SPANS]]
+        return [*said, f"and {rest} more"] if rest > 0 else said
+    if isinstance(value, bool) or value is None:
+        return []
+    if not isinstance(value, int | float):
+        return [f"{spoken(key)} {value}"]
+    if key == "date_s":
+        return [f"date {date_words(value)}"]
+    if key == "shift_s":
+        source = settings.get("source", "the source")
+        other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
+        when = " in summer time" if settings.get("summer") else ""
+        return [f"stamps of {source} moved by {fixed(value / 60.0, 1)} min{when}{other}"]
+    if key == "days":
+        return [f"over {plain_number(value)} days"] if value else []
+    if key == "start_h":
+        return [f"from {value:g} h UTC"]
+    if key == "hours":
+        return [f"for {value:g} h"]
+    ending = next((end for end in _UNITS if key.endswith(end)), "")
+    return [f"{spoken(key.removesuffix(ending))} {plain_number(value)} {_UNITS.get(ending, '')}".strip()]
 
 
 def date_words(instant_s: float) -> str:
@@ -364,45 +465,3 @@ def date_words(instant_s: float) -> str:
         return f"{datetime.fromtimestamp(float(instant_s), UTC):%-d %B %Y %H:%M} UTC"
     except (TypeError, ValueError, OverflowError, OSError):
         return "unknown date"
-
-
-# --- errors ----------------------------------------------------------------------------------
-
-
-def scored_error(found: DiscoveryResults, quantity: str) -> tuple[float, float, str]:
-    """(RMSE before, after, period) of a scored quantity; after is NaN without an extended model.
-
-    The validation period where there is one, else the identification period.
-    """
-    for period in ("validation", "identification"):
-        before = found.baseline.fit.errors(period, quantity).total
-        if math.isfinite(before):
-            after = math.nan if found.extended is None else found.extended.fit.errors(period, quantity).total
-            return before, after, period
-    return math.nan, math.nan, ""
-
-
-def error_sentences(found: DiscoveryResults) -> list[str]:
-    """For each scored quantity the free-run error before and after, and against the best simple rule."""
-    said = []
-    for quantity in SCORED:
-        before, after, period = scored_error(found, quantity)
-        if not math.isfinite(before):
-            continue
-        name, symbol = QUANTITIES[quantity]
-        where = f"on {PERIOD[period]}"
-        last = after if math.isfinite(after) else before
-        if math.isfinite(after) and before > 0:
-            text = (
-                f"The {name} error {where}: {fixed(before)} → {fixed(after)} {symbol} "
-                f"({signed_percent(after / before - 1.0)})"
-            )
-        else:
-            text = f"The {name} error {where}: {fixed(before)} {symbol}"
-        rule = best_rule(found.baseline.fit, quantity, period)
-        if rule is not None:
-            against = last / rule.rule - 1.0
-            side = "below" if against <= 0 else "above"
-            text += f", {percent(abs(against))} {side} the rule “{rule.words}” ({fixed(rule.rule)} {symbol})"
-        said.append(f"{text}.")
-    return said

@@ -34,14 +34,13 @@ from hygrokf.report.blocks import (
     Table,
     Verdicts,
     method,
-    present,
     section,
     synthetic,
     table_or,
 )
 from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.identification import PRODUCT
 from hygrokf.report.fit_tables import (
-    PRODUCT,
     actuators_table,
     bands_table,
     innovations_table,
@@ -106,36 +105,34 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
 def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     """What a fit says: the time constants with their verdicts and the validation period first."""
     pictures = {one.name: one.of(fit, series) for one in FIGURES}
-    constants = time_constants_table(fit)
-    actuators = actuators_table(fit)
-    rmse = [rmse_table(fit, period) for period in ("validation", "identification")]
-    bands, parameters, innovations = bands_table(fit), parameters_table(fit), innovations_table(fit)
-    believe, terms = _judgements(fit), Prose(TERMS, "note")
-    cards = Cards(tuple(_card(fit, name) for name in PARTS))
     body = (
-        *section("What is reliable", terms, believe),
+        *section("What is reliable", Prose(TERMS, "note"), _judgements(fit)),
         *section(
             "Accuracy",
-            table_or(rmse[0], "No validation period: `until` is not stated, or nothing was scored after it."),
-            table_or(rmse[1], "Nothing was scored in the identification period."),
-            table_or(bands, "No band could be checked against readings."),
+            table_or(
+                rmse_table(fit, "validation"),
+                "No validation period: `until` is not stated, or nothing was scored after it.",
+            ),
+            table_or(rmse_table(fit, "identification"), "Nothing was scored in the identification period."),
+            table_or(bands_table(fit), "No band could be checked against readings."),
         ),
         *section(
             "Measured and simulated", *(pictures[one] for one in ("temperature", "humidity", "excerpts"))
         ),
         *section(
             "What was identified",
-            table_or(constants, "No time constant was identified."),
+            table_or(time_constants_table(fit), "No time constant was identified."),
             pictures["profiles"],
             pictures["composition"],
             pictures["heat-release"],
-            actuators,
+            actuators_table(fit),
             Details(
                 "All parameters",
                 (
-                    table_or(parameters, "The fit holds no parameters."),
+                    table_or(parameters_table(fit), "The fit holds no parameters."),
                     table_or(optima_table(fit), "All starts ended in the same optimum."),
                 ),
+                printed=True,
             ),
         ),
         *section(
@@ -148,19 +145,18 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
                     pictures["innovations-temperature"],
                     pictures["innovations-humidity"],
                 ),
+                printed=True,
             ),
         ),
         *section("Data", Details("Masks, repairs, warnings and files", _data(fit))),
     )
-    tables = (constants, actuators, rmse[1], rmse[0], bands, parameters, innovations)
     return Page(
         "Identification report",
         one_line(fit.name).strip() or "unnamed record",
         _about(fit),
-        (*_banners(fit), cards, pictures["validation"]),
+        (*_banners(fit), Cards(tuple(_card(fit, name) for name in PARTS)), pictures["validation"]),
         body,
         _method(fit),
-        present(cards, terms, *tables, believe),
     )
 
 
@@ -199,7 +195,7 @@ def _card(fit: FitResults, name: str) -> Card:
     constant = time_constant(fit, name)
     label, symbol = f"{name} time constant", PRODUCT[name]
     if constant.found is None:
-        return Card(label, constant.value, constant.sentence, symbol=symbol, lines=(_why_missing(fit, name),))
+        return Card(label, constant.value, symbol=symbol, lines=(_why_missing(fit, name),))
     verdict = constant.verdict
     lines = []
     if constant.found.statement and not constant.closed:
@@ -214,7 +210,7 @@ def _card(fit: FitResults, name: str) -> Card:
         lines.append(" ".join(last))
     reason = sentence(verdict.why) if verdict.verdict == REJECT and verdict.why else verdict.why
     return Card(
-        label, constant.value, constant.sentence, verdict.verdict, constant.bounds, reason, symbol,
+        label, constant.value, verdict.verdict, constant.bounds, reason, symbol,
         tuple(lines), words=constant.value == UNBOUNDED,
     )  # fmt: skip
 

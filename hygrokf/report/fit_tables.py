@@ -23,11 +23,10 @@ from hygrokf.identification.wording import (
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
+from hygrokf.report.figures.identification import PRODUCT
 from hygrokf.report.fit_text import lead_words, method, p_value, range_of, simulated, time_constant
 from hygrokf.report.terminal import blocks_text
 
-PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
-"""Symbols of the time constants."""
 ACTUATORS = (
     "Mean difference between the simulations with and without the actuator while it is above half of its "
     "span, with 95 % bounds."

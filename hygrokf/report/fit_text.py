@@ -34,7 +34,6 @@ from hygrokf.identification.verdict_terms import (
     QUANTITY_OF,
     REJECT,
     Verdict,
-    verdict_line,
 )
 from hygrokf.identification.wording import (
     NONE,
@@ -74,20 +73,6 @@ class TimeConstant:
     closed: bool
     found: fit_results.TimeConstant | None
     verdict: Verdict = field(default_factory=Verdict)
-
-    @property
-    def span(self) -> str:
-        """Value and bounds."""
-        return f"{self.value} ({self.bounds})" if self.bounds else self.value
-
-    @property
-    def sentence(self) -> str:
-        """The number with its verdict; the verdict first where the number is not reliable."""
-        return (
-            f"{self.name} {self.span}"
-            if self.found is None
-            else verdict_line(self.name, self.span, self.verdict)
-        )
 
 
 def time_constant(fit: FitResults, name: str) -> TimeConstant:

@@ -34,25 +34,23 @@ from hygrokf.report.blocks import (
     Details,
     Figure,
     Heading,
-    Items,
     Page,
     Prose,
     Table,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.figures.fleet import figure_spreads
-from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.page import page_html
-from hygrokf.report.transfer_page import type_table
+from hygrokf.report.transfer_page import type_section
 from hygrokf.version import __version__
 
 RANKED = 50
 """Rows of the ranking on the page; fleet.csv has all."""
 REMARKS = 12
 """Remarks on weather and power on the page, those of most turbines first."""
-SHOWN = 60
-"""Turbines in the table at the terminal; fleet.csv has all."""
+LEFT_OUT = "Left out, because they differ from the others by more than chance:"
 FAILURE = ("turbine", "status", "reason")
 """Columns that report a turbine without a result."""
 
@@ -90,25 +88,17 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     pictures = _pictures(found)
     cards = Cards(tuple(_cards(fleet, found)))
     ranking = _ranking(task.ranking, task.compared, done, found)
-    outliers = _outliers(found)
+    left_out = ", ".join(fleet.type_without)
     body = (
         *_failures(fleet),
-        *section("Outliers", outliers),
+        *section("Outliers", _outliers(found)),
         *_believed(done),
         *_verdicts(done),
         *_transfers(done),
         *_climates(done),
         *section("Spread over the fleet", *pictures[1:], *_set_aside(found)),
-        *_type(fleet),
-        *section("Ranking", Details("Every turbine", (ranking,)) if ranking else None),
-    )
-    departing = Items(tuple(_departing(found))) if isinstance(outliers, Table) else outliers
-    failed = [": ".join(text_of(row, name) for name in FAILURE) for row in fleet.missing]
-    brief = (
-        Prose(f"{len(done)} of {len(fleet.rows)} turbines with a result"),
-        _brief_table(fleet),
-        Items(tuple(failed[:SHOWN])) if failed else None,
-        departing,
+        *type_section(fleet.type, Prose(f"{LEFT_OUT} {left_out}.", "note") if left_out else None),
+        *section("Ranking", Details("Every turbine", (ranking,), printed=True) if ranking else None),
     )
     return Page(
         f"Fleet report, {fleet.task}",
@@ -117,16 +107,13 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         (*_banners(done), cards, *pictures[:1]),
         body,
         _method(fleet),
-        tuple(block for block in brief if block is not None),
     )
 
 
 def _banners(done: Sequence[Row]) -> tuple[Banner, ...]:
     count = sum(row.get("synthetic") is True for row in done)
-    if not count:
-        return ()
     which = "All records" if count == len(done) else f"{count} of {len(done)} records"
-    return (Banner("SYNTHETIC", f"{which} were made by a computer. Nothing of them was measured."),)
+    return synthetic(count > 0, f"{which} were made by a computer. Nothing of them was measured.")
 
 
 # --- the answer ------------------------------------------------------------------------------
@@ -165,7 +152,7 @@ def _spread_card(one: Spread) -> Card:
 
 
 def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
-    return Card(label, value, f"{label}: {value}. {text}", lines=(text,), tone="open" if warning else "plain")
+    return Card(label, value, lines=(text,), tone="open" if warning else "plain")
 
 
 def _pictures(found: Sequence[Spread]) -> list[Figure]:
@@ -190,33 +177,6 @@ def _pictures(found: Sequence[Spread]) -> list[Figure]:
 def _present(compared: Sequence[Compared], done: Sequence[Row]) -> list[Compared]:
     """The quantities that any turbine has a value of."""
     return [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
-
-
-def _brief_table(fleet: FleetResults) -> Table | None:
-    """The turbines with the compared quantities; None where none has a result."""
-    done = fleet.done
-    compared = _present(TASKS[fleet.task].compared, done)
-    head = ("turbine", *(_HEADS.get(one.column, one.title) for one in compared))
-    rows = tuple((text_of(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
-    more = len(done) - SHOWN
-    return Table("", head, rows, note=f"{more} more in {CSV}." if more > 0 else "") if rows else None
-
-
-_HEADS = {
-    "thermal_value_h": "thermal [h]",
-    "hygric_value_h": "hygric [h]",
-    "temperature_rmse_K": "RMSE T [K]",
-    "humidity_rmse_g_m3": "RMSE c [g/m³]",
-}
-
-
-def _departing(found: Sequence[Spread]) -> list[str]:
-    return [
-        f"{one.turbines[i]} is an outlier: {one.compared.title} {math.exp(one.x[i]):.3g} {one.compared.unit} "
-        f"(median {math.exp(one.center):.3g}), chance {one.p[i]:.2g}"
-        for one in found
-        for i in one.outliers
-    ]
 
 
 # --- sections --------------------------------------------------------------------------------
@@ -292,23 +252,29 @@ def _verdict(row: Row, part: str) -> str:
 
 
 def _verdicts(done: Sequence[Row]) -> tuple[Block, ...]:
-    """The verdicts of a fleet's discoveries, and the turbines of each accepted cause."""
+    """The verdicts of a fleet's discoveries, and the turbines of each named cause."""
     if not any("verdict" in row for row in done):
         return ()
     verdicts = Counter(text_of(row, "verdict") for row in done)
     causes = Counter(one for row in done for one in text_of(row, "causes").split())
     rows = tuple(
         (
-            one.replace("_", " "),
+            one.replace("_", " ").replace("/", " or "),
             str(count),
             ", ".join(text_of(r, "turbine") for r in done if one in text_of(r, "causes").split()),
         )
         for one, count in causes.most_common()
     )
-    table = Table("Accepted causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
-    counts = ", ".join(f"{verdicts[v]} {v}" for v in ("none", "named", "unexplained") if verdicts[v])
+    table = Table("Named causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
+    kinds = ("none", "named", "ambiguous", "unexplained", "refuted")
+    counts = ", ".join(f"{verdicts[v]} {v}" for v in kinds if verdicts[v])
+    ended = [text_of(row, "turbine") for row in done if text_of(row, "not_judged")]
+    budget = f"The budget of simulations ended the search before every cause was judged: {', '.join(ended)}."
     return section(
-        "What the simulations lack", Prose(f"Verdicts: {counts}."), table_or(table, "No cause was accepted.")
+        "What the simulations lack",
+        Prose(budget) if ended else None,
+        Prose(f"Verdicts: {counts}."),
+        table_or(table, "No cause was named."),
     )
 
 
@@ -377,17 +343,6 @@ def _set_aside(found: Sequence[Spread]) -> list[Prose]:
                 listed = f"{', '.join(names[:20])}{' …' if len(names) > 20 else ''}"
                 notes.append(Prose(f"{why}, so not compared: {one.compared.title} of {listed}.", "note"))
     return notes
-
-
-def _type(fleet: FleetResults) -> tuple[Block, ...]:
-    """The type of turbine, where the fits make one."""
-    if fleet.type is None:
-        return ()
-    left_out = ", ".join(fleet.type_without)
-    why = f"Left out, because they differ from the others by more than chance: {left_out}."
-    without = Prose(why, "note") if left_out else None
-    picture = Figure("type", "Type and next turbine", "", partial(figure_type, fleet.type))
-    return section("The type of turbine", type_table(fleet.type), without, picture)
 
 
 def _ranking(

@@ -77,6 +77,6 @@ def _drawn(figure: Figure) -> tuple[Markup | None, str]:
     from markupsafe import Markup
 
     try:
-        return Markup(inline_svg(figure.draw(), figure.name, figure.heading)), ""
+        return Markup(inline_svg(figure.draw().figure(), figure.name, one_line(figure.heading))), ""
     except NothingToShow as why:
         return None, one_line(str(why))

@@ -13,8 +13,9 @@ from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.results import Discovered
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
+from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, expect_matplotlib, styled
-from hygrokf.report.figures.lead import Lead, lead_of_climate, lead_of_discovery, lead_of_fit
+from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,10 +47,10 @@ def plot_climate(study: Study, axes: Axes | Sequence[Axes] | None = None) -> tup
     return _plotted(lambda: lead_of_climate(study), study.name, axes)
 
 
-def _plotted(made: Callable[[], Lead], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
+def _plotted(made: Callable[[], Figure], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
     """Draw on the axes given, in the user's style, or on a new figure of pyplot in that of the reports."""
     try:
-        panels = made().panels
+        panels = made().draw()
     except NothingToShow as why:
         raise HygrokfError(f"{name}: nothing to plot. {why}") from None
     if axes is None:

@@ -8,11 +8,12 @@ import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 
-from hygrokf.identification.verdict_terms import PLAIN_MARKS, VERDICTS
-from hygrokf.identification.wording import one_line
+from hygrokf.identification.verdict_terms import PLAIN_MARKS, REJECT, VERDICTS
+from hygrokf.identification.wording import one_line, sentence
 from hygrokf.report.blocks import (
     Banner,
     Block,
+    Card,
     Cards,
     Details,
     Facts,
@@ -41,7 +42,7 @@ def terminal_width() -> int:
 
 
 def page_text(page: Page, width: int | None = None) -> str:
-    """What a terminal prints of a page: its name, its warnings, and the blocks of `brief`.
+    """What a terminal prints of a page: its name, its warnings, its answer, and the sections that hold text.
 
     width: [columns]; None: see `terminal_width`.
     """
@@ -49,8 +50,16 @@ def page_text(page: Page, width: int | None = None) -> str:
     warnings = [block for block in page.lead if isinstance(block, Banner)]
     synthetic = any(block.word == "SYNTHETIC" for block in warnings)
     name = f"{page.name}{' (SYNTHETIC: nothing measured)' if synthetic else ''}"
-    others = [block for block in warnings if block.word != "SYNTHETIC"]
-    return "\n\n".join([_paragraph(name, width), *blocks_text((*others, *page.brief), width)])
+    texts = [_paragraph(name, width)]
+    heading = ""
+    for block in (*page.lead, *page.body):
+        text = "" if isinstance(block, Banner) and block.word == "SYNTHETIC" else block_text(block, width)
+        if isinstance(block, Heading) and block.level == 2:
+            heading = text
+        elif text:
+            texts += [heading, text] if heading else [text]
+            heading = ""
+    return "\n\n".join(texts)
 
 
 def blocks_text(blocks: Iterable[Block], width: int | None = None) -> list[str]:
@@ -78,16 +87,29 @@ def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
         case Banner():
             return _paragraph(f"{block.word}: {block.text}", width)
         case Cards():
-            return "\n".join(_paragraph(card.sentence, width) for card in block.cards)
+            return "\n".join(_paragraph(_card(card), width) for card in block.cards)
         case Verdicts():
             head = [block.heading] if block.heading else [KEY] if block.key else []
             return "\n".join([*head, *(_line(line, width) for line in block.lines)])
         case Table():
             return table_text(block, width)
+        case Details() if not block.printed:
+            return _paragraph(f"{block.summary}: on the page.", width)
         case Details():
             return "\n\n".join([_paragraph(block.summary, width), *blocks_text(block.blocks, width)])
         case Figure():
             return ""
+
+
+def _card(card: Card) -> str:
+    """A number with its verdict; for a rejected number the verdict comes first."""
+    value = f"{card.value} ({card.bounds})" if card.bounds else card.value
+    if card.kind == REJECT:
+        said = f"{card.label}, {card.verdict}: {value}"
+    else:
+        said = f"{card.label}: {value}{f', {card.verdict}' if card.kind else ''}"
+    end = "" if said.endswith(".") else "."  # the label may be a name: no capital
+    return " ".join([f"{said}{end}", *(sentence(text) for text in (card.reason, *card.lines) if text)])
 
 
 def _line(line: Line, width: int) -> str:

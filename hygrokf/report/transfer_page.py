@@ -24,15 +24,12 @@ from hygrokf.report.blocks import (
     Card,
     Cards,
     Details,
-    Facts,
     Figure,
-    Heading,
     Page,
     Prose,
     Table,
     inherited_verdicts,
     method,
-    present,
     section,
     synthetic,
     table_or,
@@ -150,17 +147,12 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> P
         for i, (one, course) in enumerate(zip(found.records, courses, strict=False))
     ]
     body: list[Block] = []
-    brief: list[Block | None] = [cards]
-    for i, one in enumerate(found.records):
+    for i in range(len(names)):
         body += _record(found, i, pictures[i] if 0 < i < len(pictures) else None)
-        heading = Heading(names[i]) if names[1:] else None
-        brief += [heading, _groups_in_brief(one), *errors_tables(one), _notes(one)]
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("Models used", handed)
-    if found.type is not None:
-        picture = Figure("type", "Type and next turbine", "", partial(figure_type, found.type))
-        body += section("The type of turbine", type_table(found.type), picture)
+    body += type_section(found.type)
     made_up = any(one.synthetic for one in found.records)
     return Page(
         "Transfer",
@@ -173,19 +165,16 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> P
         ),
         tuple(body),
         method("Method", *METHOD, f"Judged by hygrokf {found.version}; page by hygrokf {__version__}."),
-        present(handed, *brief, Prose(SETS_NOTE), type_table(found.type) if found.type else None),
     )
 
 
 def _card(found: TransferResults, one: TransferResult) -> Card:
     """The verdict on one record with its reasons; of several records, with the first reason."""
     reasons = tuple(sentence(line) for line in one.reasons)
-    said = f"{found.source.name} on {one.name}: {one.sentence}."
     alone = len(found.records) == 1
     return Card(
         one.name,
         sentence(one.sentence),
-        " ".join((said, *reasons)),
         lines=reasons if alone else reasons[:1],
         wide=alone,
         words=True,
@@ -263,15 +252,6 @@ def groups_table(one: TransferResult) -> Table:
     )
 
 
-def _groups_in_brief(one: TransferResult) -> Facts:
-    """The outcome of each group, for a terminal."""
-    rows = []
-    for row in one.groups:
-        p = "" if row.p_adjusted is None else f" (p {_chance(row.p_adjusted)})"
-        rows.append((row.group, f"{row.statement}{p}"))
-    return Facts(tuple(rows))
-
-
 def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     """For each quantity the errors of the four sets and the rules on the instants that all of them score."""
     held_out = one.period == "validation"
@@ -330,6 +310,14 @@ def ratios_table(one: TransferResult) -> Table:
 
 
 # --- the type of turbine ---------------------------------------------------------------------
+
+
+def type_section(found: TurbineType | None, note: Prose | None = None) -> tuple[Block, ...]:
+    """The section about a type of turbine; nothing without one."""
+    if found is None:
+        return ()
+    picture = Figure("type", "Type and next turbine", "", partial(figure_type, found))
+    return section("The type of turbine", type_table(found), note, picture)
 
 
 def type_table(found: TurbineType) -> Table:

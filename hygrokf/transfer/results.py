@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final, Literal
 
-from hygrokf.data.structured import optional, renamed
+from hygrokf.data.structured import optional
 from hygrokf.evaluation.scoring import Counts
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.turbine_type import TurbineType
@@ -184,7 +184,7 @@ class TransferResult:
     at_bounds: tuple[str, ...]
     converged: Mapping[str, bool]
     matters: Mapping[str, float]
-    source: Source = renamed("from")
+    source: Source
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -234,7 +234,7 @@ class TransferResults:
     created: str
     records: tuple[TransferResult, ...]
     type: TurbineType | None
-    source: Source = renamed("from")
+    source: Source
 
 
 def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None = None) -> TransferResults:

@@ -60,10 +60,9 @@ def rounded(seconds: float) -> float:
     return 300.0 * round(seconds / 300.0)
 
 
-def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
+def alignments(record: Record) -> tuple[Alignment, ...]:
     """Comparison of every `compared` series of a record with the series of the same signal that is used.
 
-    seed: of the bootstrap.
     The reference, `other` of an alignment, is the series with the longer step, such as a reanalysis; with
     equal steps it is the compared one.
     """
@@ -75,7 +74,7 @@ def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
         first, second = record[other.signal], other
         if modal_step(first.time)[0] > modal_step(second.time)[0]:
             first, second = second, first
-        made = align(first, second, america=america, seed=seed)
+        made = align(first, second, america=america)
         if made is not None:
             found.append(made)
     return tuple(found)

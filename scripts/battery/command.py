@@ -10,6 +10,7 @@ from pathlib import Path
 
 from trials.command import read_lines, span
 
+from battery.calibration import calibrated
 from battery.cases import GROUPS, Case, chosen
 from battery.tables import table
 from battery.trial import run_case
@@ -41,16 +42,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="JSON lines: the first is appended to and its cases are left out; the table reads all",
     )  # fmt: skip
     parser.add_argument("--table", action="store_true", help="print the table of the files")
+    parser.add_argument(
+        "--calibrate", action="store_true", help="print the coefficients of the confidence from the files"
+    )
     options = parser.parse_args(arguments)
     if unknown := sorted(set(options.groups) - set(GROUPS)):
         parser.error(f"expected groups of {', '.join(GROUPS)}, found {', '.join(unknown)}")
-    if bool(options.groups) != bool(options.seeds) or not (options.groups or options.table):
-        parser.error("expected GROUP and --seeds, or --table")
+    printed = [one for one, wanted in ((table, options.table), (calibrated, options.calibrate)) if wanted]
+    if bool(options.groups) != bool(options.seeds) or not (options.groups or printed):
+        parser.error("expected GROUP and --seeds, or --table, or --calibrate")
     if options.groups:
         run_into(options.out[0], chosen(options.groups, options.seeds))
-    if options.table:
+    if printed:
         lines = read_lines(options.out)
         if not lines:
             parser.error(f"no lines in {', '.join(map(str, options.out))}: name a GROUP and --seeds first")
-        print(table(lines))
+        for one in printed:
+            print(one(lines))
     return 0

@@ -1,4 +1,4 @@
-"""Measured records, what is known of them, and known effects that are put into them.
+"""Measured records, and what is known of them.
 
 Attics: the air in the middle under the roof stands for the cabinet, the weather station for the ambient.
 House: the living room.  Neither has a converter, so there is no power.  The loggers inside and the weather
@@ -16,29 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
-from plants.injection import YEAR_S, inject
-from plants.saturation import concentration, saturation_pressure
 
 from hygrokf.cases.case_file import read_case
-from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.record import Record
 
 DATA = Path(__file__).resolve().parents[2] / "../shared/data"
 IDENTIFIED = 2.0 / 3.0
 """Share of a record, from its start, that identifies; the rest gives the gain."""
-CAUSE_OF = {
-    "clock_shift": "clock_shift",
-    "humidity_drift": "humidity_sensor_drift",
-    "temperature_step": "temperature_sensor_offset",
-    "sorption": "moisture_sorption",
-}
-"""The library's name of each effect that is put in."""
-SORPTION_G_M3 = (0.4, 0.8)
-"""[g/m3] root mean square change of the vapour that sorption makes; the others are sized by what they are."""
-MOST_CAPACITY_KG_M3 = 2.0
-_SIZINGS = 3
 INSIDE = ("cabinet_temperature", "cabinet_relative_humidity")
 
 _ATTIC = """\
@@ -342,100 +327,3 @@ def before_the_last_fifth(record: Record) -> tuple[Record, Record]:
     start, end = _inside_s(record)
     cut = _identified(record.window(-math.inf, end - 0.2 * (end - start)))
     return cut, replace(record, until_s=cut.until_s)
-
-
-LONGEST_PIECE_DAYS = 90.0
-
-
-def pieces(name: str) -> list[Record]:
-    """A measured record in equal pieces of at most 90 days, without overlap, each identified in its first two
-    thirds."""
-    record = measured(name)
-    start, end = _inside_s(record)
-    count = math.ceil((end - start) / (LONGEST_PIECE_DAYS * DAY_S))
-    edges = np.linspace(start, end, count + 1)
-    found = []
-    for number in range(count):
-        after = float(np.nextafter(edges[number], math.inf)) if number else start
-        piece = record.window(after, float(edges[number + 1]))
-        found.append(_identified(replace(piece, name=f"{name} {number + 1} of {count}")))
-    return found
-
-
-def _changed(one: Series, effect: str, **parameters: object) -> Series:
-    time, value = inject(one.time, one.value, effect, **parameters)
-    return replace(one, time=time, value=value)
-
-
-def _clock_shift(record: Record, random: np.random.Generator) -> tuple[list[Series], dict[str, float]]:
-    minutes = 60.0 * float(random.choice((-1.0, 1.0)))
-    return [_changed(record[name], "clock_shift", minutes=minutes) for name in INSIDE], {"late_min": minutes}
-
-
-def _humidity_drift(record: Record, random: np.random.Generator) -> tuple[list[Series], dict[str, float]]:
-    one = record["cabinet_relative_humidity"]
-    at_the_end = float(random.choice((-1.0, 1.0)) * random.uniform(0.08, 0.15))
-    per_year = at_the_end * YEAR_S / float(one.time[-1] - one.time[0])
-    given = {"offset_at_the_end": at_the_end, "per_year": per_year}
-    return [_changed(one, "humidity_drift", per_year=per_year)], given
-
-
-def _temperature_step(record: Record, random: np.random.Generator) -> tuple[list[Series], dict[str, float]]:
-    assert record.until_s is not None
-    kelvin = float(random.choice((-1.0, 1.0)) * random.uniform(2.0, 4.0))
-    date = record.start_s + float(random.uniform(0.3, 0.7)) * (record.until_s - record.start_s)
-    step = _changed(record["cabinet_temperature"], "temperature_step", kelvin=kelvin, date_s=date)
-    return [step], {"offset_K": kelvin, "date_s": date}
-
-
-def _sorption(record: Record, random: np.random.Generator) -> tuple[list[Series], dict[str, float]]:
-    one, warm = record["cabinet_relative_humidity"], record["cabinet_temperature"]
-    known = np.isfinite(warm.value)
-    kelvin = np.interp(one.time, warm.time[known], warm.value[known])
-    wanted = float(random.uniform(*SORPTION_G_M3))
-    given = {
-        "capacity_kg_m3": 0.05,
-        "time_constant_h": float(random.uniform(5.0, 25.0)),
-        "exchange_h": float(random.uniform(1.0, 3.0)),
-    }
-    # A house's humidity moves less than an attic's: the capacity follows from what it does to the readings.
-    for _ in range(_SIZINGS):
-        made = _changed(one, "sorption", kelvin=kelvin, **given)
-        added = _added(record, record.replace_series(made))["added_absolute_humidity_g_m3"]
-        given["capacity_kg_m3"] = min(given["capacity_kg_m3"] * wanted / added, MOST_CAPACITY_KG_M3)
-    return [_changed(one, "sorption", kelvin=kelvin, **given)], given
-
-
-_PUT_IN: dict[str, Callable[[Record, np.random.Generator], tuple[list[Series], dict[str, float]]]] = {
-    "clock_shift": _clock_shift,
-    "humidity_drift": _humidity_drift,
-    "temperature_step": _temperature_step,
-    "sorption": _sorption,
-}
-
-
-def injected(record: Record, effect: str, seed: int) -> tuple[Record, dict]:
-    """The record with a known effect in the readings inside, and the account of it: size drawn from the
-    seed."""
-    random = np.random.default_rng([seed, list(_PUT_IN).index(effect), list(RECORDS).index(record.name)])
-    series, parameters = _PUT_IN[effect](record, random)
-    made = record.replace_series(*series)
-    account = {"cause": CAUSE_OF[effect], "form": 0, "parameters": parameters, **_added(record, made)}
-    return made, account
-
-
-def _added(before: Record, after: Record) -> dict[str, float]:
-    """Root mean square change of the readings about its mean: temperature [K], vapour at the told temperature
-    [g/m3]."""
-    time = before["cabinet_temperature"].time
-    found = []
-    for record in (before, after):
-        kelvin, humidity = (np.interp(time, record[name].time, _filled(record[name])) for name in INSIDE)
-        found.append((kelvin, 1e3 * humidity * concentration(saturation_pressure(kelvin), kelvin)))
-    names = ("added_temperature_K", "added_absolute_humidity_g_m3")
-    return {name: float(np.std(b - a)) for name, a, b in zip(names, *found, strict=True)}
-
-
-def _filled(one: Series) -> np.ndarray:
-    known = np.isfinite(one.value)
-    return np.interp(one.time, one.time[known], one.value[known])

@@ -130,17 +130,17 @@ def _without(by: Groups) -> Iterable[Row]:
 
 
 def _confidence(by: Groups) -> Iterable[Row]:
-    pairs = [
-        (one["confidence"], one["cause"] in truths(line))
-        for line in by.get("confidence", ())
-        for one in names(line)
-        if one.get("confidence") is not None
-    ]
-    pairs.sort()
-    for number, third in enumerate(np.array_split(np.array(pairs, dtype=float).reshape(-1, 2), 3), 1):
-        if len(third):
-            stated, right = third.mean(axis=0)
-            yield f"confidence, third {number}: stated − observed", f"{stated - right:+.3f}", "≤ 0.07"
+    some = by.get("confidence", ())
+    told = [(one["confidence"], one["cause"] in truths(line)) for line in some for one in names(line)]
+    for number, (difference, count) in enumerate(thirds(told), 1):
+        yield f"confidence, third {number}: stated − observed", f"{difference:+.3f} of {count}", "≤ 0.07"
+
+
+def thirds(told: Sequence[tuple[float, bool]]) -> list[tuple[float, int]]:
+    """Stated confidence less the share that was right, and the number of names, in thirds by what was
+    stated."""
+    parts = np.array_split(np.array(sorted(told), dtype=float).reshape(-1, 2), 3)
+    return [(float(part[:, 0].mean() - part[:, 1].mean()), len(part)) for part in parts if len(part)]
 
 
 def _measured(by: Groups) -> Iterable[Row]:
@@ -149,6 +149,14 @@ def _measured(by: Groups) -> Iterable[Row]:
             yield f"measured, {row}: named or in a class", rate(known_named(line) for line in some), aim
     if some := [line for line in by.get("measured", ()) if line["known"]["row"] == GIVEN]:
         yield f"measured, {GIVEN}: a name of their kind", rate(wrongly_named(line) for line in some), "0"
+    ran = [line for line in by.get("measured", ()) if not line["failure"]]
+    if pairs := [pair for line in ran for pair in line["last_fifth"].values()]:
+        ratio = np.array([after / before for before, after in pairs])
+        yield "last fifth, cut off before: worse by more than 2 %", rate(ratio > 1.02), "≤ 5 %"
+        yield "last fifth: worse by more than 10 %", rate(ratio > 1.1), "0"
+        yield "last fifth: geometric mean after/before", f"{np.exp(np.log(ratio).mean()):.2f}", "≤ 0.6"
+    if ran:
+        yield "measured: names a record, median", f"{np.median([len(names(o)) for o in ran]):.3g}", "≤ 3"
 
 
 def _costs(by: Groups) -> Iterable[Row]:
@@ -177,7 +185,8 @@ def _answer(line: Line) -> str:
         + (f" or {', '.join(one['rivals'])}" if one["rivals"] else "")
         for one in line["names"]
     ]
-    return ", ".join(told) or line["verdict"]
+    left = [f"a line at {hours:.4g} h in the {quantity}" for quantity, hours, *_ in line["lines"]]
+    return ", ".join([*told, *left]) or line["verdict"]
 
 
 def _remark(line: Line) -> str:

@@ -7,7 +7,7 @@ import math
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,13 +19,10 @@ from plants.plant import Plant
 
 import hygrokf
 from battery.cases import DAYS, Case
-from battery.measured import IDENTIFIED, absent, measured
+from battery.measured import IDENTIFIED, absent, before_the_last_fifth, measured
+from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
-from hygrokf.discovery.estimate import Estimate
-from hygrokf.discovery.forms import Ground, forms
-from hygrokf.discovery.judgement import Judged, levelled, scores
-from hygrokf.discovery.search import search
-from hygrokf.discovery.starting_model import base_estimate
+from hygrokf.discovery.procedure import Discovery
 
 
 @lru_cache(maxsize=1)
@@ -56,30 +53,31 @@ def run_case(case: Case) -> dict:
         "names": [],
         "refuted": [],
         "errors": {},
+        "lines": [],
+        "last_fifth": {},
         "simulations": None,
         "cpu_s": 0.0,
     }
     if line["skipped"]:
         return line
-    begin = time.process_time()
     try:
-        record, line["hidden"] = make(case)
-        begin = time.process_time()
-        line |= found(record)
+        record, line["hidden"], whole = make(case)
+        line |= found(record, whole)
     except Exception as broken:  # trials count failures, they do not stop at them
         line["failure"] = {
             "type": type(broken).__name__,
             "message": str(broken),
             "trace": traceback.format_exc()[-3000:],
         }
-    line["cpu_s"] = time.process_time() - begin
     return plain(line)
 
 
-def make(case: Case) -> tuple[Record, list[dict]]:
-    """The record of a case and the accounts of what is hidden in it."""
+def make(case: Case) -> tuple[Record, list[dict], Record | None]:
+    """The record of a case, the accounts of what is hidden in it, and of a measured one, which is cut before
+    its last fifth, the whole."""
     if case.known:
-        return measured(case.known.record, case.known.variant), []
+        cut, whole = before_the_last_fifth(measured(case.known.record, case.known.variant))
+        return cut, [], whole
     if case.null:
         made = null_plant(case.plant_seed, case.null, days=DAYS)
     else:
@@ -89,7 +87,8 @@ def make(case: Case) -> tuple[Record, list[dict]]:
             case.plant_seed, cause, form=form, halved=case.halved, days=DAYS, second=second
         )
     record = to_record(made)
-    return to_record(made, until_s=identified_until(record, made)), [asdict(one) for one in made.truth.hidden]
+    record = to_record(made, until_s=identified_until(record, made))
+    return record, [asdict(one) for one in made.truth.hidden], None
 
 
 def identified_until(record: Record, made: Plant) -> float:
@@ -105,50 +104,46 @@ def identified_until(record: Record, made: Plant) -> float:
     return record.start_s + min(max(IDENTIFIED, latest + 1.0 / 7.0), 0.95) * span
 
 
-def found(record: Record) -> dict:
-    """What is named in a record, what was refuted, free-run errors on held-out readings, and the work."""
-    base = base_estimate(record)
-    release = dict(base.simulator.heat.mechanisms)["heat_release"]
-    ground = Ground(
-        record.identification(),
-        "vapour" in base.quantities,
-        release.get("order", 0),
-        release.get("operation", False),
-    )
-    ended = search(base, forms(ground))
-    names = [
-        {
-            **_told(one.candidate),
-            "rivals": [rival.cause for rival in one.rivals],
-            "worth": worth(one.judged),
-        }
-        for one in ended.accepted
-    ]
-    before, after = (held_out_errors(one) for one in (base, ended.final))
+def found(record: Record, whole: Record | None = None) -> dict:
+    """What is named in a record, what was refuted, free-run errors on held-out readings and on those of the
+    whole record that were cut off, and the work."""
+    begin = time.process_time()
+    discovery = hygrokf.discover(record)
+    results, spent = discovery.results, time.process_time() - begin
     return {
-        "verdict": "named" if names else "none",
-        "names": names,
-        "refuted": [{**_told(one), "reason": judged.reason} for one, judged in ended.refuted],
-        "errors": {q: [before[q], after[q]] for q in before},
-        "simulations": ended.final.simulator.work.simulations,
-    }
+        "verdict": results.verdict,
+        "names": [{**_told(one), "rivals": list(one.ambiguous_with), "confidence": one.confidence,
+                   "worth": one.held_out.improvement} for one in results.causes],
+        "refuted": [{**_told(one), "reason": one.held_out.reason} for one in results.refuted],
+        "errors": {one.quantity: [one.rmse_before, one.rmse_after] for one in results.gains},
+        "lines": [[one.quantity, one.period_h, one.p, one.cause] for one in results.lines],
+        "last_fifth": {} if whole is None else afterwards(discovery, whole, record.end_s),
+        "simulations": results.work.simulations,
+        "cpu_s": spent,
+    }  # fmt: skip
+
+
+def afterwards(discovery: Discovery, whole: Record, from_s: float) -> dict[str, list[float]]:
+    """Free-run errors [K], [g/m³] of the base and of the told model on readings after an instant [s], by
+    quantity."""
+    later = replace(whole, until_s=from_s)
+    shifts = [
+        Shift(one.settings["source"], one.settings["shift_s"])
+        for one in discovery.results.causes
+        if "shift_s" in one.settings
+    ]
+    base = hygrokf.evaluate(discovery.base, later)
+    told = hygrokf.evaluate(discovery.extended, shifted(later, *shifts)) if discovery.extended else base
+    quantities = ("temperature_K", "absolute_humidity_g_m3")
+    pairs = {q: [one.errors("validation", q).total for one in (base, told)] for q in quantities}
+    return {q: pair for q, pair in pairs.items() if np.isfinite(pair).all()}
 
 
 def _told(one) -> dict:
     return {
-        "cause": one.cause, "form": one.form.code, "evidence": one.evidence, "evidence_in_days": one.in_days,
+        "cause": one.cause, "form": one.form, "evidence": one.evidence.evidence,
+        "evidence_in_days": one.evidence.in_days, "lead": one.evidence.lead,
     }  # fmt: skip
-
-
-def worth(judged: Judged) -> float:
-    """The largest share by which a name lowers a levelled free-run error on held-out readings."""
-    return max((1.0 - judged.after[q] / judged.before[q] for q in judged.before), default=0.0)
-
-
-def held_out_errors(one: Estimate) -> dict[str, float]:
-    """Root mean square errors of the levelled free run on held-out readings: temperature [K], vapour
-    [g/m3]."""
-    return {q: math.sqrt(np.nanmean(s.squares[:, -1])) for q, s in scores(levelled(one)).items()}
 
 
 def plain(value):

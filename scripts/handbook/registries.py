@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 import math
-import re
-from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 
 from handbook.docstrings import heading, prose_and_equations, rst, table
 from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.forms import Ground
 from hygrokf.discovery.library import LIBRARY as CAUSES
+from hygrokf.discovery.plugin_validation import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
@@ -77,27 +79,18 @@ def _null(one: Mechanism) -> str:
     return ", ".join(f"``{p.name}`` = {number(p.null)}" for p in one.parameters if p.null is not None)
 
 
+@cache
+def _ground() -> Ground:
+    """A record with every signal but a door's contact: without one, openings are sought."""
+    ground = trial_ground()
+    series = tuple(one for one in ground.record.series if one.signal != "door_open")
+    return replace(ground, record=replace(ground.record, series=series))
+
+
 def mechanisms_of(cause: Cause) -> tuple[str, ...]:
-    """Names of the mechanisms that the forms of a cause add, as its functions state them."""
-    seen: set[Callable[..., object]] = set()
-    found: set[str] = set()
-
-    def visit(function: Callable[..., object]) -> None:
-        if function in seen:
-            return
-        seen.add(function)
-        around = inspect.getclosurevars(inspect.unwrap(function))
-        source = inspect.getsource(inspect.unwrap(function))
-        found.update(word for word in re.findall(r'"(\w+)"', source) if word in LIBRARY)
-        for value in (*around.globals.values(), *around.nonlocals.values()):
-            if inspect.isfunction(value) and value.__module__.startswith("hygrokf.discovery.causes"):
-                visit(value)
-            elif isinstance(value, dict):
-                found.update(one.name for one in value.values() if isinstance(one, Mechanism))
-
-    visit(cause.variants)
-    base = {factory.__name__ for factory in BASE}
-    return tuple(name for name in LIBRARY if name in found - base)
+    """Names of the mechanisms that the forms of a cause add."""
+    found = {name for form in cause.forms(_ground()) for name, _ in (*form.heat, *form.vapour)}
+    return tuple(name for name in LIBRARY if name in found)
 
 
 def cause_section(cause: Cause) -> str:
@@ -105,14 +98,14 @@ def cause_section(cause: Cause) -> str:
     names = mechanisms_of(cause)
     lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-")]
     lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
-    alone = "" if math.isinf(cause.alone) else f"from a gain of {number(cause.alone)} in 2 ln L"
+    forms = cause.forms(_ground())
+    codes = {"the source's name" if form.clock else f"``{form.code}``": form for form in forms}
     facts = {
-        "Forms": rst(cause.forms),
-        "Searched": rst(cause.searches),
+        "Forms": rst(cause.tried),
+        "Codes (settings)": ", ".join(f"{code} ({len(form.grid)})" for code, form in codes.items()),
         "Needs": rst(cause.needs),
         "To check": rst(cause.remedy),
         "Told apart by": rst(cause.separate_by),
-        "Accepted on evidence alone": alone,
     }
     lines += [f":{key}: {value}" for key, value in facts.items() if value]
     if names:
@@ -173,7 +166,7 @@ def pages() -> dict[str, str]:
     head = [
         heading("Causes", "="),
         "The library that ``hygrokf discover`` searches, made of the registry when the site is built. How",
-        "causes are tried and accepted: :doc:`/explanation/discover_decides`. A cause of your own:",
+        "causes are tried and accepted: :doc:`/explanation/discover`. A cause of your own:",
         ":doc:`/how_to/own_cause`.",
         "",
     ]  # fmt: skip

@@ -67,7 +67,7 @@ def attic(directory: Path, data: Path) -> None:
     from hygrokf.report.figures.course import figure_residuals
 
     shown = fits["weather station"]
-    save(figure_residuals(shown.results, shown.series), "attic_residuals")
+    save(figure_residuals(shown.results, shown.series).figure(), "attic_residuals")
 
 
 def truth_and_estimate(fits: Sequence, truths: Sequence):
@@ -139,11 +139,11 @@ def climate(directory: Path, data: Path) -> None:
         read_region("northern Italy", [data / "weather" / "PVGIS_45N_8E.epw.gz"]),
     ]
     found = climate_profile(fit, places, record).regions
-    save(figure_joint(found[0]), "climate_joint", label)
-    save(figure_profile(found[0]), "climate_profile", label)
+    save(figure_joint(found[0]).figure(), "climate_joint", label)
+    save(figure_profile(found[0]).figure(), "climate_profile", label)
     # their titles leave no room for a label
-    save(figure_duration(found[0]), "climate_duration")
-    save(figure_regions(found), "climate_regions")
+    save(figure_duration(found[0]).figure(), "climate_duration")
+    save(figure_regions(found).figure(), "climate_regions")
     for one in found:
         print(
             one["name"], one["statements"], one["wetness_class"], one["test_profile"]["closeness"], flush=True

@@ -15,8 +15,8 @@ def demo(directory: Path) -> None:
 
     record, _ = synthetic_record(1, directory)
     fit = identified(record)
-    save(figure_excerpts(fit.results, fit.series), "demo", "synthetic turbine")
-    save(figure_profiles(fit.results, fit.series), "profiles", "synthetic turbine")
+    save(figure_excerpts(fit.results, fit.series).figure(), "demo", "synthetic turbine")
+    save(figure_profiles(fit.results, fit.series).figure(), "profiles", "synthetic turbine")
 
 
 def fleet(directory: Path) -> None:
@@ -41,7 +41,7 @@ def fleet(directory: Path) -> None:
         rows = json.loads(Path("result/fleet.json").read_text(encoding="utf-8"))["rows"]
     done = [row for row in rows if row["status"] == "done"]
     found = [one for one in spreads(done, TASKS["fit"].compared) if one.compared.lower]
-    save(figure_spreads(found), "fleet", "synthetic fleet")
+    save(figure_spreads(found).figure(), "fleet", "synthetic fleet")
 
 
 def compare(directory: Path) -> None:
@@ -60,7 +60,7 @@ def compare(directory: Path) -> None:
         ]
         columns.append(comparison_column(fit, record.replace_series(*thinned), label, own=every == 1))
     found = compare(columns).results
-    save(figure_errors(found, "whole"), "compare", "synthetic turbine")
+    save(figure_errors(found, "whole").figure(), "compare", "synthetic turbine")
 
 
 def transfer(directory: Path) -> None:
@@ -81,5 +81,5 @@ def transfer(directory: Path) -> None:
     ]
     found = transfer_fit(identify(records[0], starts=1, profiles=False), records[1], fits=False)
     print(found.results.sentence, flush=True)
-    save(figure_parameters(found.results), "transfer_parameters", "synthetic turbines")
-    save(figure_course(found.course, True), "transfer_course", "synthetic turbines")
+    save(figure_parameters(found.results).figure(), "transfer_parameters", "synthetic turbines")
+    save(figure_course(found.course, True).figure(), "transfer_course", "synthetic turbines")

@@ -43,7 +43,7 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
 
     def course(run: str, plot: Callable, label: str) -> Callable[[], Figure]:
         series = shown.runs[run, LIKELIHOOD].series
-        return lambda: labelled(plot({}, series), label)
+        return lambda: labelled(plot({}, series).figure(), label)
 
     drawn = (
         Drawn("errors", "All experiments beside the paper",
@@ -82,6 +82,11 @@ def labelled(figure: Figure, label: str) -> Figure:
     """The figure with a line above it that says what in it is not measured."""
     width, height = figure.get_size_inches()
     shrunk = height / (height + STRIP_IN)
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        for legend in figure.legends:
+            legend.set_bbox_to_anchor((0.0, shrunk))
     for axes in figure.axes:
         place = axes.get_position()
         axes.set_position([place.x0, place.y0 * shrunk, place.width, place.height * shrunk])

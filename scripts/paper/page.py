@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.wording import fixed
@@ -13,8 +16,18 @@ from paper.figures import Drawn
 from paper.models import CRITERIA
 from paper.tables import SIMULATED_NOTE, SPREAD, UNITS, WORDS, all_tables, published_total, totals
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
 KIND = "Field-measurement based hygrothermal modelling of the converter-cabinet climate · reproduction"
 TITLE = "The paper’s three experiments, with a simulated cabinet"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as the page's block expects it: drawn once, whenever it is asked for."""
+
+    figure: Callable[[], Drawing]
 
 
 def page(found: Mapping, figures: Sequence[Drawn]) -> str:
@@ -25,7 +38,8 @@ def page(found: Mapping, figures: Sequence[Drawn]) -> str:
 def blocks(found: Mapping, figures: Sequence[Drawn]) -> Page:
     """The experiments beside the paper's numbers: the errors first."""
     drawn = {
-        one.name: Figure(one.name.replace("_", "-"), one.heading, one.caption, one.draw) for one in figures
+        one.name: Figure(one.name.replace("_", "-"), one.heading, one.caption, partial(Picture, one.draw))
+        for one in figures
     }
     tables = all_tables(found)
 

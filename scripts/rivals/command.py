@@ -62,8 +62,7 @@ def run_case(case: Case, methods: Sequence[str], options: Options) -> list[dict]
     for method in methods:
         line: dict = {
             "case": case.key, "name": case.name, "kind": case.kind, "seed": case.seed, "right": case.right,
-            "method": method, "sources": sources_hash(), "before": shared.held_out(), "moved": shared.moved(),
-            "failure": None,
+            "method": method, "sources": sources_hash(), "before": shared.held_out(), "failure": None,
         }  # fmt: skip
         try:
             said = RUN[method](shared, options)

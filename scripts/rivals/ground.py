@@ -1,5 +1,4 @@
-"""What the methods share on one record: the identified base model, its held-out errors, and the drivers on a
-grid."""
+"""What the methods share on one record: the base model, its held-out errors, and the drivers on a grid."""
 
 from __future__ import annotations
 
@@ -10,18 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.clocks import shifted
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.baseline import Baseline, baseline
-from hygrokf.discovery.held_out import Model, model_of
-from hygrokf.discovery.submodel import HYGRIC
-from hygrokf.evaluation.simulation import measured
+from hygrokf.discovery.as_fit import fit_of
+from hygrokf.discovery.estimate import Estimate
+from hygrokf.discovery.final_set import final_estimator, final_set
+from hygrokf.discovery.residuals import Residuals, residuals, root_mean_square
+from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.modelling.derived_inputs import clear_sky
-from hygrokf.modelling.design import merged
-from hygrokf.modelling.inputs import prepare_run
 
 TEMPERATURE, HUMIDITY = "temperature_K", "absolute_humidity_g_m3"
-STARTS = 4
-"""Starts of the base model's estimate, as `discover` has them."""
+OF_RESIDUALS = {TEMPERATURE: "temperature", HUMIDITY: "humidity"}
 DRIVERS = {
     "ambient_temperature": "Ta",
     "active_power": "P",
@@ -37,48 +35,59 @@ DRIVERS = {
 
 @dataclass(frozen=True)
 class Ground:
-    """A record, its base model (`base`; `baseline`) and what that took, its simulations (`model`), and the
-    readings by which every method is judged: quantity → (times [s], readings), those that the base model's
-    free run is scored at.
-    """
+    """A record, its base model and what that took, and the residuals of its free run, at whose readings every
+    method is judged."""
 
     record: Record
-    base: Baseline
-    model: Model
+    base: Estimate
+    residuals: Residuals
     cpu_s: float
-    readings: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
     @property
     def until_s(self) -> float:
-        return self.model.identified.until_s
+        assert self.record.until_s is not None
+        return self.record.until_s
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        return (TEMPERATURE, HUMIDITY) if HYGRIC in self.base.submodels else (TEMPERATURE,)
+        return (TEMPERATURE, HUMIDITY) if "vapour" in self.base.quantities else (TEMPERATURE,)
 
-    def held_out(self, simulated: Model | None = None) -> dict[str, float | None]:
-        """Errors of the free run [K], [g/m³] on the validation period, of the base or of another model, as
-        estimated."""
-        of = (simulated or self.model).identified
-        return {quantity: of.rmse(quantity, "validation") for quantity in self.quantities}
+    @property
+    def readings(self) -> Mapping[str, tuple[np.ndarray, np.ndarray]]:
+        """Quantity → (times [s], readings)."""
+        return {
+            quantity: (self.residuals.time_s[there], self.residuals.measured[OF_RESIDUALS[quantity]][there])
+            for quantity in self.quantities
+            for there in [np.isfinite(self.residuals.error(OF_RESIDUALS[quantity]))]
+        }
 
-    def moved(self) -> dict[str, float | None]:
-        """The same of the base moved toward its least free-run error on the identification period."""
-        return {quantity: self.model.moved.rmse(quantity, "validation") for quantity in self.quantities}
+    def errors(self, quantity: str, held_out: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and errors of the base model's free run, on held-out readings or those before."""
+        error = self.residuals.error(OF_RESIDUALS[quantity])
+        there = np.isfinite(error) & (self.residuals.validation == held_out)
+        return self.residuals.time_s[there], error[there]
+
+    def held_out(self, one: Estimate | None = None) -> dict[str, float]:
+        """Errors of the free run [K], [g/m³] on held-out readings, of the base or of another model."""
+        of = self.residuals if one is None else free_run(self.record, one)
+        return {
+            quantity: root_mean_square(of.error(OF_RESIDUALS[quantity])[of.validation])
+            for quantity in self.quantities
+        }
+
+
+def free_run(record: Record, one: Estimate) -> Residuals:
+    """Residuals of an estimate with the parameters with which `discover` would end."""
+    final = final_set(one, final_estimator(one))
+    return residuals(fit_of(record, final), shifted(record, *final.estimate.simulator.scene.shifts))
 
 
 def ground(record: Record) -> Ground:
-    """Identify the base model of a record and simulate it."""
+    """Estimate the base model of a record and simulate it."""
     begin = time.process_time()
-    base = baseline(record, starts=STARTS)
+    base = base_estimate(record)
     spent = time.process_time() - begin
-    made = prepare_run(merged([submodel.base for submodel in base.submodels.values()]), record)
-    seconds = made.timeline.origin_s + 3600.0 * made.timeline.time
-    readings = {}
-    for quantity, values in measured(made).items():
-        there = np.isfinite(values) & made.scored
-        readings[quantity] = (seconds[there], values[there])
-    return Ground(record, base, model_of(base, record), spent, readings)
+    return Ground(record, base, free_run(record, base), spent)
 
 
 def drivers(record: Record, grid: np.ndarray) -> dict[str, np.ndarray]:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from hygrokf.discovery.held_out import model_of
 from hygrokf.discovery.procedure import discover
 from rivals.forward import LIMIT_S, log_p, search
 from rivals.ground import Ground
@@ -44,9 +43,7 @@ def own(ground: Ground, options: Options) -> dict:
         "cpu_s": spent,
         "verdict": results["verdict"],
         "confidence": [one["confidence"] for one in causes],
-        "gains": [one["gain"] for one in causes],
         "refuted": [one["cause"] for one in results["refuted"]],
-        "not_tried": results["not_tried"]["causes"],
     }
 
 
@@ -58,16 +55,10 @@ def forward(ground: Ground, options: Options) -> dict:
     begin = time.process_time()
     found = search(ground.base, ground.cpu_s, options.limit_s)
     spent = time.process_time() - begin + ground.cpu_s
-    after = (
-        ground.held_out(model_of(found.baseline, ground.record, found.added))
-        if found.added
-        else ground.held_out()
-    )
     return {
-        "names": [trial.variant.cause for trial in found.added],
-        "log_p": [log_p(trial) for trial in found.added],
-        "searched": [trial.variant.searched for trial in found.added],
-        "after": after,
+        "names": [one.cause for one in found.added],
+        "log_p": [log_p(one) for one in found.added],
+        "after": ground.held_out(found.last if found.added else None),
         "cpu_s": spent,
         "ended": found.ended,
         "tried": found.tried,

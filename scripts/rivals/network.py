@@ -24,9 +24,8 @@ SEED = 0
 
 def corrected(ground: Ground) -> dict[str, float | None]:
     """Held-out errors [K], [g/m³] of the base model's free run and the network together."""
-    errors = ground.model.identified.errors
-    first = min(time[0] for time, _ in errors.values() if len(time))
-    last = max(time[-1] for time, _ in errors.values() if len(time))
+    times = [time for time, _ in ground.readings.values() if len(time)]
+    first, last = min(time[0] for time in times), max(time[-1] for time in times)
     grid = np.arange(HOUR_S * math.floor(first / HOUR_S), last + HOUR_S, HOUR_S)
     x = inputs(ground, grid)
     early = grid <= ground.until_s
@@ -47,10 +46,10 @@ def inputs(ground: Ground, grid: np.ndarray) -> np.ndarray:
 
 
 def _held_out(ground: Ground, quantity: str, grid: np.ndarray, x: np.ndarray) -> float | None:
-    time, error = ground.model.identified.of(quantity, "validation")
+    time, error = ground.errors(quantity, held_out=True)
     if not len(time):
         return None
-    known, target = ground.model.identified.of(quantity, "identification")
+    known, target = ground.errors(quantity, held_out=False)
     place = np.clip(np.round((known - grid[0]) / HOUR_S).astype(int), 0, len(grid) - 1)
     count = np.bincount(place, minlength=len(grid))
     there = np.flatnonzero(count)

@@ -48,8 +48,8 @@ def _table(lines: Sequence[Line], kind: str, title: str) -> str:
         any_line = next(iter(of.values()))
         name = any_line["name"] if any_line["seed"] is None else f"{any_line['name']} ({any_line['seed']})"
         cells = [_cell(of.get(method)) for method in METHODS]
-        rows.append((name, f"{_errors(any_line['before'])}", f"{_errors(any_line['moved'])}", *cells))
-    head = ("record", "base", "base, moved", *METHODS)
+        rows.append((name, _errors(any_line["before"]), *cells))
+    head = ("record", "base", *METHODS)
     return "\n".join([f"## {title}", "", _row(head), "|" + " --- |" * len(head), *map(_row, rows)])
 
 

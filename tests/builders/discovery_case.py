@@ -101,25 +101,37 @@ def _scores(kelvin: float, grams: float, thermal: float) -> dict:
     }
 
 
-def _evidence(lr: float, df: int, worth: float, share: float) -> dict:
+def _evidence(temperature: float, vapour: float, constants: int, worth: float, in_days: float) -> dict:
     return {
-        "lr": lr,
-        "df": df,
-        "p_adjusted": 0.02,
-        "bic_gain": worth,
-        "score_statistic": 15.5,
-        "free_run_gain": {"thermal": share},
-        "lasting_gain": {"thermal": 0.9 * share},
-        "settings": {},
+        "gains": {"temperature": temperature, "vapour": vapour},
+        "constants": constants,
+        "searched": 12,
+        "evidence": worth,
+        "in_days": in_days,
+        "lead": None,
     }
 
 
-def _cause() -> dict:
+def _held_out(before: float, after: float, reason: str = "") -> dict:
     return {
-        "cause": "solar_gain",
-        "form": "on the roof",
+        "z": {"temperature": -3.21, "vapour": 0.4},
+        "growth": {"temperature": -0.26, "vapour": 0.004},
+        "before": {"temperature": before, "vapour": 0.4},
+        "after": {"temperature": after, "vapour": 0.4},
+        "gain": 45.2,
+        "days": 10,
+        "reason": reason,
+    }
+
+
+def cause(name: str = "solar_gain", form: str = "roof", **changes: object) -> dict:
+    """The plain data of an accepted cause."""
+    return {
+        "cause": name,
+        "form": form,
+        "forms_alike": ["wall"],
         "confidence": 0.87,
-        "statement": "the sun heats the cabinet (on the roof)",
+        "statement": "the sun heats the cabinet or the tower around it",
         "parameters": {
             "solar_heat": {
                 "value": 6.13, "unit": "K/(kW/m2)", "lower": 5.47, "upper": 6.88, "se": 0.36,
@@ -128,23 +140,19 @@ def _cause() -> dict:
             "solar_time": {"value": 0.69, "unit": "h", "lower": None, "upper": 1.01, "se": None,
                 "meaning": "lag"},
         },
-        "settings": {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "on": 303.15, "off": 0.55,
-            "shift_s": -3600.0},
-        "evidence": _evidence(296.4, 2, 274.6, 0.28),
-        "gain": {
-            "quantity": "temperature_K",
-            "period": "validation",
-            "rmse_before": 1.79,
-            "rmse_after": 1.57,
-            "identified_before": 1.85,
-            "identified_after": 1.57,
-            "lower": 0.13,
-            "upper": 0.31,
-            "loglik_per_obs": 0.02,
-        },
-        "ambiguous_with": ["cooling_switching"],
+        "settings": {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0},
+        "evidence": _evidence(296.4, 0.2, 2, 274.6, 81.5) | {"lead": 33.3},
+        "held_out": _held_out(1.79, 1.57),
+        "ambiguous_with": [],
         "separate_by": "irradiance measured at the tower",
         "remedy": "shade or paint the wall",
+    } | changes  # fmt: skip
+
+
+def _gain(quantity: str, before: float, after: float, lower: float, upper: float) -> dict:
+    return {
+        "quantity": quantity, "period": "validation", "rmse_before": before, "rmse_after": after,
+        "lower": lower, "upper": upper,
     }  # fmt: skip
 
 
@@ -170,51 +178,107 @@ def discovery_case() -> dict:
             "verdict": "named",
             "baseline": _scores(1.85, 0.42, 1.36),
             "extended": _scores(1.57, 0.42, 1.2),
-            "misfits": [_misfit()],
-            "causes": [_cause()],
+            "estimator": "output-error",
+            "gains": [
+                _gain("temperature", 1.85, 1.57, 0.13, 0.31),
+                _gain("humidity", 0.42, 0.42, 0.0, 0.0) | {"driven_before": 0.40, "driven_after": 0.38},
+            ],
+            "held_out_days": 10,
+            "causes": [cause()],
             "rejected": [
                 {
-                    "cause": "door_opening",
-                    "form": "2 openings",
-                    "evidence": _evidence(0.0, 4, -40.0, -0.03),
-                    "reason": "it gains no likelihood",
+                    "cause": "door_opening", "form": "windows", "evidence": {}, "reason": "no_effect",
                 },
                 {
                     "cause": "wall_thermal_mass",
-                    "form": "wall_thermal_mass",
-                    "evidence": _evidence(77.7, 3, 55.5, 0.04),
-                    "reason": "the free run gains too little",
+                    "form": "second_mass",
+                    "evidence": _evidence(17.7, 0.0, 3, -5.5, -5.5),
+                    "reason": "weak",
                 },
+                {"cause": "rain_ingress", "reason": "no_form"},
             ],
-            "unexplained": None,
+            "refuted": [],
+            "lines": [],
+            "work": {"simulations": 4321, "budget": 40_000, "not_judged": []},
+            "repeated": {},
+            "saturated": 0.0,
+            "findings": [_misfit()],
+            "left": [],
         }
-    )
+    )  # fmt: skip
+
+
+def two_causes_case() -> dict:
+    """The plain data of a discovery that names two causes, the second without use on held-out readings."""
+    second = cause(
+        "exchange_step", "date", statement="the exchange of air changed at a date", forms_alike=[],
+        remedy="ask what was done on that date", held_out=_held_out(1.57, 1.56), confidence=0.61,
+    )  # fmt: skip
+    return discovery_case() | {"causes": [cause(), second]}
+
+
+def ambiguous_case() -> dict:
+    """The plain data of a discovery that cannot tell an error of the humidity sensor from water."""
+    check = "compare the humidity sensor with a second one, before anything rests on either"
+    wet = cause(
+        "humidity_sensor_drift", "drift", statement="the humidity sensor drifts, or its scale is off",
+        forms_alike=["scale_drifts"], ambiguous_with=["internal_moisture_source", "moisture_sorption"],
+        separate_by=check, remedy=check, confidence=0.48, settings={},
+        evidence=_evidence(0.0, 88.0, 1, 79.5, 40.1) | {"lead": 20.0},
+    )  # fmt: skip
+    return discovery_case() | {
+        "verdict": "ambiguous",
+        "causes": [wet],
+        "gains": [
+            _gain("temperature", 1.85, 1.85, 0.0, 0.0),
+            _gain("humidity", 0.42, 0.33, 0.05, 0.13) | {"driven_before": 0.40, "driven_after": 0.30},
+        ],
+        "saturated": 0.034,
+        "rejected": [{"cause": "condensation", "reason": "no_effect"}],
+    }
+
+
+def long_class_case() -> dict:
+    """The plain data of a discovery whose class of rivals is too long to name anything."""
+    rivals = ["cooling_switching", "unlogged_heater", "scheduled_heat"]
+    return discovery_case() | {"verdict": "ambiguous", "causes": [cause(ambiguous_with=rivals)]}
+
+
+def _without_causes() -> dict:
+    alone = {"rmse_after": 1.85, "lower": 0.0, "upper": 0.0}
+    found = discovery_case()
+    gains = [found["gains"][0] | alone, found["gains"][1] | {"driven_after": 0.40}]
+    return found | {"causes": [], "extended": None, "gains": gains}
 
 
 def unexplained_case() -> dict:
-    """The plain data of a discovery that finds structure and no cause."""
-    return discovery_case() | {
-        "verdict": "unexplained",
-        "causes": [],
-        "extended": None,
-        "unexplained": {
-            "quantity": "temperature",
-            "kind": "one-sided excursions",
-            "when": "3 August 2020",
-            "driver": "wind_speed",
-            "lag_h": 3.0,
-            "correlation": -0.31,
-            "p": 0.01,
-            "statement": "in 14 episodes simulated temperature is up to 4.1 K too low",
-        },
-    }
+    """The plain data of a discovery that finds a line and no cause."""
+    line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9, "cause": ""}
+    return _without_causes() | {"verdict": "unexplained", "lines": [line]}
+
+
+def refuted_case() -> dict:
+    """The plain data of a discovery whose cause held-out readings refute."""
+    one = {
+        "cause": "unlogged_heater", "form": "humidistat_standstill", "evidence": cause()["evidence"],
+        "held_out": _held_out(1.85, 2.4, "worse") | {"z": {"temperature": 4.4}},
+    }  # fmt: skip
+    return _without_causes() | {"verdict": "refuted", "refuted": [one]}
+
+
+def unfinished_case() -> dict:
+    """The plain data of a discovery that its budget ended."""
+    left = ["moisture_sorption", "condensation"]
+    work = {"simulations": 3010, "budget": 3000, "not_judged": left}
+    rejected = [{"cause": name, "reason": "left_to_budget"} for name in left]
+    return empty_case() | {"work": work, "rejected": rejected}
 
 
 def empty_case() -> dict:
     """The plain data of a discovery that finds nothing."""
-    return unexplained_case() | {"verdict": "none", "misfits": [], "unexplained": None}
+    return _without_causes() | {"verdict": "none", "findings": []}
 
 
 def typed(data: dict) -> DiscoveryResults:
-    """Results from plain data, in which `misfits` is what earlier files call the findings."""
+    """Results from plain data."""
     return structured(DiscoveryResults, data)

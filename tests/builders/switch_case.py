@@ -1,4 +1,4 @@
-"""A heated cabinet whose thermostat is in the model."""
+"""A cabinet whose heater, a controller that acts at standstill, is in the model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from hygrokf.modelling.design import Design, design, extended
 
 HOUR = 3600.0
 START = 1.6e9
-HEAT = {"heating": {"reads": "cabinet_temperature", "on": 285.15, "off": 288.15}}
+HEAT = {
+    "throttled_heating": {"reads": "cabinet_temperature", "start": 288.15, "full": 285.15, "idle": True}
+}
 
 
 def weather(days: float = 12.0, cabinet: bool = True, step: float = 600.0) -> Record:

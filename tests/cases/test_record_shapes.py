@@ -252,7 +252,7 @@ def test_a_drift_of_the_release_is_tried_whatever_the_operation(plant: Plant, sh
     """It ended in a traceback on every record without standstill."""
     library = [cause for cause in LIBRARY if cause.name == "heat_release_drift"]
     assert len(library) == 1
-    found = discover(read_case(plant.cases[shape]), starts=1, library=library).to_json()
+    found = discover(read_case(plant.cases[shape]), library=library).to_json()
     assert [row["cause"] for key in ("causes", "rejected") for row in found[key]] == ["heat_release_drift"]
 
 
@@ -260,7 +260,7 @@ def test_a_drift_of_the_release_is_tried_whatever_the_operation(plant: Plant, sh
 def test_discover(plant: Plant, told: Callable, shape: str) -> None:
     out = plant.folder / shape / "found"
     error = FEW if shape == "eight_readings" else ""
-    told(["discover", plant.cases[shape], "--out", out, "--starts", 1], error)
+    told(["discover", plant.cases[shape], "--out", out], error)
     if not error:
         told(["report", out])
 
@@ -286,7 +286,7 @@ def test_a_fleet_of_all_shapes(
         shutil.copytree(case.parent, tmp_path / name, ignore=shutil.ignore_patterns("[a-z]*[!v]", "fit"))
         shutil.copy(case, tmp_path / name)
     fit = "" if task in ("fit", "discover") else f'fit = "{plant.fit(ORDINARY).as_posix()}/fit.json"\n'
-    options = {"fit": "starts = 1\n", "discover": "starts = 1\n", "climate": "members = 3\n"}.get(task, "")
+    options = {"fit": "starts = 1\n", "climate": "members = 3\n"}.get(task, "")
     (tmp_path / "fleet.toml").write_text(FLEET.format(task=task, fit=fit, options=options))
     capsys.readouterr()
     status = main(

@@ -44,13 +44,6 @@ def test_the_golden_file_is_read_and_written_alike() -> None:
     assert set(data["regions"][0]) == set(golden()["regions"][0]) and set(data) == set(golden())
 
 
-def test_keys_of_the_years_are_read_under_their_former_names() -> None:
-    data = plain(small())
-    for year in data["regions"][0]["years"]:
-        year |= {"from": year.pop("start"), "until": year.pop("end")}
-    assert structured(Study, data).regions[0].years == small().regions[0].years
-
-
 def test_a_study_comes_back_from_its_file_and_from_a_pickle(tmp_path: Path) -> None:
     write_climate(small(), tmp_path)
     for again in (read_climate(tmp_path), pickle.loads(pickle.dumps(small()))):

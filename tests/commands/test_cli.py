@@ -123,7 +123,7 @@ def test_fit_prints_the_tables_and_writes_three_files(fitted):
     assert page.startswith("<!DOCTYPE html>")
     assert "synthetic-turbine-3" in page
     entry = json.loads((folder / "result" / "fit.json").read_text())["time_constants"]["thermal"]
-    assert f"thermal {entry['value_h']:.3g} h" in said.out
+    assert f"thermal time constant: {entry['value_h']:.3g} h" in said.out
 
 
 def test_fit_json_has_the_keys_that_others_rely_on(fitted):

@@ -11,6 +11,7 @@ from builders.command_line import run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.discovery.library import named
+from hygrokf.discovery.procedure import BUDGET
 from hygrokf.identification.fit import read_fit
 
 
@@ -22,13 +23,14 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = [named(name) for name in ("solar_gain", "humidity_sensor_drift", "clock_shift")]
     monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", few)
-    said = run(f"discover {case} --out {tmp_path}/made --starts 1 --json")
+    said = run(f"discover {case} --out {tmp_path}/made --json")
     assert said.status == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
     assert json.loads(said.out) == data
     assert data["synthetic"] is True
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
     assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few}
+    assert data["work"]["budget"] == BUDGET > data["work"]["simulations"] > 0
     assert data["extended"] is None and data["baseline"]["rmse"]["identification"]
     page = (tmp_path / "made" / "report.html").read_text(encoding="utf-8")
     assert "discovery report" in page and data["name"] in page and "is left out" not in page
@@ -42,13 +44,26 @@ def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pyt
     assert (tmp_path / "made" / "report.html").read_text(encoding="utf-8") == page
 
 
+def test_a_small_budget_ends_the_search_and_is_told_first(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", [named("solar_gain")])
+    said = run(f"discover {case} --out {tmp_path}/made --budget 1")
+    assert said.status == 0
+    assert said.out.split("\n\n")[1].startswith(
+        "Verdict: The budget of 1 simulation ended the search; not judged: solar gain. So far: "
+    )
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
         ("discover {case}", "required: --out"),
         ("discover none.toml --out {out}", "none.toml: 1 fault"),
         ("discover {case} --out {case}", "expected a directory that can be written, found: "),
-        ("discover {case} --out {out} --starts 0", "expected a whole number from 1 on, found '0'"),
+        ("discover {case} --out {out} --starts 3", "--starts"),
+        ("discover {case} --out {out} --library none.py", "none.py"),
+        ("discover {case} --out {out} --budget", "--budget"),
     ],
 )
 def test_mistakes_are_told_before_the_work(case: Path, tmp_path: Path, line: str, words: str) -> None:
@@ -57,7 +72,11 @@ def test_mistakes_are_told_before_the_work(case: Path, tmp_path: Path, line: str
     assert not (tmp_path / "made").exists()
 
 
-@pytest.mark.parametrize("text", ["0", "-3", "nan", "soon"])
-def test_a_budget_that_is_no_time_is_told(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["0", "-3", "nan", "inf", "1.5", "1e4", "soon", "9" * 5000])
+def test_a_budget_that_is_no_number_of_simulations_is_told(text: str, tmp_path: Path) -> None:
     said = run(f"discover {tmp_path}/case.toml --out {tmp_path}/out --budget {text}")
-    assert said.status == 2 and "--budget" in said.err and f"'{text}'" in said.err
+    assert said.status == 2 and f"--budget: expected a whole number from 1 on, found '{text}'" in said.err
+
+
+def test_the_help_states_the_budget_of_the_package() -> None:
+    assert f"(default: {BUDGET})" in " ".join(run("discover --help").out.split())

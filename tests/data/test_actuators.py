@@ -25,7 +25,8 @@ from hygrokf.climate.region import driven
 from hygrokf.data.actuators import ACTUATORS, FEWEST_EACH_SIDE, actuators
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.baseline import baseline
+from hygrokf.discovery.forms import doors, ground_of
+from hygrokf.discovery.starting_model import base_designs
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
@@ -239,12 +240,10 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
 
 def test_discovery_takes_what_is_logged_as_known() -> None:
     record, _, _ = actuated(41002, "heater_duty", "door_open", days=40.0)
-    found = baseline(record.identification(), starts=1)
-    assert {"heater_duty", "door_open"} <= set(found.submodels["thermal"].base.model.inputs)
-    assert "door_open" in found.submodels["hygric"].base.model.inputs
-    from hygrokf.discovery.causes import door
-
-    assert door(found) == []
+    heat, vapour = base_designs(record)
+    assert vapour is not None and "door_open" in vapour.model.inputs
+    assert {"heater_duty", "door_open"} <= set(heat.model.inputs)
+    assert doors(ground_of(record, heat, vapour)) == []
 
 
 def test_a_cascade_s_hygric_part_has_its_own(all_logged) -> None:

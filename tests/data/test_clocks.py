@@ -9,10 +9,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
-from hygrokf.data.clocks import Shift, cabinet_moved, shifted, sources, turns_within
+from hygrokf.data.clocks import Shift, shifted, sources
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
-from hygrokf.discovery.held_out import difference_bounds
 
 HOUR_S = 3600.0
 
@@ -42,7 +41,6 @@ def test_stamps_in_summer_time_are_set_right() -> None:
     )
     record = Record("cabinet", (series, other), site=Site(52.0, 8.0, None))
     assert sources(record) == {"logger.csv": ("cabinet_temperature",), "met.csv": ("ambient_temperature",)}
-    assert turns_within(record)
     right = shifted(record, Shift("logger.csv", -HOUR_S, summer=True))
     found = right["cabinet_temperature"].time
     assert np.isin(found, true).all()
@@ -57,29 +55,3 @@ def test_a_shift_that_would_turn_time_back_drops_what_comes_twice() -> None:
     )
     late = shifted(record, Shift("a", -HOUR_S, summer=True))["cabinet_temperature"]
     assert (np.diff(late.time) > 0).all() and len(late.time) < len(time)
-    assert not turns_within(record.window(float(time[0]), float(time[60])))
-
-
-def test_bounds_of_a_gain_pair_the_same_readings() -> None:
-    """To the second; an hour's logger whose stamps are 50 min later has no instant in common with itself."""
-    random = np.random.default_rng(1)
-    time = 1.6e9 + HOUR_S * np.arange(60 * 24.0)
-    error = random.standard_normal(len(time))
-
-    low, high = difference_bounds((time, error), (time + 0.3, 0.5 * error))
-    assert 0.3 < low < 0.5 < high < 0.7
-    assert np.isnan(difference_bounds((time, error), (time + 3000.0, 0.5 * error))).all()
-
-
-def test_only_constant_corrections_of_the_cabinet_move_its_readings() -> None:
-    time = 1.6e9 + HOUR_S * np.arange(4.0)
-    record = Record(
-        "two",
-        (
-            Series("cabinet_temperature", time, time, source="inside.csv, T"),
-            Series("ambient_temperature", time, time, source="station.csv, T"),
-        ),
-    )
-    inside, station = Shift("inside.csv", 600.0), Shift("station.csv", 900.0)
-    assert cabinet_moved(record, [inside, station]) == 600.0
-    assert cabinet_moved(record, [station, replace(inside, summer=True)]) == 0.0

@@ -7,11 +7,14 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
-from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY
+from plants.as_record import to_record
+from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY, hidden_plant
 from scipy.stats import binomtest
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -31,7 +34,7 @@ def part(name: str) -> ModuleType:
 
 # -- lines made by hand --------------------------------------------------------------------------------------
 def name(cause: str, *rivals: str, worth: float = 0.2, **more: object) -> dict:
-    told = {"cause": cause, "form": "roof", "evidence": 90.0, "evidence_in_days": 50.0}
+    told = {"cause": cause, "form": "roof", "evidence": 90.0, "evidence_in_days": 50.0, "lead": 40.0}
     return {**told, "rivals": list(rivals), "worth": worth, **more}
 
 
@@ -47,6 +50,8 @@ def line(group: str, asked: tuple[str, ...] = (), *names: dict, key: str = "", *
         "verdict": "named" if names else "none",
         "names": list(names),
         "refuted": [],
+        "lines": [],
+        "last_fifth": {},
         "simulations": 3000,
         "cpu_s": 8.0,
         **more,
@@ -147,7 +152,37 @@ def test_confidence_is_held_against_what_was_right_in_thirds() -> None:
         )
     ]  # fmt: skip
     found = [figures(some)[f"confidence, third {n}: stated − observed"] for n in (1, 2, 3)]
-    assert found == ["+0.000", "+0.300", "-0.050"]
+    assert found == ["+0.000 of 2", "+0.300 of 2", "-0.050 of 2"]
+
+
+def test_coefficients_of_the_confidence_come_back() -> None:
+    random = np.random.default_rng(3)
+    some = []
+    for place in range(2000):
+        in_days, lead = float(np.exp(random.uniform(2.3, 6.0))), float(random.exponential(40.0))
+        chance = 1.0 / (1.0 + np.exp(-(-3.0 + 0.8 * np.log(in_days) + 0.03 * lead)))
+        cause = "solar_gain" if random.random() < chance else "rain_ingress"
+        told = name(cause, evidence_in_days=in_days, lead=lead)
+        some.append(line("confidence", ("solar_gain",), told, key=str(place)))
+    text = part("calibration").calibrated([*some, failed("confidence", "solar_gain"), line("nulls")])
+    found = [float(one) for one in text.partition("(")[2].partition(")")[0].split(", ")]
+    assert found == pytest.approx([-3.0, 0.8, 0.03], rel=0.25) and "2000 names" in text
+    assert all(abs(float(one.split()[5])) < 0.03 for one in text.splitlines()[1:])
+    with pytest.raises(ValueError, match="at least 30 names of the group confidence, found 1"):
+        part("calibration").calibrated(some[:1])
+
+
+def test_the_told_model_is_held_against_readings_that_were_cut_off() -> None:
+    """The sun in a dry record: the told model errs less on a fifth that `discover` never saw."""
+    record = to_record(hidden_plant(9101, "solar_gain", days=40.0))
+    record = replace(record, series=tuple(one for one in record.series if "humidity" not in one.signal))
+    cut, whole = part("measured").before_the_last_fifth(record)
+    made = part("trial").found(cut, whole)
+    assert [one["cause"] for one in made["names"]][:1] == ["solar_gain"] and made["cpu_s"] > 0.0
+    ((quantity, (before, after)),) = made["last_fifth"].items()
+    assert quantity == "temperature_K" and 0.2 < after < before
+    # the cut part is no part of the errors that the discovery itself tells
+    assert made["errors"]["temperature"][0] != pytest.approx(before, rel=1e-3)
 
 
 def test_measured_records_count_by_what_is_known_of_them() -> None:
@@ -165,7 +200,13 @@ def test_measured_records_count_by_what_is_known_of_them() -> None:
         one(given, name("solar_gain", "door_opening"), wrong=doors),
         one("", name("solar_gain")),
     ]
+    for each, (before, after) in zip(some, ((2.0, 1.0), (2.0, 2.0), (1.0, 1.05), (1.0, 1.2)), strict=False):
+        each["last_fifth"] = {"temperature_K": [before, after]}
     found = figures(some)
+    assert found["last fifth, cut off before: worse by more than 2 %"].startswith("2/4 ")
+    assert found["last fifth: worse by more than 10 %"].startswith("1/4 ")
+    assert found["last fifth: geometric mean after/before"] == f"{(0.5 * 1.05 * 1.2) ** 0.25:.2f}"
+    assert found["measured: names a record, median"] == "1"
     assert found[f"measured, {known}: named or in a class"].startswith("1/2 ")
     assert found[f"measured, {withheld}: named or in a class"].startswith("1/1 ")
     assert found[f"measured, {given}: a name of their kind"].startswith("1/2 ")
@@ -234,7 +275,7 @@ def test_a_line_holds_what_the_table_needs(monkeypatch: pytest.MonkeyPatch) -> N
         "errors": {"temperature": [2.0, 1.5]},
     }  # fmt: skip
     monkeypatch.setattr(trial, "DAYS", 30.0)
-    monkeypatch.setattr(trial, "found", lambda record: seen.append(record) or answer)
+    monkeypatch.setattr(trial, "found", lambda record, whole: seen.append(record) or answer)
     (case,) = (one for one in cases.chosen(["half"], [1]) if one.cell == "sun")
     made = trial.run_case(case)
     assert json.loads(json.dumps(made)) == made
@@ -298,7 +339,7 @@ def test_stopped_trials_go_on_where_they_stopped(
     [
         ("nowhere --seeds 0:1 --out x", "found nowhere"),
         ("nulls --out x", "expected GROUP and --seeds"),
-        ("--out x", "expected GROUP and --seeds, or --table"),
+        ("--out x", "expected GROUP and --seeds, or --table, or --calibrate"),
         ("nulls --seeds 5 --out x", "expected FIRST:LAST"),
         ("--table --out nowhere.jsonl", "no lines in nowhere.jsonl"),
     ],

@@ -16,7 +16,6 @@ from plants.chamber import Terms, gab, integrate_hidden, no_exposure
 from plants.chance import low_pass
 from plants.drivers import Drivers
 from plants.hidden import FORMS, HIDDEN_OPTIONS, LIBRARY, Search, hidden_plant, make_scene
-from plants.injection import EFFECTS, inject
 from plants.operation import standstills
 from plants.outdoors import outdoors, sun_azimuth, wall_irradiance
 from plants.paper import PREHEATING_H, paper_case
@@ -731,84 +730,6 @@ def test_the_papers_case_refuses_what_it_cannot_be() -> None:
         paper_case(1, decoy="ghost")
     with pytest.raises(ValueError, match="80 days at least"):
         paper_case(1, days=60.0)
-
-
-# --- injection into measured readings -------------------------------------------------------
-
-HOURS = 3600.0 * np.arange(2000.0)
-
-
-def test_injected_shift_drift_and_step_are_what_they_say() -> None:
-    value = np.sin(HOURS / 40000.0)
-    time, same_value = inject(HOURS, value, "clock_shift", minutes=60.0)
-    np.testing.assert_array_equal(time, HOURS + 3600.0)
-    np.testing.assert_array_equal(same_value, value)
-    humidity = np.full(HOURS.size, 0.5)
-    humidity[7] = np.nan
-    time, drifted = inject(HOURS, humidity, "humidity_drift", per_year=0.1)
-    np.testing.assert_array_equal(time, HOURS)
-    assert drifted[-1] - drifted[0] == pytest.approx(0.1 * 1999.0 / 8765.82, rel=1e-6)
-    assert np.isnan(drifted[7])
-    _, kept = inject(HOURS, humidity, "humidity_drift", per_year=9.0, since_s=HOURS[-1])
-    np.testing.assert_array_equal(kept, humidity)
-    _, full = inject(HOURS, humidity, "humidity_drift", per_year=90.0)
-    assert np.nanmax(full) == 1.0
-    _, stepped = inject(HOURS, value, "temperature_step", kelvin=-1.5, date_s=HOURS[500])
-    np.testing.assert_array_equal(stepped[:500], value[:500])
-    np.testing.assert_allclose(stepped[500:], value[500:] - 1.5)
-    with pytest.raises(ValueError, match=", ".join(EFFECTS)):
-        inject(HOURS, value, "ghost")
-
-
-def test_injected_sorption_keeps_its_balance() -> None:
-    """What the buffer gives away is in the air or has left with it."""
-    kelvin = 290.0 + 6.0 * np.sin(2.0 * np.pi * HOURS / 86400.0)
-    dense = concentration(saturation_pressure(kelvin), kelvin)
-    humidity = np.clip(0.55 - 0.02 * (kelvin - 290.0), 0.0, 1.0)
-    options = {"kelvin": kelvin, "time_constant_h": 8.0, "exchange_h": 2.0}
-    _, told = inject(HOURS, humidity, "sorption", capacity_kg_m3=0.05, **options)
-    extra = (told - humidity) * dense
-    assert 1e-4 < np.std(extra[48:]) < 2e-3
-    # Warm hours drive water out; over whole days as much goes in as comes out.
-    assert np.corrcoef(extra[48:], kelvin[48:])[0, 1] > 0.5
-    assert abs(np.mean(extra[480:1920])) < 0.05 * np.std(extra[480:1920])
-    # A finer record tells the same story.
-    minutes = np.arange(0.0, HOURS[300], 300.0)
-    fine = {**options, "kelvin": np.interp(minutes, HOURS, kelvin)}
-    _, close = inject(minutes, np.interp(minutes, HOURS, humidity), "sorption", capacity_kg_m3=0.05, **fine)
-    at_hours = close[::12]
-    np.testing.assert_allclose(at_hours[20:], told[20 : at_hours.size], atol=0.012)
-    # Quick against slow: with an endless exchange nothing is seen, nor without capacity.
-    _, blown = inject(HOURS, humidity, "sorption", capacity_kg_m3=0.05, **{**options, "exchange_h": 1e-4})
-    np.testing.assert_allclose(blown, humidity, atol=1e-3)
-    _, empty = inject(HOURS, humidity, "sorption", capacity_kg_m3=0.0, **options)
-    np.testing.assert_allclose(empty, humidity, atol=1e-15)
-    holes = humidity.copy()
-    holes[100:110] = np.nan
-    _, patched = inject(HOURS, holes, "sorption", capacity_kg_m3=0.05, **options)
-    assert np.isnan(patched[100:110]).all() and np.isfinite(patched[110:]).all()
-    with pytest.raises(ValueError, match="no reading"):
-        inject(HOURS, np.full(HOURS.size, np.nan), "sorption", capacity_kg_m3=0.05, **options)
-
-
-def test_injected_sorption_answers_a_step_as_the_equations_do() -> None:
-    """Against a fine explicit integration of both balances."""
-    kelvin = np.full(HOURS.size, 293.15)
-    humidity = np.where(np.arange(HOURS.size) < 10, 0.4, 0.7)
-    _, told = inject(
-        HOURS, humidity, "sorption", kelvin=kelvin, capacity_kg_m3=0.1, time_constant_h=12.0, exchange_h=3.0
-    )
-    dense = float(concentration(saturation_pressure(kelvin[:1]), kelvin[:1])[0])
-    step, water, extra, found = 20.0, 0.1 * 0.4, 0.0, []
-    for instant in np.arange(0.0, HOURS[100], step):
-        if instant % 3600.0 == 0.0:
-            found.append(0.4 * (instant < HOURS[10]) + 0.7 * (instant >= HOURS[10]) + extra / dense)
-        phi = np.interp(instant, HOURS, humidity)
-        taken = (0.1 * (phi + extra / dense) - water) / (12.0 * 3600.0)
-        water += step * taken
-        extra += step * (-taken - extra / (3.0 * 3600.0))
-    np.testing.assert_allclose(told[:100], found, atol=0.01)
-    assert told[12] < 0.66
 
 
 # --- all of it, at full length --------------------------------------------------------------

@@ -14,6 +14,7 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 from scipy.integrate import quad
 
+from hygrokf.data.clocks import Shift
 from hygrokf.data.record import Record, Series
 from hygrokf.discovery.scene import PARTS, UNKNOWN_K, Scene, driven, over_cells, scene_of
 from hygrokf.discovery.starting_model import base_estimate, free_run_error
@@ -175,7 +176,7 @@ def test_moved_readings_beyond_the_cells_are_what_is_shown_at_their_ends(hold, h
     logger = [series(n, 3600.0, f, hold, "logger") for n, f in (
         ("cabinet_temperature", cabinet), ("cabinet_relative_humidity", lambda t: 0.5 + 0.0 * t)
     )]  # fmt: skip
-    one = scene(record(*logger)).moved("logger", hours * HOUR_S)
+    one = scene(record(*logger)).moved(Shift("logger", hours * HOUR_S))
     found = one.readings["temperature"].sampled(np.linspace(290.0, 300.0, one.count)[:, None])
     assert 290.0 <= found.min() < found.max() <= 300.0 + 1e-9
     assert (np.diff(found[:, 0]) > -1e-9).all()
@@ -218,7 +219,7 @@ def test_readings_at_the_ends_of_the_sensors_range_are_left_out():
 # -- clocks --------------------------------------------------------------------------------------------------
 def test_a_moved_source_shifts_its_inputs_and_nothing_else():
     one = scene(record())
-    later = one.moved("SCADA", 1800.0)
+    later = one.moved(Shift("SCADA", 1800.0))
     names = ("ambient_temperature", "operating", TEMPERATURE)
     before, after = (x.cells(names, (one.heat, one.vapour)).means for x in (one, later))  # type: ignore[arg-type]
     shift = round(1800.0 / (one.cell_h * HOUR_S))
@@ -226,7 +227,7 @@ def test_a_moved_source_shifts_its_inputs_and_nothing_else():
         assert_allclose(after[shift + 1 :, c], before[1:-shift, c], rtol=0, atol=1e-9)
     assert_allclose(after[:, 2], before[:, 2], rtol=0, atol=0)
     assert later.readings["temperature"] is one.readings["temperature"]
-    back = later.moved("SCADA", -1800.0).cells(names, (one.heat, one.vapour)).means  # type: ignore[arg-type]
+    back = later.moved(Shift("SCADA", -1800.0)).cells(names, (one.heat, one.vapour)).means  # type: ignore[arg-type]
     assert_allclose(back, before)
 
 
@@ -234,7 +235,7 @@ def test_a_moved_logger_shifts_its_readings():
     """The readings stay the same ones; they are compared with a later simulation, and the temperature that
     drives the vapour comes with them."""
     one = scene(record())
-    later = one.moved("logger", 1800.0)
+    later = one.moved(Shift("logger", 1800.0))
     shift = 1800.0 / (one.cell_h * HOUR_S)
     for q in ("temperature", "vapour"):
         assert_allclose(later.readings[q].end, one.readings[q].end + shift)

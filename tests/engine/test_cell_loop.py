@@ -34,7 +34,7 @@ from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.switches import SWITCHES
+from hygrokf.physics.switches import CONTROLLED, Throttle
 
 TOLERANCE = {"temperature": 0.02, "vapour": 0.02}
 """[K], [g/m³] root mean square difference to the package's free run and to a plant's truth."""
@@ -346,27 +346,23 @@ def levels(effect: Effect) -> dict[str, float]:
     return {
         f"{name}_{word}": level
         for name, settings in (effect.features or {}).items()
-        if name in SWITCHES
-        for word, level in zip(CONTROL, SWITCHES[name](**settings).levels, strict=False)
+        if name in CONTROLLED
+        for word, level in zip(CONTROL, Throttle(**settings).levels, strict=False)
     }
 
 
-TWO_POINT = {
+COUNTED = {
     "cooling": Effect(
-        (("cooling_loss", {}),), features={"cooling": {"on_K": 296.0, "off_K": 293.0}},
-        values={"cooling_conductance": 1.5},
+        (("throttled_cooling_loss", {}),), values={"throttled_conductance": 1.5},
+        features={"venting": {"reads": "cabinet_temperature", "start": 293.0, "full": 296.0}},
     ),
-    "heating": Effect(
-        (("unreported_heater", {}),),
-        features={"heating": {"reads": "cabinet_temperature", "on": 291.0, "off": 294.0, "idle": False}},
-        values={"heater_heat": 9.0},
+    "heating": EFFECTS["throttled heater"],
+    "heating at standstill": replace(
+        EFFECTS["throttled heater"],
+        features={"throttled_heating": {
+            "reads": "cabinet_temperature", "start": 293.0, "full": 290.0, "idle": True
+        }},
     ),
-    "heating at standstill": Effect(
-        (("unreported_heater", {}),),
-        features={"heating": {"reads": "cabinet_temperature", "on": 290.0, "off": 293.0, "idle": True}},
-        values={"heater_heat": 9.0},
-    ),
-    "throttled": EFFECTS["throttled heater"],
 }  # fmt: skip
 
 
@@ -380,7 +376,7 @@ def counter(flag: str) -> Mechanism:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("effect", TWO_POINT.values(), ids=TWO_POINT)
+@pytest.mark.parametrize("effect", COUNTED.values(), ids=COUNTED)
 def test_controllers_run_as_many_hours_a_day_as_in_the_free_run(effect, monkeypatch):
     record = record_of(8601)
     made = designs(record, effect)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hygrokf.evaluation.bootstrap import block_h, resampled
+from hygrokf.evaluation.bootstrap import block_h, integral_time_h, resampled
 
 STEP_S = 900.0
 
@@ -18,6 +18,14 @@ def remembering(random: np.random.Generator, size: int, time_h: float) -> np.nda
     gain = math.exp(-STEP_S / 3600.0 / time_h)
     kicks = math.sqrt(1.0 - gain**2) * random.standard_normal(size + 1000)
     return lfilter([1.0], [1.0, -gain], kicks)[1000:]
+
+
+@pytest.mark.parametrize("time_h", [4.0, 10.0])
+def test_the_integral_time_of_an_exponential_memory_is_its_time_constant(time_h: float) -> None:
+    found = [
+        integral_time_h(remembering(np.random.default_rng(seed), 20_000, time_h), 0.25) for seed in range(6)
+    ]
+    assert np.mean(found) == pytest.approx(time_h, rel=0.15)
 
 
 def pair(seed: int, days: int, time_h: float) -> tuple[np.ndarray, np.ndarray]:

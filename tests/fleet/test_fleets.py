@@ -586,7 +586,7 @@ def test_the_command_tells_writes_and_reports_again(park: Path, serial: tuple[Pa
     out = serial[0]
     said = run(f"fleet {park}/fleet.toml --out {out} --workers 1")
     assert said.status == 1
-    assert "3 of 5 turbines with a result" in said.out and "T3" in said.out and "no such file" in said.out
+    assert "Turbines with a result: 3 of 5." in said.out and "T3" in said.out and "no such file" in said.out
     assert said.err.count("done before") == len(WHOLE) and "report: " in said.err
     assert (out / "fleet.csv").read_text() == serial[1]
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -632,13 +632,15 @@ def test_results_are_plain_data() -> None:
 @pytest.mark.slow
 def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: Path) -> None:
     file = park / "discoveries.toml"
-    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\n')
     of_all = run(f"fleet {file} --out {tmp_path} --workers 1 --json")
-    of_one = run(f"discover {park}/T2/case.toml --out {tmp_path}/alone --starts 1 --json")
+    of_one = run(f"discover {park}/T2/case.toml --out {tmp_path}/alone --json")
     assert (of_all.status, of_one.status) == (0, 0)
     row, found = json.loads(of_all.out)["rows"][1], json.loads(of_one.out)
     assert row["verdict"] == found["verdict"]
-    assert row["causes"].split() == [one["cause"] for one in found["causes"]]
+    assert row["causes"].split() == [
+        "/".join((one["cause"], *one["ambiguous_with"])) for one in found["causes"]
+    ]
     assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
     final = found["extended"] or found["baseline"]
     assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]

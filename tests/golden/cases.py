@@ -8,7 +8,6 @@ import csv
 import hashlib
 import io
 import json
-import math
 import os
 import re
 import shutil
@@ -290,7 +289,7 @@ def attic(folder: Path) -> str:
 
 
 def discovered(record: Record, folder: Path) -> str:
-    one = discover(record, starts=1, budget_s=math.inf)
+    one = discover(record)
     write_discovery_report(one, folder / "out")
     return page_text(discovery_blocks(one.results))
 
@@ -335,7 +334,7 @@ CASES = (
     Case(
         "discovery",
         turbine(20.0, "A"),
-        (("discover", "A/case.toml", "--out", "out", "--starts", "1", "--budget", "inf"),),
+        (("discover", "A/case.toml", "--out", "out"),),
         large=True,
     ),
     Case("playback", nothing, (playback, ("export", "--store", "sqlite:store.db", "--out", "exported"))),

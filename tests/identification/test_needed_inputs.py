@@ -124,7 +124,8 @@ def test_degenerate_records_end_in_words(seed):
 @pytest.mark.parametrize("seed", range(200))
 def test_two_hundred_degenerate_records_end_in_words(seed):
     judged(seed)
-    if seed % 10 == 0:
+    # of seed 22 a search ends with a model that is faster than a filter can follow
+    if seed % 10 == 0 or seed == 22:
         in_words(degenerate(seed), discover)
 
 

@@ -454,4 +454,6 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
     assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
     text = page_text(fit_blocks(typed(_rejected()), {}))
     first = text.split("\n\n")[1].splitlines()[0]
-    assert first.startswith("thermal not reliable, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")
+    assert first.startswith(
+        "thermal time constant, not reliable: 1.45 h (1.40 … 1.50, 95 %, all sources). The free"
+    )

@@ -325,12 +325,12 @@ def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) 
     state, scenarios = point_at(one, record), persistence(record, NOW_S)
     without = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
     found = {}
-    for on_K in (350.0, 200.0):
-        switch = {"cooling": {"on_K": on_K, "off_K": on_K - 3.0}}
-        base = extended(plain, [("cooling_loss", {})], features=switch)
-        values = {p.name: p.start for p in base.model.parameters} | {"cooling_conductance": 3.0}
+    for full_K in (350.0, 200.0):
+        switch = {"venting": {"reads": "cabinet_temperature", "start": full_K - 3.0, "full": full_K}}
+        base = extended(plain, [("throttled_cooling_loss", {})], features=switch)
+        values = {p.name: p.start for p in base.model.parameters} | {"throttled_conductance": 3.0}
         one = planned(Fit("cooled", base, values), record)
-        found[on_K] = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
+        found[full_K] = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
         assert restart(one, state, scenarios, SURFACE).made_s == state.time
     assert found[350.0][1:] == pytest.approx(without[1:], abs=0.05)
     assert found[200.0][-1] < without[-1] - 0.1

@@ -14,6 +14,7 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.modelling.derived_inputs import FEATURES, clear_sky, feature, feature_faults
 from hygrokf.modelling.design import Design, design, extended
 from hygrokf.modelling.inputs import prepare_run
+from hygrokf.physics.switches import CONTROLLED
 
 HOUR = 3600.0
 START = 1.6e9
@@ -43,20 +44,21 @@ def test_dates_windows_and_the_calendar() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reads", "value", "on", "off", "expected"),
+    ("reads", "value", "start", "full", "expected"),
     [
-        ("cabinet_temperature", [290.0, 284.0, 286.0, 289.0, 284.0, 284.0], 285.0, 288.0, [0, 1, 1, 0, 1, 0]),
-        ("cabinet_relative_humidity", [0.5, 0.8, 0.7, 0.5, 0.9, 0.9], 0.75, 0.6, [0, 1, 1, 0, 1, 0]),
+        ("cabinet_temperature", [290.0, 284.0, 286.0, 289.0, 284.0, 284.0], 289.0, 285.0,
+         [0, 1, 0.75, 0, 1, 0]),
+        ("cabinet_relative_humidity", [0.5, 1.0, 0.75, 0.5, 1.0, 1.0], 0.5, 1.0, [0, 1, 0.5, 0, 1, 0]),
     ],
-)
+)  # fmt: skip
 def test_a_heater_runs_at_standstill_alone(
-    reads: str, value: list[float], on: float, off: float, expected: list[int]
+    reads: str, value: list[float], start: float, full: float, expected: list[float]
 ) -> None:
     power = series("active_power", np.array([0.0] * 5 + [1e6] * 3), hold="mean", interval_s=600.0)
     made = Record("made", (series(reads, np.array(value)), power))
     time = np.concatenate([[START], made[reads].time + 300.0])  # steps whose middles are the readings
-    found = feature(made, "heating", {"reads": reads, "on": on, "off": off}, time + 0.0)
-    assert found[1:].tolist() == expected
+    settings = {"reads": reads, "start": start, "full": full, "idle": True}
+    assert feature(made, "throttled_heating", settings, time)[1:].tolist() == expected
 
 
 def test_the_clear_sky_is_haurwitzs() -> None:
@@ -113,18 +115,16 @@ def test_what_a_record_lacks_is_named(record: Record) -> None:
         "wind_tenth",
         "after_step",
         "door_open",
-        "cooling",
-        "heating",
-        "drying",
+        *CONTROLLED,
     }
 
 
 def test_features_of_a_damaged_file_are_named() -> None:
-    good = {"sunshine": {}, "after_step": {"date_s": 1.0}, "cooling": {"on_K": 300.0, "off_K": 298.0}}
+    good = {"sunshine": {}, "after_step": {"date_s": 1.0}, "scheduled": {"start_h": 8.0, "hours": 2.0}}
     assert feature_faults(good) == []
-    faults = feature_faults({"moon": {}, "cooling": {"on_K": 300.0}, "wind_tenth": {"a": 1}})
+    faults = feature_faults({"moon": {}, "scheduled": {"start_h": 8.0}, "wind_tenth": {"a": 1}})
     for fault, words in zip(
-        faults, (["moon:", "elapsed"], ["cooling:", "off_K"], ["wind_tenth:", "none", "'a'"]), strict=True
+        faults, (["moon:", "elapsed"], ["scheduled:", "hours"], ["wind_tenth:", "none", "'a'"]), strict=True
     ):
         assert all(word in fault for word in words)
 

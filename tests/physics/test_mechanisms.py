@@ -28,7 +28,7 @@ from hygrokf.physics.holds import LINEAR, MEAN
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.physics.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
-from hygrokf.physics.model import Mechanism, Model, compose, extend, without
+from hygrokf.physics.model import Mechanism, Model, compose, extend
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import relative_humidity
 
@@ -56,7 +56,6 @@ VARIANTS = [
     ("humidity_sensor", {"accuracy": 0.0}),
     ("absolute_humidity_sensor", {"accuracy": 0.2, "resolution": 0.01}),
     ("moisture_sorption", {"activated": False}),
-    ("stepped_exchange", {"flows": True}),
     ("moisture_sorption", {"slab": True}),
     ("moisture_sorption", {"activated": False, "slab": True}),
     ("heat_disturbance", {"longest_h": 40.0, "shortest_h": 1.0}),
@@ -189,7 +188,7 @@ def test_at_its_null_value_the_model_is_the_one_without_it(name: str, settings: 
     assert made.null, f"{name} needs a null value: tests of it and starts of larger models rest on it"
     model = host(made)
     values = some_values(model) | made.null
-    smaller = without(model, name)
+    smaller = replace(model, mechanisms=tuple(m for m in model.mechanisms if m.name != name))
     kept = {p.name: values[p.name] for p in smaller.parameters}
     run, inputs = some_run(model), some_inputs(model)
     readings = {output: run.reading(output) for output in model.outputs}
@@ -546,27 +545,3 @@ def test_a_film_that_the_filter_makes_negative_comes_back() -> None:
         # the published form, m/(m + 1 g/m³), but for the rounding of |m|
         wet = amount / (1.0 + amount)
         assert (rate(0.0) - rates[0]) / (rate(0.0) - rate(1e9)) == pytest.approx(wet, rel=0.02)
-
-
-@pytest.mark.parametrize("change", [-0.7, 0.0, 2.0])
-def test_a_changed_exchange_may_leave_flows_of_vapour_as_they_were(change: float) -> None:
-    """The rate of the vapour splits into breathing, which changes, and a disturbance: an error of the air
-    that is breathed changes with it, a flow does not."""
-    names = ("thermal_network", "hygric_exchange", "vapour_disturbance")
-    inputs = {
-        "ambient_temperature": 283.15, "ambient_absolute_humidity": 7.0,
-        "exchange_factor": exchange_factor(283.15), "after_step": 1.0,
-    }  # fmt: skip
-
-    def rate(flows: bool, disturbance: float) -> float:
-        parts = [LIBRARY[name]() for name in names] + [LIBRARY["stepped_exchange"](flows=flows)]
-        model = compose(parts)
-        values = {p.name: p.start for p in model.parameters} | {"exchange_change": change}
-        state = {"converter_temperature": 290.0, "vapour": 8.0, "vapour_disturbance": disturbance}
-        found = model.evaluate([state[n] for n in model.states], inputs, values)
-        return float(found.rates[model.states.index("vapour")])
-
-    plain = rate(False, 0.0)
-    assert rate(True, 0.0) == pytest.approx(plain)
-    of_air, flow = (rate(flows, 0.4) - plain for flows in (False, True))
-    assert of_air == pytest.approx((1.0 + change) * flow) and flow > 0.0

@@ -13,7 +13,7 @@ from hygrokf.engine.traced_filter import Recursion
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.holds import REGIME
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
-from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend, without
+from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend
 from hygrokf.physics.parameters import Parameter
 
 
@@ -89,7 +89,7 @@ def test_noise_of_several_mechanisms_on_one_state_adds() -> None:
     assert compose([store(), more]).noise({}) == [[0.75]]
 
 
-def test_extending_and_taking_away() -> None:
+def test_extending() -> None:
     base = compose([store(), SHIFT, READ], {"outside": "linear"})
     sun = Mechanism(
         name="sun", inputs=("irradiance",), contributions=lambda p, x, u, q: {"heat_release": u.irradiance}
@@ -98,12 +98,9 @@ def test_extending_and_taking_away() -> None:
     assert larger.inputs == ("outside", "irradiance")
     assert larger.holds == {"outside": "linear", "irradiance": "mean"}
     assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
-    assert without(larger, "sun").mechanisms == base.mechanisms
     assert larger.mechanism("sun") is sun
     with pytest.raises(KeyError, match=r"'moon'.*'sun'"):
         larger.mechanism("moon")
-    with pytest.raises(KeyError, match="'moon'"):
-        without(larger, "moon")
 
 
 def test_names_and_inputs_are_gathered_once_in_order() -> None:

@@ -26,22 +26,18 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
-from hygrokf.report.figures.drawing import NothingToShow, new_figure, styled
+from hygrokf.report.figures.drawing import NothingToShow
+from hygrokf.report.figures.panels import Panels
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import block_text, cells, page_text, table_text
 
 EVIL = "<img src=x onerror=alert(1)>\"'&amp;\x00\u202e"
-BELIEVED = Card(
-    "thermal", "1.46 h", "thermal 1.46 h: reliable", "believe", "1.37 … 1.55", symbol="R_AT·C"
-)
-REJECTED = Card("hygric", "0.3 h", "hygric not reliable, 0.3 h", "reject", "0.2 … 0.4", "It drifts.")
+BELIEVED = Card("thermal", "1.46 h", "believe", "1.37 … 1.55", symbol="R_AT·C")
+REJECTED = Card("hygric", "0.3 h", "reject", "0.2 … 0.4", "It drifts.")
 
 
-def drawing():
-    with styled():
-        figure = new_figure(1.0)
-        figure.add_subplot().plot([0.0, 1.0], [1.0, 2.0])
-    return figure
+def drawing() -> Panels:
+    return Panels((lambda axes: axes.plot([0.0, 1.0], [1.0, 2.0]),), 1.0)
 
 
 def nothing():
@@ -58,7 +54,8 @@ EVERY = (
     Verdicts((Line("believe", "It holds.", head=True), Line("reject", "number", struck="3.0 h"))),
     Cards((BELIEVED, REJECTED)),
     Table("Errors", ("", "a", "b"), (("model", "1", "2"),), marked=(0,), groups=(("", 1), ("both", 2))),
-    Figure("one", "A picture", "Look at the line.", drawing), Details("All of it", (Prose("inside"),)),
+    Figure("one", "A picture", "Look at the line.", drawing),
+    Details("All of it", (Prose("inside"),), printed=True), Details("More", (Prose("folded"),)),
 )  # fmt: skip
 
 
@@ -72,7 +69,7 @@ def test_every_kind_of_block_is_drawn_and_printed() -> None:
     assert "3\xa0K" in text and "R<sub>AT</sub>·C" in text and 'href="fit_report.html"' in text
     printed = [block_text(block) for block in EVERY]
     assert [bool(one) for one in printed] == [not isinstance(block, Figure) for block in EVERY]
-    assert "- one\n- two" in printed[3] and printed[-1] == "All of it\n\ninside"
+    assert "- one\n- two" in printed[3] and printed[-2:] == ["All of it\n\ninside", "More: on the page."]
 
 
 def test_a_rejected_number_is_struck_through_and_is_no_headline() -> None:
@@ -89,7 +86,7 @@ def test_every_text_is_escaped() -> None:
     blocks = (
         Heading(EVIL), Prose(EVIL), Link(EVIL, EVIL), Items((EVIL,)), Facts(((EVIL, EVIL),)),
         Banner(EVIL, EVIL), Verdicts((Line("caution", EVIL, struck=EVIL),), EVIL),
-        Cards((Card(EVIL, EVIL, EVIL, "", EVIL, EVIL, EVIL),)),
+        Cards((Card(EVIL, EVIL, "", EVIL, EVIL, EVIL),)),
         Table(EVIL, (EVIL,), ((EVIL,),), groups=((EVIL, 1),), note=EVIL), Figure("x", EVIL, EVIL, drawing),
         Figure("y", EVIL, EVIL, nothing), Details(EVIL, (Prose(EVIL),)),
     )  # fmt: skip
@@ -107,17 +104,22 @@ def test_a_figure_without_data_says_why() -> None:
 def test_the_page_needs_nothing_from_elsewhere_and_folds_its_details() -> None:
     text = page(*EVERY)
     assert "http" not in text and "<script" not in text and "@import" not in text
-    assert text.count("<details>") == 1 and "details::details-content" in text
+    assert text.count("<details>") == 2 and "details::details-content" in text
     assert text.count("<!DOCTYPE html>") == 1 and text.endswith("</html>\n")
 
 
-def test_the_terminal_prints_the_name_the_warnings_and_what_is_brief() -> None:
+def test_the_terminal_prints_the_name_the_warnings_and_the_sections_that_hold_text() -> None:
     warnings = (Banner("SYNTHETIC", "x"), Banner("NOT CONVERGED", "stopped."))
-    brief = (Cards((BELIEVED,)), Table("T", ("a", "b", "c"), (("1", "2", "3"),), brief=(0, 2)))
-    made = Page("Report", "T07", (), warnings, (Prose("long"),), (), brief)
+    lead = (*warnings, Cards((BELIEVED, REJECTED)), Figure("one", "A picture", "", drawing))
+    body = (
+        *section("Pictures", Figure("two", "A picture", "", drawing)),
+        *section("Numbers", Table("T", ("a", "b", "c"), (("1", "2", "3"),), brief=(0, 2))),
+    )
+    made = Page("Report", "T07", (), lead, body, (Prose("how it was computed"),))
     assert page_text(made) == (
         "T07 (SYNTHETIC: nothing measured)\n\nNOT CONVERGED: stopped.\n\n"
-        "thermal 1.46 h: reliable\n\nT\na  c\n1  3"
+        "thermal: 1.46 h (1.37 … 1.55), reliable.\nhygric, not reliable: 0.3 h (0.2 … 0.4). It drifts.\n\n"
+        "Numbers\n\nT\na  c\n1  3"
     )
 
 

@@ -55,9 +55,25 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
     assert "<h2>Outliers<" not in page_html(fleet_blocks(table("fit", rows[-1:])))
 
 
+def test_the_page_of_discoveries_counts_verdicts_and_names_classes() -> None:
+    found = (("named", "solar_gain"), ("ambiguous", "condensation/moisture_sorption"), ("refuted", ""),
+             ("named", "solar_gain exchange_step"))  # fmt: skip
+    rows = [
+        {"turbine": f"W{place}", "status": "done", "verdict": verdict, "causes": causes, "not_judged": ""}
+        for place, (verdict, causes) in enumerate(found)
+    ]
+    rows[2]["not_judged"] = "clock_shift"
+    text = page_html(fleet_blocks(table("discover", rows)))
+    assert "Verdicts: 2 named, 1 ambiguous, 1 refuted." in text
+    assert "condensation or moisture sorption" in text and "W0, W3" in text
+    assert "The budget of simulations ended the search before every cause was judged: W2." in text
+    assert "The budget" not in page_html(fleet_blocks(table("discover", rows[:2])))
+
+
 def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
     text = page_text(fleet_blocks(table("fit", rows)))
-    assert "W4 is an outlier: thermal time constant 4.3" in text and text.count("is an outlier:") == 1
+    (line,) = (one for one in text.splitlines() if one.startswith("W4 "))
+    assert line.split()[1:7] == ["thermal", "time", "constant", "[h]", "4.32", "1.48"]
     assert "No turbine differs from the others" in page_text(fleet_blocks(table("fit", rows[:4] + rows[5:])))
-    assert "outlier:" not in page_text(fleet_blocks(table("fit", rows[:3])))
+    assert "Outliers" not in page_text(fleet_blocks(table("fit", rows[:3])))

@@ -41,7 +41,7 @@ def _lines(axes) -> list[tuple[np.ndarray, np.ndarray]]:
 def test_every_figure_is_drawn_small_well_formed_and_captioned(picture) -> None:
     fit, series = report_case()
     before = copy.deepcopy(fit), {name: value.copy() for name, value in series.items()}
-    text = inline_svg(picture.draw(results(fit), series), picture.name, picture.heading)
+    text = inline_svg(picture.draw(results(fit), series).figure(), picture.name, picture.heading)
     ElementTree.fromstring(text)
     assert 5_000 < len(text.encode()) < LIMIT
     assert picture.caption.endswith(".") and 40 < len(picture.caption) < 260
@@ -64,12 +64,13 @@ def test_a_year_of_two_minute_readings_stays_small(picture) -> None:
     for name in ("temperature_innovation", "humidity_innovation"):
         long[name] = random.normal(size=n)
     long["scored"] = (random.random(n) > 0.001).astype(float)
-    assert len(inline_svg(picture.draw(results(fit), long), picture.name, picture.heading).encode()) < LIMIT
+    drawn = picture.draw(results(fit), long).figure()
+    assert len(inline_svg(drawn, picture.name, picture.heading).encode()) < LIMIT
 
 
 def test_the_whole_series_shows_every_extreme_in_its_unit() -> None:
     fit, series = report_case()
-    figure = figure_temperature(results(fit), series)
+    figure = figure_temperature(results(fit), series).figure()
     main, error, power = figure.get_axes()
     drawn = np.concatenate([y for _, y in _lines(main)])
     for name in ("temperature_measured", "temperature_simulated", "ambient_temperature"):
@@ -96,7 +97,7 @@ def test_the_whole_series_shows_every_extreme_in_its_unit() -> None:
 
 def test_humidity_is_drawn_in_grams() -> None:
     fit, series = report_case()
-    main = figure_humidity(results(fit), series).get_axes()[0]
+    main = figure_humidity(results(fit), series).figure().get_axes()[0]
     assert main.get_ylabel() == "absolute humidity [g/m³]"
     drawn = np.concatenate([y for _, y in _lines(main)])
     assert np.nanmin(np.abs(drawn - np.nanmax(series["absolute_humidity_measured"]))) < 1e-9
@@ -104,7 +105,7 @@ def test_humidity_is_drawn_in_grams() -> None:
 
 def test_excerpts_show_three_stretches_of_both_quantities_and_the_power() -> None:
     fit, series = report_case()
-    figure = figure_excerpts(results(fit), series)
+    figure = figure_excerpts(results(fit), series).figure()
     assert len(figure.get_axes()) == 9
     words = _words(figure)
     for word in ("(a)", "(b)", "(c)", "standstill and pre-heating", "part load", "most dynamic"):
@@ -114,17 +115,17 @@ def test_excerpts_show_three_stretches_of_both_quantities_and_the_power() -> Non
 def test_without_a_validation_period_none_is_marked() -> None:
     fit, series = report_case()
     series["until_s"] = np.array(np.nan)
-    assert "validation" not in _words(figure_temperature(results(fit), series))
-    assert "validation" not in _words(figure_residuals(results(fit), series))
+    assert "validation" not in _words(figure_temperature(results(fit), series).figure())
+    assert "validation" not in _words(figure_residuals(results(fit), series).figure())
 
 
 def test_without_power_there_is_no_power_axis() -> None:
     fit, series = report_case()
     series["power"] = np.zeros_like(series["power"])
     series["operating"] = np.zeros_like(series["operating"])
-    assert len(figure_temperature(results(fit), series).get_axes()) == 2
-    assert "power" not in _words(figure_residuals(results(fit), series))
-    assert len(figure_excerpts(results(fit), series).get_axes()) == 6
+    assert len(figure_temperature(results(fit), series).figure().get_axes()) == 2
+    assert "power" not in _words(figure_residuals(results(fit), series).figure())
+    assert len(figure_excerpts(results(fit), series).figure().get_axes()) == 6
 
 
 def test_released_heat_is_the_polynomial() -> None:
@@ -137,7 +138,7 @@ def test_released_heat_is_the_polynomial() -> None:
 
 def test_heat_release_draws_regression_and_estimate_at_round_temperatures() -> None:
     fit, series = report_case()
-    figure = figure_heat_release(results(fit), series)
+    figure = figure_heat_release(results(fit), series).figure()
     operation = figure.get_axes()[0]
     found = {n: row["value"] for n, row in fit["heat_release"]["operation"]["coefficients"].items()}
     degrees = [int(t.get_text().removesuffix(" °C")) for t in operation.texts if t.get_text().endswith("°C")]
@@ -158,16 +159,16 @@ def test_heat_release_draws_regression_and_estimate_at_round_temperatures() -> N
 def test_one_regime_is_enough_for_a_heat_release_figure() -> None:
     fit, series = report_case()
     fit["heat_release"]["operation"] = None
-    assert "operation: " not in _words(figure_heat_release(results(fit), series))
+    assert "operation: " not in _words(figure_heat_release(results(fit), series).figure())
     fit["heat_release"]["standstill"] = None
     fit["heat_release"]["statement"] = "operation: 3 periods are too few"
     with pytest.raises(NothingToShow, match="3 periods are too few"):
-        figure_heat_release(results(fit), series)
+        figure_heat_release(results(fit), series).figure()
 
 
 def test_profiles_show_bounds_threshold_and_simulation() -> None:
     fit, series = report_case()
-    figure = figure_profiles(results(fit), series)
+    figure = figure_profiles(results(fit), series).figure()
     thermal, hygric = figure.get_axes()
     for axes, name in ((thermal, "thermal"), (hygric, "hygric")):
         found = fit["time_constants"][name]
@@ -200,7 +201,7 @@ def test_profiles_show_bounds_threshold_and_simulation() -> None:
 def test_open_bounds_and_short_curves_are_drawn(change: dict) -> None:
     fit, series = report_case()
     fit["time_constants"]["thermal"] |= change
-    assert "thermal time constant" in _words(figure_profiles(results(fit), series))
+    assert "thermal time constant" in _words(figure_profiles(results(fit), series).figure())
 
 
 def test_residual_medians_are_those_of_the_data() -> None:
@@ -209,7 +210,7 @@ def test_residual_medians_are_those_of_the_data() -> None:
     series["until_s"] = np.array(np.nan)
     hour = (series["time_s"] / 3600.0) % 24.0
     error = series["temperature_simulated"] - series["temperature_measured"]
-    axes = figure_residuals(results(fit), series).get_axes()[2]
+    axes = figure_residuals(results(fit), series).figure().get_axes()[2]
     medians = [np.nanmedian(error[(hour >= a) & (hour < a + 2)]) for a in range(0, 24, 2)]
     drawn = np.concatenate([y for _, y in _lines(axes)])
     for value in medians:
@@ -218,7 +219,7 @@ def test_residual_medians_are_those_of_the_data() -> None:
 
 def test_innovations_of_each_output_with_every_input() -> None:
     fit, series = report_case()
-    words = _words(figure_innovations(results(fit), series, "humidity"))
+    words = _words(figure_innovations(results(fit), series, "humidity").figure())
     for word in (
         "Autocorrelation",
         "Cumulative periodogram",
@@ -229,7 +230,7 @@ def test_innovations_of_each_output_with_every_input() -> None:
         assert word in words
     fit["innovations"]["outputs"]["humidity"]["cross_correlation"] = {"power": {"statement": "does not vary"}}
     assert "no cross-correlation" in " ".join(
-        _words(figure_innovations(results(fit), series, "humidity")).split()
+        _words(figure_innovations(results(fit), series, "humidity").figure()).split()
     )
 
 
@@ -240,7 +241,7 @@ def test_what_goes_beyond_the_limits_is_red() -> None:
     data = fit["innovations"]["outputs"]["temperature"]["autocorrelation"]
 
     def red() -> int:
-        axes = figure_innovations(results(fit), series).get_axes()[0]
+        axes = figure_innovations(results(fit), series).figure().get_axes()[0]
         return sum(len(line.get_xdata()) for line in axes.get_lines() if line.get_color() == SIMULATED)
 
     data["value"] = [0.0] * len(data["value"])
@@ -265,12 +266,12 @@ def test_missing_quantities_are_named() -> None:
     fit, series = report_case()
     _without("absolute_humidity")(fit, series)
     with pytest.raises(NothingToShow, match="no cabinet humidity"):
-        figure_humidity(results(fit), series)
-    assert len(figure_excerpts(results(fit), series).get_axes()) == 6
+        figure_humidity(results(fit), series).figure()
+    assert len(figure_excerpts(results(fit), series).figure().get_axes()) == 6
     _without("temperature")(fit, series)
     for draw in (figure_temperature, figure_excerpts, figure_residuals, figure_innovations):
         with pytest.raises(NothingToShow):
-            draw(results(fit), series)
+            draw(results(fit), series).figure()
 
 
 @pytest.mark.parametrize("picture", FIGURES, ids=lambda picture: picture.name)
@@ -280,7 +281,7 @@ def test_records_of_few_instants(picture, n: int) -> None:
     m = len(series["time_s"])
     short = {name: value[:n] if value.shape == (m,) else value for name, value in series.items()}
     try:
-        inline_svg(picture.draw(results(fit), short), picture.name, "t")
+        inline_svg(picture.draw(results(fit), short).figure(), picture.name, "t")
     except NothingToShow as why:
         assert str(why).endswith((".", ")"))
         assert n < 40 or picture.name in ("residuals", "innovations-temperature", "innovations-humidity")
@@ -308,7 +309,7 @@ def _wild(picture, changes: dict[str, int]) -> None:
         else:
             small[name] = (np.full(n, np.nan), np.full(n, np.inf), np.zeros(3), np.zeros(n))[kind - 1]
     with contextlib.suppress(NothingToShow):
-        picture.draw(results(fit), small)
+        picture.draw(results(fit), small).figure()
 
 
 @pytest.mark.parametrize("picture", FIGURES, ids=lambda picture: picture.name)
@@ -332,4 +333,4 @@ def test_text_of_users_is_text() -> None:
     fit, series = report_case()
     crossed = fit["innovations"]["outputs"]["temperature"]["cross_correlation"]
     crossed["<script>$x_{$"] = crossed.pop("power")
-    assert "<script>$x {$" in _words(figure_innovations(results(fit), series))
+    assert "<script>$x {$" in _words(figure_innovations(results(fit), series).figure())

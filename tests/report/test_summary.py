@@ -16,7 +16,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.climate_case import study_of
-from builders.discovery_case import discovery_case, empty_case, residuals_case, typed, unexplained_case
+from builders.discovery_case import (
+    ambiguous_case,
+    discovery_case,
+    empty_case,
+    long_class_case,
+    residuals_case,
+    two_causes_case,
+    typed,
+    unexplained_case,
+    unfinished_case,
+)
 from builders.documents import document
 from builders.report_case import report_case, results, write_case
 from playwright.sync_api import Browser, sync_playwright
@@ -129,14 +139,35 @@ def test_the_verdict_of_a_fit_is_its_worst_one() -> None:
     ]  # fmt: skip
 
 
-def test_a_named_cause_stands_with_its_confidence_gain_and_check() -> None:
+def test_a_named_cause_stands_with_its_confidence_errors_and_check() -> None:
     made = caused()
-    assert made.answer == "Solar gain (confidence 87 %)." and made.verdict == "" and made.tone == "plain"
-    assert made.bounds.rows == (
-        ("Solar gain: temperature error", "1.79 K", "1.57 K", "0.13 … 0.31 K", "87 %"),
-    )
-    assert "shade or paint the wall" in made.actions[0] and "irradiance measured" in made.actions[0]
-    assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 2
+    assert made.answer == "Solar gain (on the roof), confidence 87 %." and made.verdict == ""
+    assert made.tone == "plain" and made.bounds.columns[0].endswith("held-out readings, after selection")
+    assert made.bounds.rows[0][:5] == ("temperature", "1.85 K", "1.57 K", "−15 %", "0.13 … 0.31 K")
+    assert made.actions == ("Check in the turbine for solar gain: shade or paint the wall.",)
+    assert unexplained().tone == "open" and len(nothing_found().bounds.rows) == 3
+    assert "12.4 h" in unexplained().reasons[0] and "this period" in unexplained().actions[0]
+
+
+def test_several_causes_have_their_confidence_and_mark_each() -> None:
+    made = summary_of_discovery(typed(two_causes_case()), residuals_case(), None)
+    assert made.answer == "Solar gain (on the roof) + exchange step (from a date on)."
+    assert "confidence 87 %" in made.reasons[0] and "does not improve" not in made.reasons[0]
+    assert "confidence 61 %: the" in made.reasons[1] and "does not improve" in made.reasons[1]
+    assert len(made.actions) == 2
+
+
+def test_water_a_long_class_and_a_budget_are_told_to_a_manager_too() -> None:
+    made = summary_of_discovery(typed(ambiguous_case()), residuals_case(), None)
+    assert "moisture sorption, confidence 48 %" in made.answer
+    assert "condensation cannot be excluded" in made.reasons[-1]
+    (action,) = made.actions
+    assert action.startswith("To tell humidity sensor drift from its rivals: compare the humidity sensor")
+    made = summary_of_discovery(typed(long_class_case()), residuals_case(), None)
+    assert made.answer.startswith("Not told apart: solar gain, cooling") and "confidence" not in made.answer
+    made = summary_of_discovery(typed(unfinished_case()), residuals_case(), None)
+    assert made.answer.startswith("The budget of 3,000 simulations ended the search") and made.tone == "open"
+    assert "--budget" in made.actions[0]
 
 
 def test_a_wrong_model_without_a_cause_has_something_to_do_too() -> None:

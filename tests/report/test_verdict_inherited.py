@@ -40,7 +40,6 @@ from hygrokf.report.blocks import Cards, Verdicts
 from hygrokf.report.climate_page import climate_blocks
 from hygrokf.report.comparison_page import comparison_blocks
 from hygrokf.report.discovery_page import discovery_blocks
-from hygrokf.report.discovery_text import error_sentences, gain_sentence
 from hygrokf.report.fit_tables import evaluation_text
 from hygrokf.report.fleet_page import fleet_blocks
 from hygrokf.report.page import page_html
@@ -169,7 +168,6 @@ def test_climate() -> None:
     assert {card.kind for card in cards} == {REJECT} and {card.reason for card in cards} == {sentence(rests)}
     (numbers,) = (block for block in page.body if isinstance(block, Verdicts))
     assert numbers.lines[0].struck == "1.50 h (1.40 … 1.60)" and WHY in numbers.lines[0].text
-    assert numbers in page.brief
     believed = replace(study, verdicts={**study.verdicts, "thermal": study.verdicts["hygric"]})
     assert "card reject" not in page_html(climate_blocks(believed))
 
@@ -184,10 +182,6 @@ def test_discovery() -> None:
     nothing = found | {"verdict": "none", "causes": [], "extended": None}
     words = Page(page_html(discovery_blocks(typed(nothing)))).text
     assert "no missing cause" not in words and "the model is not right" in words
-    # an extended model that is not reliable does not tell how wrong the base was
-    found["extended"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
-    words = Page(page_html(discovery_blocks(typed(found)))).text
-    assert "the thermal time constant was" not in words and f"base model's is: {WHY}." in words
 
 
 def row(name: str, value: float, verdict: str) -> dict:
@@ -215,7 +209,7 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
     line = next(
         one
         for one in page_text(fleet_blocks(FleetResults("fit", tuple(rows), "park"))).splitlines()
-        if one.startswith("T6")
+        if " T6 " in one and one[:1].isdigit()
     )
     assert "not reliable" in line and "9.00" not in line
 
@@ -291,17 +285,3 @@ def test_the_same_period_has_the_same_error_everywhere(record: Record, fit: Fit)
             assert table.total == pytest.approx(known["total"], rel=1e-9)
         else:  # the page says that it scores what all sets and rules score
             assert table.n.total < known["n"]["total"]
-
-
-def test_the_card_of_a_discovery_shows_the_errors_of_its_tables_and_says_what_the_gain_compares() -> None:
-    found = discovery_case()
-    base, wider = (found[w]["rmse"]["validation"]["temperature_K"]["total"] for w in ("baseline", "extended"))
-    gain = found["causes"][0]["gain"]
-    assert gain["rmse_before"] != base  # the gain is measured against a better simulator
-    (said, *_) = error_sentences(typed(found))
-    assert f"{base:.2f} → {wider:.2f} K" in said
-    words = gain_sentence(typed(found).causes[0].gain)
-    assert f"from {gain['rmse_before']:.2f} to {gain['rmse_after']:.2f} K" in words
-    assert f"{base:.2f} and {wider:.2f} K" in words
-    gain |= {"rmse_before": base, "rmse_after": wider}
-    assert "Both models" not in gain_sentence(typed(found).causes[0].gain)

@@ -105,19 +105,6 @@ def test_a_cut_record_ends_before_the_last_fifth_inside() -> None:
     assert cut["cabinet_temperature"].value[-1] == whole["cabinet_temperature"].value[80 * 24]
 
 
-@pytest.mark.parametrize(("days", "count"), [(89.0, 1), (90.0, 1), (200.0, 3)])
-def test_pieces_hold_every_reading_once(monkeypatch: pytest.MonkeyPatch, days: float, count: int) -> None:
-    whole = hours(days, days + 5.0)
-    monkeypatch.setattr(measured, "measured", lambda _: whole)
-    pieces = measured.pieces("made")
-    assert len(pieces) == len({one.name for one in pieces}) == count
-    inside = np.concatenate([one["cabinet_temperature"].time for one in pieces])
-    np.testing.assert_array_equal(inside, whole["cabinet_temperature"].time)
-    for one in pieces:
-        assert one.end_s - one.start_s <= measured.LONGEST_PIECE_DAYS * DAY_S
-        assert (one.until_s - one.start_s) / (one.end_s - one.start_s) == pytest.approx(measured.IDENTIFIED)
-
-
 def test_duties_of_a_compartment_are_shares() -> None:
     rows = pd.DataFrame(
         {

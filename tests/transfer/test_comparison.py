@@ -215,7 +215,7 @@ def test_compare_and_transfer_from_the_command_line(
     assert main(["report", str(tmp_path / "c")]) == 0
     assert main(["transfer", str(fit), str(second), "--out", str(tmp_path / "t")]) == 0
     said = capsys.readouterr().out
-    assert "synthetic-turbine-21 on synthetic-turbine-22:" in said
+    assert "synthetic-turbine-21 on synthetic-turbine-22" in said and "\nsynthetic-turbine-22: " in said
     assert (tmp_path / "t" / "synthetic-turbine-22" / "fit.json").is_file()
     assert main(["report", str(tmp_path / "t")]) == 0
     # mistakes of the user's: one line, no traceback, nothing written

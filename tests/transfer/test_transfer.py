@@ -240,7 +240,7 @@ def test_results_page_and_text(other: Transfer, origin: Fit, tmp_path: Path) -> 
     assert all((tmp_path / one / "fit.json").is_file() for one in name) and (tmp_path / "type.json").is_file()
     assert rewrite_transfer(tmp_path).read_text(encoding="utf-8") == text
     said = page_text(transfer_blocks(transfer_results([other], kind)))
-    assert "transfers after re-estimating heat release" in said and "2 turbines" in said
+    assert "Transfers after re-estimating heat release" in said and "2 turbines" in said
     assert plain(pickle.loads(pickle.dumps(replace(other, adapted=None, own=None))).results) == plain(
         other.results
     )

@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Notice
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import (
@@ -36,7 +37,7 @@ LOG = logging.getLogger("hygrokf.notify")
 POLL_S = 1.0
 """[s] between two looks at the outbox."""
 BACK_OFF_S = (2.0, 300.0)
-"""Shortest and longest pause [s] after a failed attempt; each pause is twice the one before."""
+"""Shortest and longest pause [s] after a failed attempt."""
 MOST = 1_000
 """Largest number of notices read at once."""
 TOGETHER = 100
@@ -221,13 +222,12 @@ class Sender:
             self.channel.transport.send(message)
         except ChannelFault as fault:
             self._note_failure(str(fault))
-            shortest, longest = BACK_OFF_S
-            pause_s = min(shortest * 2.0 ** min(message.attempts, 30), longest)
+            again = time.time() + pause_s(message.attempts + 1, BACK_OFF_S)
             self._refusals += 1
             going_on = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
             if not going_on:
-                self._paused_until = time.time() + pause_s
-            outbox.mark_failed(store, names, str(fault), time.time() + pause_s)
+                self._paused_until = again
+            outbox.mark_failed(store, names, str(fault), again)
             return going_on
         self._refusals = 0
         self._accepted.append((names, now))

@@ -20,6 +20,7 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
+from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
@@ -28,7 +29,7 @@ LOG = logging.getLogger("hygrokf.track")
 PAUSE_S = 0.2
 """[s] between two looks at a source that has nothing new."""
 BACK_OFF_S = (1.0, 60.0)
-"""Shortest and longest pause [s] between attempts to read a source; each pause is twice the one before."""
+"""Shortest and longest pause [s] between attempts to read a source."""
 NAMED = 5
 """Names of a list that are shown; further names are only counted."""
 
@@ -70,7 +71,7 @@ class BackOff:
 
     def __init__(self) -> None:
         self._began = time.monotonic()
-        self._pause_s = BACK_OFF_S[0]
+        self._failed = 1
 
     @property
     def has_held(self) -> bool:
@@ -80,18 +81,18 @@ class BackOff:
     @property
     def next_s(self) -> float:
         """Longest time [s] until the next attempt."""
-        return BACK_OFF_S[0] if self.has_held else self._pause_s
+        return BACK_OFF_S[0] if self.has_held else pause_s(self._failed, BACK_OFF_S)
 
     def reset(self) -> None:
         """Begin again with the shortest pause."""
-        self._pause_s = BACK_OFF_S[0]
+        self._failed = 1
 
     def wait(self, ended: threading.Event) -> None:
         """End the present attempt; wait for the pause, or until `ended` is set; the next attempt begins."""
         if self.has_held:
             self.reset()
-        ended.wait(self._pause_s * self._random.uniform(0.5, 1.0))
-        self._pause_s = min(2.0 * self._pause_s, BACK_OFF_S[1])
+        ended.wait(pause_s(self._failed, BACK_OFF_S) * self._random.uniform(0.5, 1.0))
+        self._failed += 1
         self._began = time.monotonic()
 
 

@@ -5,7 +5,6 @@ The page reads the store over its own connection, so that the tracker never wait
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import Counter
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp
 
-LOG = logging.getLogger("hygrokf.page")
 STATIC = Path(__file__).parent / "static"
 DAYS = (1, 3, 7, 14)
 """Lengths of a turbine's history that may be requested [d]."""

@@ -72,8 +72,8 @@ def _driven_heat(
     )  # fmt: skip
 
 
-def unreported_heater(flag: str = "heating") -> Mechanism:
-    """Heat of a running heater that no signal reports (input `heating` or `throttled_heating`) [K]."""
+def unreported_heater(flag: str = "throttled_heating") -> Mechanism:
+    """Heat of a running heater that no signal reports (input `throttled_heating`) [K]."""
     return _driven_heat(
         "unreported_heater", "heater_heat", flag, "while the unreported heater runs",
         "a cabinet that is too warm in the simulation when it is cold or damp", settings={"flag": flag},
@@ -111,12 +111,12 @@ def dehumidifier_heat() -> Mechanism:
     )  # fmt: skip
 
 
-def drying_heat() -> Mechanism:
-    """Heat from a drier that no signal reports (input `drying`): its electric power and the heat of
+def drying_heat(flag: str = "throttled_drying") -> Mechanism:
+    """Heat from a drier that no signal reports (input `throttled_drying`): its electric power and the heat of
     condensation [K]."""
     return _driven_heat(
-        "drying_heat", "drying_heat", "drying", "while the unreported drier runs",
-        "a cabinet that is too warm in the simulation when it is damp",
+        "drying_heat", "drying_heat", flag, "while the unreported drier runs",
+        "a cabinet that is too warm in the simulation when it is damp", settings={"flag": flag},
     )  # fmt: skip
 
 
@@ -249,23 +249,13 @@ def open_loss() -> Mechanism:
     )  # fmt: skip
 
 
-def cooling_loss() -> Mechanism:
-    """Heat loss while a cooling stage runs (input `cooling`), taken from the converter: f −= g · cooling ·
-    (T_a − T_amb).
-
-    A stage that cools the air makes the air temperature jump, but the switching time between two readings is
-    unknown, and jumps at wrong times cost more likelihood than missing jumps: 2 ln L rose by 397 with this
-    form and by 79 with the form of `fan_loss`, on a plant whose temperature does jump.
-    """
-    return _converter_loss(
-        "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
-        "a cabinet that is too warm in the simulation above a threshold",
-    )  # fmt: skip
-
-
 def throttled_cooling_loss() -> Mechanism:
     """Heat loss through cooling that opens in proportion to the temperature (input `venting`), taken from the
-    converter: f −= g · venting · (T_a − T_amb)."""
+    converter: f −= g · venting · (T_a − T_amb).
+
+    Taken from the air, it would make the temperature jump at times that readings do not tell exactly, which
+    costs more likelihood than missing jumps.
+    """
     return _converter_loss(
         "throttled_cooling_loss", "throttled_conductance", "venting", "at full cooling",
         "a cabinet that is too warm in the simulation above a threshold",
@@ -286,12 +276,11 @@ def throttled_cooling() -> Mechanism:
     )  # fmt: skip
 
 
-def vent_loss(flag: str = "venting") -> Mechanism:
-    """Heat loss through a vent that opens in proportion to a reading (input `venting`) or on a schedule
-    (`open_hours`)."""
+def vent_loss() -> Mechanism:
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`)."""
     return _loss(
-        "vent_loss", "vent_conductance", flag, "while the vent is open",
-        "a cabinet that is too warm in the simulation while the vent is open", settings={"flag": flag},
+        "vent_loss", "vent_conductance", "venting", "while the vent is open",
+        "a cabinet that is too warm in the simulation while the vent is open",
     )  # fmt: skip
 
 
@@ -333,6 +322,6 @@ def leading_ambient() -> Mechanism:
 LOGGED = (logged_heater, dehumidifier_heat, fan_loss, pump_loss, open_loss)
 FURTHER = (
     solar_gain, unreported_heater, drying_heat, scheduled_heat, release_drift, wind_loss, stepped_loss,
-    cooling_loss, throttled_cooling_loss, throttled_cooling, vent_loss, lagged_ambient, leading_ambient,
+    throttled_cooling_loss, throttled_cooling, vent_loss, lagged_ambient, leading_ambient,
 )
 # fmt: on

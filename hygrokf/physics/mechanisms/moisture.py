@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from hygrokf.physics.mechanisms.hygric import (
     saturation_pressure,
     vapour_pressure,
 )
-from hygrokf.physics.model import Mechanism, Pair, Space, Values
+from hygrokf.physics.model import Mechanism, Pair, Space
 from hygrokf.physics.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -39,7 +38,6 @@ GAB_ENDS = (6.0, 12.134375)
 ROUNDED = 0.003
 """[1] relative humidity over which both ends are rounded."""
 VAPOUR_BALANCE = "balance of vapour mass"
-VAPOUR_DISTURBANCES = ("vapour_disturbance", "second_vapour_disturbance")
 PLATE = 4.85
 """[g/m³] vapour concentration over water at the freezing point: the limit of a cold-plate drier."""
 BULK = {"sorbed_water": (1.0, 1.0)}
@@ -241,9 +239,8 @@ def wet_surface() -> Mechanism:
     )  # fmt: skip
 
 
-def rain_ingress(flag: str = "rain") -> Mechanism:
-    """Rain that enters, is stored and evaporates with a delay; `flag` is "rain", or "heavy_rain" above a
-    threshold.
+def rain_ingress() -> Mechanism:
+    """Rain that enters, is stored and evaporates with a delay.
 
     dr/dt = a · rain − r/θ,    vapour release r/θ,    r [g/m³], θ [h].
     """
@@ -258,13 +255,12 @@ def rain_ingress(flag: str = "rain") -> Mechanism:
         ),
         states=("rain_water",),
         amounts=("rain_water",),
-        inputs=(flag,),
+        inputs=("rain",),
         contributions=lambda p, x, u, q: {"vapour_release": x.rain_water / p.rain_drying_time},
         drift=lambda p, x, u, q, s: {
-            "rain_water": p.rain_intake * getattr(u, flag) - x.rain_water / p.rain_drying_time
+            "rain_water": p.rain_intake * u.rain - x.rain_water / p.rain_drying_time
         },
         initial=lambda p, u: {"rain_water": (0.0, 0.0)},
-        settings={"flag": flag},
         meaning="rain water that enters and evaporates",
         leaves="humidity above the simulated for hours after rain",
         source="balance of water with a first-order delay",
@@ -277,44 +273,9 @@ def _above_plate(x: Space, u: Space, q: Space) -> Value:
     return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, EDGE)
 
 
-def dehumidifier() -> Mechanism:
-    """A drier controlled by the humidity above a set-point: vapour release −d · max(0, h − h₀) · (c − 4.85
-    g/m³).
-
-    d [1/h] is the volume of air dried per hour, volume of cabinet and unit of relative humidity; c [g/m³] the
-    vapour of the cabinet air; 4.85 g/m³ the vapour over a plate at the freezing point.  The edge of max is
-    rounded over 1 %.
-    """
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        above = cabinet_humidity(x, u, q) - p.dehumidifier_setpoint
-        effort = 0.5 * p.dehumidifier_rate * twice_positive(above, 0.01)
-        return {"vapour_release": -effort * _above_plate(x, u, q)}
-
-    return Mechanism(
-        name="dehumidifier",
-        parameters=(
-            Parameter(
-                "dehumidifier_rate", "1/h", 2.0, 1e-4, 2000.0, positive=True, null=0.0,
-                meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the "
-                        "set-point",
-            ),
-            Parameter(
-                "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98, physical=(0.0, 1.0),
-                meaning="relative humidity above which it dries",
-            ),
-        ),
-        inputs=("ambient_temperature",),
-        contributions=contributions,
-        meaning="drying above a set-point",
-        leaves="simulated humidity too high in its upper range, right below it",
-        source="proportional cold-plate drier; balance of vapour mass",
-    )  # fmt: skip
-
-
-def switched_drying(plate: bool = True, flag: str = "drying") -> Mechanism:
-    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried per
-    hour.
+def switched_drying(plate: bool = True, flag: str = "throttled_drying") -> Mechanism:
+    """A drier that no signal reports (input `throttled_drying`): vapour release −d · throttled_drying · c,
+    d [1/h] the air dried per hour.
 
     c [g/m³] is the vapour of the cabinet air, all of which a desiccant takes; with `plate` only the excess
     over the 4.85 g/m³ above a plate at the freezing point.
@@ -328,7 +289,7 @@ def switched_drying(plate: bool = True, flag: str = "drying") -> Mechanism:
         flag, _above_plate if plate else cabinet_vapour,
         negative=True, inputs=("ambient_temperature", flag), settings={"plate": plate, "flag": flag},
         meaning="drying while the drier runs",
-        leaves="simulated humidity too high above a set-point, with hysteresis",
+        leaves="simulated humidity too high above a set-point",
         source=VAPOUR_BALANCE,
     )  # fmt: skip
 
@@ -394,26 +355,12 @@ def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
     )  # fmt: skip
 
 
-def stepped_exchange(flows: bool = False) -> Mechanism:
-    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`).
-
-    The base's coloured disturbance is an error of the exchanged air, so its effect scales with the exchange.
-    With `flows` it is a vapour flow into the cabinet that the change leaves as it is: ambient_vapour −= w
-    b/(1 + b).
-    """
-    made = _exchange(
+def stepped_exchange() -> Mechanism:
+    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`)."""
+    return _exchange(
         "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
-        "humidity that follows the ambient's faster or slower from a date on", {"flows": flows},
+        "humidity that follows the ambient's faster or slower from a date on",
     )  # fmt: skip
-    if not flows:
-        return made
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        change = p.exchange_change * u.after_step
-        flow = sum(getattr(x, name, 0.0) for name in VAPOUR_DISTURBANCES)
-        return {"exchange": change, "ambient_vapour": -flow * change / (1.0 + change)}
-
-    return replace(made, contributions=contributions)
 
 
 def open_exchange() -> Mechanism:
@@ -424,22 +371,11 @@ def open_exchange() -> Mechanism:
     )  # fmt: skip
 
 
-def cooled_exchange() -> Mechanism:
-    """Vapour exchange while the cooling stage runs: 1 + b (input `cooling`)."""
+def vent_exchange() -> Mechanism:
+    """Vapour exchange through a vent that opens in proportion to a reading: 1 + b (input `venting`)."""
     return _exchange(
-        "cooled_exchange", "cooling_exchange", "cooling", 50.0, "while the cooling stage runs",
-        "humidity that follows the ambient's faster while the cabinet is warm",
-    )  # fmt: skip
-
-
-def vent_exchange(flag: str = "venting") -> Mechanism:
-    """Vapour exchange through a vent: 1 + b · flag.
-
-    The vent opens in proportion to a reading (`venting`) or on a schedule (`open_hours`).
-    """
-    return _exchange(
-        "vent_exchange", "vent_exchange", flag, 500.0, "while the vent is open",
-        "humidity that follows the ambient's faster while the vent is open", {"flag": flag}, lower=0.0,
+        "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
+        "humidity that follows the ambient's faster while the vent is open", lower=0.0,
     )  # fmt: skip
 
 
@@ -506,8 +442,8 @@ def breathed_lead() -> Mechanism:
 # fmt: off
 LOGGED = (fan_exchange, open_exchange, dehumidifier_drying)
 FURTHER = (
-    moisture_sorption, condensation, internal_moisture_source, wet_surface, rain_ingress, dehumidifier,
-    switched_drying, wind_exchange, stepped_exchange, cooled_exchange, vent_exchange, breathed_air,
-    breathed_lag, breathed_lead,
+    moisture_sorption, condensation, internal_moisture_source, wet_surface, rain_ingress,
+    switched_drying, wind_exchange, stepped_exchange, vent_exchange, breathed_air, breathed_lag,
+    breathed_lead,
 )
 # fmt: on

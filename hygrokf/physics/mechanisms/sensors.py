@@ -11,8 +11,6 @@ from hygrokf.physics.mechanisms.effects import effect
 from hygrokf.physics.mechanisms.hygric import (
     cabinet_humidity,
     cabinet_vapour,
-    saturation_pressure,
-    vapour_pressure,
 )
 from hygrokf.physics.mechanisms.moisture import twice_positive
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
@@ -218,10 +216,10 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
     )  # fmt: skip
 
 
-def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
-    """Humidity reading that saturates above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %.
+def humidity_ceiling() -> Mechanism:
+    """Humidity reading that saturates above a ceiling h₁: −s · max(0, h − h₁).
 
-    lowest: [1] smallest relative humidity at which the ceiling may lie.
+    Its edge is rounded over 0.5 %.
     """
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
@@ -236,49 +234,19 @@ def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
                 meaning="share of what exceeds the ceiling that the reading does not show",
             ),
             Parameter(
-                "humidity_ceiling", "1", max(0.7, lowest), lowest, 1.0, physical=(0.0, 1.0),
+                "humidity_ceiling", "1", 0.7, 0.2, 1.0, physical=(0.0, 1.0),
                 meaning="relative humidity above which the sensor sticks",
             ),
         ),
         inputs=("ambient_temperature",),
         contributions=contributions,
-        settings={"lowest": lowest},
         meaning="humidity sensor that sticks at a ceiling",
         leaves="humidity readings that stop at one value whatever the simulation does",
         source=OWN_ERROR,
     )  # fmt: skip
 
 
-def thermometer_offset() -> Mechanism:
-    """Constant thermometer error d [K], seen through its effect on the humidity reading: + p_v (1/e_s(T − d)
-    − 1/e_s(T)).
-
-    T is the temperature as read, or as simulated by a thermal part identified on such readings, whose heat
-    release absorbs d. The humidity sensor is at the true air temperature T − d.
-    """
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        air, pressure = q.cabinet_air_temperature, vapour_pressure(x.vapour, u.ambient_temperature)
-        true = pressure / saturation_pressure(air - p.thermometer_offset)
-        return {HUMIDITY_READING: true - pressure / saturation_pressure(air)}
-
-    return Mechanism(
-        name="thermometer_offset",
-        parameters=(
-            Parameter(
-                "thermometer_offset", "K", 0.0, -10.0, 10.0, null=0.0,
-                meaning="constant offset of the cabinet's thermometer",
-            ),
-        ),
-        inputs=("ambient_temperature",),
-        contributions=contributions,
-        meaning="thermometer that is off by a constant",
-        leaves="humidity that is off by 6 to 7 % of itself for each kelvin",
-        source=OWN_ERROR,
-    )  # fmt: skip
-
-
 # fmt: off
 BASE = (temperature_sensor, humidity_sensor, absolute_humidity_sensor)
-FURTHER = (humidity_drift, humidity_scale, humidity_ceiling, temperature_step, thermometer_offset)
+FURTHER = (humidity_drift, humidity_scale, humidity_ceiling, temperature_step)
 # fmt: on

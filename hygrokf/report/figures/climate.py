@@ -19,17 +19,13 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     NothingToShow,
     area_handle,
-    key,
     line_handle,
-    new_figure,
-    styled,
 )
 from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHADES = ("#ffffff", "#dbe7f3", "#a9c8e4", "#6ba3d0", "#2f74b0", "#16365c")
 PANELS = (
@@ -41,35 +37,8 @@ PANELS = (
 )
 
 
-JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
-    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
-)
-DURATION_CAPTION = (
-    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
-    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
-    "weather."
-)
-REGIONS_CAPTION = (
-    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
-    "years."
-)
-
-
-def figure_joint(region: RegionClimate) -> Figure:
+def figure_joint(region: RegionClimate) -> Panels:
     """Hours a year by temperature and relative humidity, in the cabinet and outside."""
-    with styled():
-        panels = joint_panels(region, scale=False)
-        made = new_figure(2.7)
-        axes = list(made.subplots(1, 2, sharex=True, sharey=True))
-        panels.on(axes)
-        made.subplots_adjust(left=0.065, right=0.9, bottom=0.16, top=0.91, wspace=0.07)
-        _hours_scale(axes, made.add_axes((0.92, 0.16, 0.016, 0.75)))
-    return made
-
-
-def joint_panels(region: RegionClimate, scale: bool = True) -> Panels:
-    """The cabinet, then the weather of `figure_joint`; `scale`: with a colour scale beside them."""
     joint = region.joint
     if joint is None:
         raise NothingToShow("The model has no humidity.")
@@ -100,18 +69,17 @@ def joint_panels(region: RegionClimate, scale: bool = True) -> Panels:
         height_in=2.7,
         columns=2,
         shared="y",
-        finish=_hours_scale if scale else None,
+        finish=_hours_scale,
     )
 
 
-def _hours_scale(axes: Sequence[Axes], place: Axes | None = None) -> None:
-    """The colour scale of the hours; without a `place` it takes its room from the axes."""
+def _hours_scale(axes: Sequence[Axes]) -> None:
+    """The colour scale of the hours, which takes its room from the axes."""
     drawn = axes[0].collections[0]
     top = float(np.max(drawn.get_clim()))
     figure = axes[0].get_figure(root=True)
     assert figure is not None
-    own = {"cax": place} if place is not None else {"ax": list(axes), "fraction": 0.05, "pad": 0.02}
-    bar = figure.colorbar(drawn, **own)
+    bar = figure.colorbar(drawn, ax=list(axes), fraction=0.05, pad=0.02)
     ticks = [t for t in (1, 3, 10, 30, 100, 300, 1000) if t <= top]
     bar.set_ticks(ticks, labels=[f"{t}" for t in ticks])
     bar.minorticks_off()
@@ -119,24 +87,8 @@ def _hours_scale(axes: Sequence[Axes], place: Axes | None = None) -> None:
     bar.outline.set_visible(False)
 
 
-def figure_duration(region: RegionClimate) -> Figure:
-    """Duration curves of the quantities and of their rates, with bounds."""
-    with styled():
-        panels = duration_panels(region)
-        count = len(panels.draw)
-        made = new_figure(4.5)
-        axes = made.subplots(2, 3).ravel()
-        for axis, draw in zip(axes, panels.draw, strict=False):
-            draw(axis)
-        for axis in axes[count:]:
-            axis.set_axis_off()
-        axes[count if count < 6 else 0].legend(handles=_duration_handles(share_held([region])), loc="center")
-        made.subplots_adjust(left=0.06, right=0.99, bottom=0.09, top=0.95, wspace=0.2, hspace=0.42)
-    return made
-
-
-def duration_panels(region: RegionClimate) -> Panels:
-    """The curves of `figure_duration`: quantities first, then their rates."""
+def figure_duration(region: RegionClimate) -> Panels:
+    """Duration curves of the quantities, then those of their rates, with bounds."""
     curves = {"duration": region.duration, "rates": region.rates}
     there = [(kind, curves[kind][name], label) for kind, name, label in PANELS if name in curves[kind]]
     if not there:
@@ -176,47 +128,32 @@ def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
     axis.margins(x=0.01)
 
 
-def figure_profile(region: RegionClimate) -> Figure:
+def figure_profile(region: RegionClimate) -> Panels:
     """The test profile: temperature and relative humidity over its hours."""
     profile = region.test_profile
     if profile is None:
         raise NothingToShow("There is no test profile of this climate.")
-    hour = profile.hour
-    with styled():
-        made = new_figure(3.7)
-        upper, lower = made.subplots(2, 1, sharex=True)
-        upper.plot(hour, profile.temperature_degC, color=SIMULATED, linewidth=0.7)
-        upper.plot(hour, profile.site_temperature_degC, color=QUIET, linewidth=0.6)
-        upper.set_ylabel("temperature [°C]")
-        same = "the same hours at the site"
-        key(upper, [line_handle(SIMULATED, "test", 0.9), line_handle(QUIET, same, 0.9)])
-        lower.plot(hour, profile.relative_humidity_percent, color=MEASURED, linewidth=0.7)
-        lower.set_ylabel("relative humidity [%]")
-        lower.set_xlabel("hours of the test")
-        lower.set_ylim(0, 100)
-        lower.margins(x=0.005)
-        made.align_ylabels()
-        made.subplots_adjust(left=0.07, right=0.99, bottom=0.11, top=0.93, hspace=0.1)
-    return made
+
+    def warm(axes: Axes) -> None:
+        axes.plot(profile.hour, profile.temperature_degC, color=SIMULATED, linewidth=0.7)
+        axes.plot(profile.hour, profile.site_temperature_degC, color=QUIET, linewidth=0.6)
+        axes.set_ylabel("temperature [°C]")
+
+    def damp(axes: Axes) -> None:
+        axes.plot(profile.hour, profile.relative_humidity_percent, color=MEASURED, linewidth=0.7)
+        axes.set_ylabel("relative humidity [%]")
+        axes.set_xlabel("hours of the test")
+        axes.set_ylim(0, 100)
+
+    def handles() -> list[Artist]:
+        return [line_handle(SIMULATED, "test", 0.9), line_handle(QUIET, "the same hours at the site", 0.9)]
+
+    return Panels((warm, damp), height_in=3.7, shared="x", handles=handles)
 
 
-def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
-    """Regions side by side: value, bounds for a year, bounds for the mean."""
-    with styled():
-        panels = region_panels(regions)
-        made = new_figure(panels.height_in)
-        axes = np.atleast_1d(made.subplots(1, len(panels.draw), sharey=True))
-        widest = max(len(one.name) for one in regions)
-        made.subplots_adjust(
-            left=min(0.025 + 0.0098 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
-            top=1.0 - 0.4 / made.get_figheight(), wspace=0.14,
-        )  # fmt: skip
-        panels.on(list(axes))
-    return made
-
-
-def region_panels(regions: Sequence[RegionClimate]) -> Panels:
-    """A panel of `figure_regions` for each of the numbers by which regions are compared."""
+def figure_regions(regions: Sequence[RegionClimate]) -> Panels:
+    """Regions side by side in the numbers by which they are compared, with bounds for a year and for the
+    mean."""
     if len(regions) < 2:
         raise NothingToShow("There is only one region.")
     from matplotlib import rcParams

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,20 +23,17 @@ from hygrokf.report.figures.drawing import (
     NothingToShow,
     calendar,
     days,
-    envelope,
-    figure_key,
-    key,
-    new_figure,
-    styled,
-    upright,
+    line,
+    line_handle,
+    name_rows,
 )
+from hygrokf.report.figures.panels import Panels
 from hygrokf.transfer.comparison import ColumnScores, ComparisonResults
 from hygrokf.transfer.course import Course
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 REGIMES = {"operation": "o", "standstill": "s", "total": "D"}
 COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
@@ -43,6 +41,7 @@ LONGEST = 30
 """Characters of a label beyond which it is cut."""
 MOST_RECORDS = 3
 """Records whose courses fit side by side."""
+MEASURED_NAME = "measured"
 EXCERPT_S = 12 * DAY_S
 
 
@@ -78,43 +77,39 @@ class Panel:
         return bool(np.isfinite(self.course.measured.get(quantity, np.empty(0))).any())
 
 
-def figure_courses(panels: Sequence[Panel]) -> Figure:
+def figure_courses(panels: Sequence[Panel]) -> Panels:
     """Twelve days of each record: a row for each quantity, a column for each record."""
     rows = [q for q in SCORED if any(panel.has(q) for panel in panels)]
     if not rows:
         raise NothingToShow("There are no readings to show.")
-    handles: dict[str, Artist] = {}
-    with styled():
-        figure = new_figure(3.0 if len(rows) > 1 else 3.4)
-        top = 0.9 if len(panels) == 1 else 0.85
-        grid = figure.add_gridspec(
-            len(rows), len(panels), hspace=0.13, wspace=0.1, left=0.08, right=0.995, top=top, bottom=0.11
-        )
-        for column, panel in enumerate(panels):
-            for row, quantity in enumerate(rows):
-                axes = figure.add_subplot(grid[row, column])
-                name, unit = QUANTITIES[quantity]
-                shift = ZERO_CELSIUS_K if quantity == "temperature_K" else 0.0
-                drawn = {"measured": ("reading", MEASURED), **panel.lines}
-                for name_, (words, colour) in drawn.items():
-                    made = panel.course.simulated.get(name_, panel.course.measured)
-                    if quantity in made:
-                        x, y = envelope(panel.course.time_s, made[quantity] - shift, panel.span)
-                        width = 1.3 if name_ == "measured" else 0.9
-                        (line,) = axes.plot(days(x), y, color=colour, linewidth=width, label=words)
-                        handles.setdefault(words, line)
-                if column == 0:
-                    upright(
-                        axes, f"{name} [{'°C' if shift else unit}]".replace(" ", "\n", name.count(" ")), 0.02
-                    )
-                if row == 0 and len(panels) > 1:
-                    axes.set_title(panel.title, fontsize=7.5)
-                calendar(axes, panel.span, 9 // len(panels) + 1, labels=row == len(rows) - 1)
-        figure_key(figure, list(handles.values()), (0.08, 1.0), left=True)
-    return figure
+
+    def draw(axes: Axes, quantity: str, panel: Panel) -> None:
+        name, unit = QUANTITIES[quantity]
+        shift = ZERO_CELSIUS_K if quantity == "temperature_K" else 0.0
+        for name_, (_, colour) in {MEASURED_NAME: ("", MEASURED), **panel.lines}.items():
+            made = panel.course.simulated.get(name_, panel.course.measured)
+            if quantity in made:
+                width = 1.3 if name_ == MEASURED_NAME else 0.9
+                line(axes, panel.course.time_s, made[quantity] - shift, panel.span, colour, width)
+        axes.set_ylabel(f"{name} [{'°C' if shift else unit}]".replace(" ", "\n", name.count(" ")))
+        if quantity == rows[0] and len(panels) > 1:
+            axes.set_title(panel.title, fontsize=7.5)
+        calendar(axes, panel.span, 9 // len(panels) + 1)
+
+    def handles() -> list[Artist]:
+        words = dict(pair for panel in panels for pair in panel.lines.values())
+        return [line_handle(colour, label) for label, colour in {"reading": MEASURED, **words}.items()]
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity, panel=panel) for quantity in rows for panel in panels),
+        height_in=3.0 if len(rows) > 1 else 3.4,
+        columns=len(panels),
+        shared="xy",
+        handles=handles,
+    )
 
 
-def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Figure:
+def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Panels:
     """Readings and simulations of the first records; columns on the same instants of a case share a panel."""
     if not courses:
         raise NothingToShow(
@@ -134,7 +129,7 @@ def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -
     return figure_courses(panels)
 
 
-def figure_errors(found: ComparisonResults, period: str) -> Figure:
+def figure_errors(found: ComparisonResults, period: str) -> Panels:
     """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
     best rule."""
     columns = [one for one in found.columns if any(one.total(period, q) for q in SCORED)]
@@ -142,31 +137,29 @@ def figure_errors(found: ComparisonResults, period: str) -> Figure:
         raise NothingToShow("Nothing was scored in this period.")
     shown = [q for q in SCORED if any(one.total(period, q) for one in columns)]
     labels = short_labels([one.label for one in columns])
-    height = 1.1 + 0.34 * len(columns)
-    with styled():
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            1, len(shown), wspace=0.08, left=0.27, right=0.985, top=0.78, bottom=0.42 / height
-        )
-        for place, quantity in enumerate(shown):
-            axes = figure.add_subplot(grid[place])
-            for i, one in enumerate(columns):
-                colour = colour_of(found.columns.index(one))
-                _errors_row(axes, one, period, quantity, len(columns) - 1 - i, colour)
-            name, unit = QUANTITIES[quantity]
-            axes.set_ylim(-0.6, len(columns) - 0.4)
-            axes.set_yticks(range(len(columns)), labels[::-1] if place == 0 else [])
-            axes.grid(axis="y", visible=False)
-            axes.set_xlim(left=0.0)
-            axes.set_xlabel(f"RMSE of the {name} [{unit}]")
-            if place == 0:
-                marks = {**{regime: (mark, 3.5) for regime, mark in REGIMES.items()}, "best rule": ("|", 9)}
-                handles = [
-                    axes.plot([], [], mark, color=INK, markersize=size, linestyle="none", label=words)[0]
-                    for words, (mark, size) in marks.items()
-                ]
-                key(axes, handles, anchor=(0.0, 1.03))
-    return figure
+
+    def draw(axes: Axes, quantity: str) -> None:
+        for i, one in enumerate(columns):
+            colour = colour_of(found.columns.index(one))
+            _errors_row(axes, one, period, quantity, len(columns) - 1 - i, colour)
+        name_rows(axes, labels)
+        axes.set_xlim(left=0.0)
+        axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
+
+    def handles() -> list[Artist]:
+        marks = {**{regime: (mark, 3.5) for regime, mark in REGIMES.items()}, "best rule": ("|", 9.0)}
+        return [
+            line_handle(INK, words, 0.0, marker=mark, markersize=size)
+            for words, (mark, size) in marks.items()
+        ]
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity) for quantity in shown),
+        height_in=1.1 + 0.34 * len(columns),
+        columns=len(shown),
+        shared="y",
+        handles=handles,
+    )
 
 
 def _errors_row(
@@ -186,7 +179,7 @@ def _errors_row(
             axes.plot(best, height + offset, "|", color=INK, markersize=9, markeredgewidth=1.4)
 
 
-def figure_weeks(found: ComparisonResults) -> Figure:
+def figure_weeks(found: ComparisonResults) -> Panels:
     """Root mean squared errors of all columns by week."""
     shown = [q for q in SCORED if any(len(one.weeks[q][0]) > 1 for one in found.columns if q in one.weeks)]
     if not shown:
@@ -195,24 +188,19 @@ def figure_weeks(found: ComparisonResults) -> Figure:
     ends = [(m[0], m[-1]) for m in middles if len(m)]
     span = (min(first for first, _ in ends) - WEEK_S / 2, max(last for _, last in ends) + WEEK_S / 2)
     labels = short_labels([one.label for one in found.columns])
-    with styled():
-        figure = new_figure(0.6 + 1.5 * len(shown))
-        grid = figure.add_gridspec(
-            len(shown), 1, hspace=0.16, left=0.07, right=0.985, top=0.9, bottom=0.15 if shown[1:] else 0.25
-        )
-        for place, quantity in enumerate(shown):
-            axes = figure.add_subplot(grid[place])
-            handles = []
-            for i, one in enumerate(found.columns):
-                if quantity in one.weeks:
-                    middle, value = one.weeks[quantity]
-                    handles += axes.plot(
-                        days(middle), value, "-o", color=colour_of(i), markersize=2.6, label=labels[i]
-                    )
-            name, unit = QUANTITIES[quantity]
-            axes.set_ylim(bottom=0.0)
-            upright(axes, f"{name} [{unit}]")
-            calendar(axes, span, labels=place == len(shown) - 1)
-            if place == 0:
-                key(axes, handles, columns=min(len(handles), 4))
-    return figure
+
+    def draw(axes: Axes, quantity: str) -> None:
+        for i, one in enumerate(found.columns):
+            if quantity in one.weeks:
+                middle, value = one.weeks[quantity]
+                axes.plot(days(middle), value, "-o", color=colour_of(i), markersize=2.6)
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("{} [{}]".format(*QUANTITIES[quantity]))
+        calendar(axes, span)
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity) for quantity in shown),
+        height_in=0.6 + 1.5 * len(shown),
+        shared="x",
+        handles=lambda: [line_handle(colour_of(i), label) for i, label in enumerate(labels)],
+    )

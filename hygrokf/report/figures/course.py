@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,26 +18,22 @@ from hygrokf.report.figures.drawing import (
     AMBIENT,
     BINS,
     INK,
-    LEVEL_SD,
     MEASURED,
     QUIET,
     SHADE,
     SIMULATED,
     NothingToShow,
     area_handle,
-    band,
     calendar,
+    courses,
     days,
     envelope,
-    figure_key,
-    key,
+    line,
     line_handle,
-    new_figure,
+    mark_validation,
     segments,
     shade,
     stretches,
-    styled,
-    upright,
 )
 from hygrokf.report.figures.excerpts import choose_excerpts
 from hygrokf.report.figures.panels import Panels
@@ -45,12 +41,12 @@ from hygrokf.report.figures.panels import Panels
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
 AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
+POWER = "power"
 FORTNIGHT_S = 14.0 * 86400.0
 HATCH = "#9aa4b1"
 NARROW = 170
@@ -104,72 +100,62 @@ class _Record:
         measured, simulated, _, _ = self.quantity(name)
         return bool(np.isfinite(measured).any() or np.isfinite(simulated).any())
 
+    @property
+    def names(self) -> list[str]:
+        """The quantities that can be shown."""
+        return [name for name in (TEMPERATURE, HUMIDITY) if self.known(name)]
 
-def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+
+def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
     paper)."""
     return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
 
 
-def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
     return _whole(_Record(series), HUMIDITY, why)
 
 
-def _whole(record: _Record, name: str, why: str) -> Figure:
+def _whole(record: _Record, name: str, why: str) -> Panels:
     if not record.known(name):
         raise NothingToShow(why)
-    power = name == TEMPERATURE and record.has_power
-    with styled():
-        figure = new_figure(4.3 if power else 3.5)
-        grid = figure.add_gridspec(
-            3 if power else 2, 1, height_ratios=(3.2, 1.1, 1.0) if power else (3.2, 1.1), hspace=0.14,
-            left=0.075, right=0.995, top=0.925, bottom=0.07 if power else 0.085,
-        )  # fmt: skip
-        main, error = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-        _course(main, record, name, record.span)
-        upright(main, AXIS_LABEL[name])
-        key(main, _handles(record, name))
-        measured, simulated, _, _ = record.quantity(name)
-        difference = simulated - measured
-        error.axhline(0.0, color=QUIET, linewidth=0.6)
-        _line(error, record, difference, SIMULATED, 0.6)
-        upright(error, ERROR_LABEL[name])
-        every = [main, error]
-        if power:
-            low = figure.add_subplot(grid[2])
-            _power(low, record, record.span)
-            upright(low, "power / rated")
-            every.append(low)
-        for axes in every:
-            calendar(axes, record.span, 12, labels=axes is every[-1])
-            _shade(axes, record, record.span)
-        _mark_validation(main, record)
-    return figure
+    measured, simulated, _, _ = record.quantity(name)
+
+    def course(axes: Axes) -> None:
+        _course(axes, record, name, record.span)
+        axes.set_ylabel(AXIS_LABEL[name])
+
+    def error(axes: Axes) -> None:
+        axes.axhline(0.0, color=QUIET, linewidth=0.6)
+        line(axes, record.time, simulated - measured, record.span, SIMULATED, 0.6)
+        axes.set_ylabel(ERROR_LABEL[name])
+
+    def over_time(axes: Axes, draw: Callable[[Axes], None]) -> None:
+        draw(axes)
+        calendar(axes, record.span, 12)
+        _shade(axes, record, record.span)
+        if draw is course and record.validation:
+            mark_validation(axes, record.until)
+
+    rows = [course, error]
+    if name == TEMPERATURE and record.has_power:
+        rows.append(partial(_power, record=record, span=record.span))
+    return Panels(
+        tuple(partial(over_time, draw=draw) for draw in rows),
+        height_in=4.3 if len(rows) > 2 else 3.5,
+        shared="x",
+        heights=(3.2, 1.1, 1.0)[: len(rows)],
+        handles=partial(_handles, record, name),
+    )
 
 
-def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
-    """Readings, free run and its 95 % band after the identification period, or in the last fortnight."""
-    with styled():
-        panels = validation_panels(series)
-        rows = len(panels.draw)
-        figure = new_figure(0.45 + 1.25 * rows)
-        bottom = 0.115 if rows > 1 else 0.19
-        grid = figure.add_gridspec(rows, 1, hspace=0.12, left=0.075, right=0.995, top=0.91, bottom=bottom)
-        every = [figure.add_subplot(grid[row]) for row in range(rows)]
-        panels.without_key(every)
-        for axes in every:
-            upright(axes, axes.get_ylabel().replace("\n", " "))
-        if panels.handles is not None:
-            key(every[0], panels.handles())
-    return figure
-
-
-def validation_panels(series: Mapping[str, np.ndarray]) -> Panels:
-    """The temperature, and below it the humidity, of `figure_validation`."""
+def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+    """Readings, free run and its 95 % band after the identification period, or in the last fortnight: the
+    temperature, and below it the humidity."""
     record = _Record(series)
-    names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
+    names = record.names
     if not names:
         raise NothingToShow("The fit has neither a temperature nor a humidity of the cabinet to show.")
     begin = record.until if record.validation else record.span[1] - FORTNIGHT_S
@@ -202,69 +188,40 @@ def _course(
 ) -> None:
     """Ambient, measured, simulated with its 95 % band."""
     measured, simulated, sd, ambient = record.quantity(name)
-    t, below, above = band(record.time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
-    axes.fill_between(days(t), below, above, color=SIMULATED, alpha=0.17, linewidth=0)
-    for value, colour, thick in (
-        (ambient, AMBIENT, 1.0),
-        (measured, MEASURED, 1.25),
-        (simulated, SIMULATED, 0.8),
-    ):
-        t, v = envelope(record.time, value, span, bins)
-        single = np.isfinite(v).sum() == 1
-        axes.plot(
-            days(t), v, color=colour, linewidth=thick * width, marker="o" if single else None, markersize=3
-        )
-    _robust_limits(axes, [measured, simulated, ambient], record, span)
-
-
-def _robust_limits(axes: Axes, values: list[np.ndarray], record: _Record, span: tuple[float, float]) -> None:
-    """Limits that show every reading, but not every excess of the band."""
-    inside = (record.time >= span[0]) & (record.time <= span[1])
-    there = [v[inside & np.isfinite(v)] for v in values]
-    there = [v for v in there if len(v)]
-    if there:
-        low, high = min(float(v.min()) for v in there), max(float(v.max()) for v in there)
-        margin = 0.07 * (high - low) or 1.0
-        axes.set_ylim(low - margin, high + margin)
-
-
-def _line(axes: Axes, record: _Record, value: np.ndarray, colour: str, width: float) -> None:
-    t, v = envelope(record.time, value, record.span)
-    marker = "o" if np.isfinite(v).sum() == 1 else None
-    axes.plot(days(t), v, color=colour, linewidth=width, marker=marker, markersize=3)
+    shown = [
+        (ambient, AMBIENT, width),
+        (measured, MEASURED, 1.25 * width),
+        (simulated, SIMULATED, 0.8 * width),
+    ]
+    courses(axes, record.time, shown, sd, span, bins)
 
 
 def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = BINS) -> None:
-    from matplotlib.lines import Line2D
+    """Relative power, and bars where the cabinet was pre-heated."""
 
     t, v = envelope(record.time, record.power, span, bins)
     axes.plot(days(t), v, color=INK, linewidth=0.5)
     axes.fill_between(days(t), 0.0, v, color=INK, alpha=0.12)
     axes.set_ylim(-0.05, 1.14)
+    axes.set_ylabel("power / rated")
     least = 0.004 * (span[1] - span[0])
-    named = False
-    for start, end in stretches(record.time, record.preheating > 0, least=1800.0):
-        if end < span[0] or start > span[1]:
-            continue
-        start, end = max(start, span[0]), min(end, span[1])
-        middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
-        axes.add_line(
-            Line2D(
-                [float(days(middle - half)), float(days(middle + half))], [1.04, 1.04], color=SIMULATED,
-                linewidth=3.0,
-                solid_capstyle="butt",
-            )
+    heated = [
+        (0.5 * (start + end), 0.5 * max(end - start, least))
+        for start, end in stretches(record.time, record.preheating > 0, least=1800.0)
+        if end >= span[0] and start <= span[1]
+    ]
+    for middle, half in heated:
+        ends = [float(days(middle - half)), float(days(middle + half))]
+        axes.plot(ends, [1.04, 1.04], color=SIMULATED, linewidth=3.0)
+    for middle, half in heated[:1]:
+        late = middle > span[0] + 0.7 * (span[1] - span[0])
+        axes.annotate(
+            "pre-heating", (days(middle - half if late else middle + half), 1.04),
+            ha="right" if late else "left",
+            xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED,
+            fontsize=6.5,
+            bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
         )  # fmt: skip
-        if not named:
-            named = True
-            late = middle > span[0] + 0.7 * (span[1] - span[0])
-            axes.annotate(
-                "pre-heating", (days(middle - half if late else middle + half), 1.04),
-                ha="right" if late else "left",
-                xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED,
-                fontsize=6.5,
-                bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
-            )  # fmt: skip
 
 
 def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
@@ -299,56 +256,41 @@ def _handles(record: _Record, name: str) -> list[Artist]:
     return handles
 
 
-def _mark_validation(axes: Axes, record: _Record) -> None:
-    if not record.validation:
-        return
-    place = max(record.until, record.span[0])
-    near_end = (record.span[1] - place) / max(record.span[1] - record.span[0], 1.0) < 0.12
-    axes.annotate(
-        "validation", (days(record.span[1] if near_end else place), 1.0), xycoords=("data", "axes fraction"),
-        xytext=(-3 if near_end else 3, -3), textcoords="offset points", ha="right" if near_end else "left",
-        va="top",
-        color=QUIET, fontsize=7.0, fontstyle="italic",
-    )  # fmt: skip
-
-
-def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
     record = _Record(series)
-    names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
+    names = record.names
     usable = {name: array(series, name) for name in _EXCERPT_SERIES} | {"time_s": record.time}
     chosen = choose_excerpts(usable) if names else ()
     if not chosen:
         raise NothingToShow("The record is too short for excerpts.")
-    rows = len(names) + record.has_power
-    with styled():
-        figure = new_figure(0.75 + 1.55 * len(names) + 0.75 * record.has_power)
-        height = figure.get_size_inches()[1]
-        grid = figure.add_gridspec(
-            rows, len(chosen), height_ratios=[1.55] * len(names) + [0.7] * record.has_power, hspace=0.16,
-            wspace=0.17,
-            left=0.072, right=0.995, top=1.0 - 0.52 / height, bottom=0.3 / height,
-        )  # fmt: skip
-        left: list[Axes] = []
-        for column, excerpt in enumerate(chosen):
-            span = (excerpt.start_s, excerpt.end_s)
-            for row in range(rows):
-                axes = figure.add_subplot(grid[row, column])
-                if row < len(names):
-                    _course(axes, record, names[row], span, 1.0, NARROW)
-                else:
-                    _power(axes, record, span, NARROW)
-                calendar(axes, span, 7, labels=row == rows - 1)
-                _shade(axes, record, span)
-                if column == 0:
-                    upright(axes, AXIS_LABEL[names[row]] if row < len(names) else "power / rated")
-                    left.append(axes)
-                if row == 0:
-                    late = record.validation and span[0] >= record.until
-                    axes.set_title(f"({'abc'[column]}) {excerpt.reason}{' (validation)' if late else ''}")
-        top = left[0]
-        key(top, _handles(record, names[0]), anchor=(0.0, 1.0 + 0.24 / (top.get_position().height * height)))
-    return figure
+
+    def draw(axes: Axes, name: str, column: int) -> None:
+        excerpt = chosen[column]
+        span = (excerpt.start_s, excerpt.end_s)
+        if name == POWER:
+            _power(axes, record, span, NARROW)
+        else:
+            _course(axes, record, name, span, 1.0, NARROW)
+        calendar(axes, span, 7)
+        _shade(axes, record, span)
+        if column == 0 and name != POWER:
+            axes.set_ylabel(AXIS_LABEL[name])
+        elif column:
+            axes.set_ylabel("")
+        if name == names[0]:
+            late = record.validation and span[0] >= record.until
+            axes.set_title(f"({'abc'[column]}) {excerpt.reason}{' (validation)' if late else ''}")
+
+    rows = [*names, POWER] if record.has_power else names
+    return Panels(
+        tuple(partial(draw, name=name, column=column) for name in rows for column in range(len(chosen))),
+        height_in=0.75 + 1.55 * len(names) + 0.75 * record.has_power,
+        columns=len(chosen),
+        shared="x",
+        heights=tuple(0.7 if name == POWER else 1.55 for name in rows),
+        handles=partial(_handles, record, names[0]),
+    )
 
 
 _EXCERPT_SERIES = (
@@ -361,7 +303,7 @@ _EXCERPT_SERIES = (
 # --- residuals -------------------------------------------------------------------------------
 
 
-def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Error of the free run over power, ambient temperature and hour of the day."""
     record = _Record(series)
     errors = {}
@@ -384,44 +326,37 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figur
         columns.append(("ambient temperature [°C]", ambient, np.linspace(low, high, 11)))
     columns.append(("hour of the day [UTC]", hour, np.arange(0.0, 25.0, 2.0)))
     late = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
-    with styled():
-        figure = new_figure(0.55 + 1.75 * len(errors))
-        height = figure.get_size_inches()[1]
-        grid = figure.add_gridspec(
-            len(errors), len(columns), hspace=0.24, wspace=0.1, left=0.07, right=0.995,
-            top=1.0 - 0.22 / height, bottom=0.36 / height,
-        )  # fmt: skip
-        for row, (name, error) in enumerate(errors.items()):
-            reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
-            for column, (label, x, edges) in enumerate(columns):
-                axes = figure.add_subplot(grid[row, column])
-                axes.axhline(0.0, color=INK, linewidth=0.7)
-                middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
-                groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
-                if label.startswith("power"):
-                    middles, halves = np.append(0.0, middles), np.append(0.02, halves)
-                    groups.insert(0, error[~record.operating & ~late])
-                _boxes(axes, middles, halves, groups)
-                if late.any():
-                    after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
-                    after = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
-                    axes.plot(middles[-len(after) :], after, "D", color=SIMULATED, markersize=3.2)
-                axes.set_ylim(-reach, reach)
-                if row < len(errors) - 1:
-                    axes.tick_params(labelbottom=False)
-                else:
-                    axes.set_xlabel(label)
-                if column == 0:
-                    upright(axes, ERROR_LABEL[name])
-                    axes.set_title("Temperature" if name == TEMPERATURE else "Absolute humidity")
-                else:
-                    axes.tick_params(labelleft=False)
-                if label.startswith("hour"):
-                    axes.set_xticks(np.arange(0, 25, 6))
-                elif label.startswith("power"):
-                    axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
-        figure_key(figure, _residual_handles(bool(late.any())), (0.997, 1.0))
-    return figure
+
+    def draw(axes: Axes, name: str, column: tuple[str, np.ndarray, np.ndarray]) -> None:
+        (label, x, edges), error = column, errors[name]
+        axes.axhline(0.0, color=INK, linewidth=0.7)
+        middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
+        groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
+        if label.startswith("power"):
+            middles, halves = np.append(0.0, middles), np.append(0.02, halves)
+            groups.insert(0, error[~record.operating & ~late])
+            axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
+        elif label.startswith("hour"):
+            axes.set_xticks(np.arange(0, 25, 6))
+        _boxes(axes, middles, halves, groups)
+        if late.any():
+            after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
+            after = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
+            axes.plot(middles[-len(after) :], after, "D", color=SIMULATED, markersize=3.2)
+        reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
+        axes.set_ylim(-reach, reach)
+        axes.set_xlabel(label)
+        axes.set_ylabel(ERROR_LABEL[name])
+        if column is columns[0]:
+            axes.set_title("Temperature" if name == TEMPERATURE else "Absolute humidity")
+
+    return Panels(
+        tuple(partial(draw, name=name, column=column) for name in errors for column in columns),
+        height_in=0.55 + 1.75 * len(errors),
+        columns=len(columns),
+        shared="xy",
+        handles=partial(_residual_handles, bool(late.any())),
+    )
 
 
 _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])

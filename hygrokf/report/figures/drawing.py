@@ -1,5 +1,5 @@
 """How figures look, and how a long record becomes a small drawing: style, envelopes, calendar axes, SVG and
-PNG text.
+PNG.
 
 matplotlib is imported inside the functions that need it, without its global state (`pyplot`).
 """
@@ -250,6 +250,13 @@ def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple[np.ndarra
     return (np.insert(x, breaks, middle), *(np.insert(v, breaks, np.nan) for v in values))
 
 
+def means(place: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Means (count,) of the values (T,) of each place (T,); NaN where a place has none."""
+    number = np.bincount(place, minlength=count).astype(float)
+    total = np.bincount(place, weights=value, minlength=count)
+    return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
+
+
 def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tuple[float, float]]:
     """Spans (start, end) of `time` over which `flag` (T,) holds; pauses shorter than `least` are closed."""
     flag = np.asarray(flag, dtype=bool)
@@ -274,7 +281,7 @@ def days(time_s: np.ndarray | float) -> np.ndarray | float:
     return np.asarray(time_s, dtype=float) / DAY_S
 
 
-def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool = True) -> None:
+def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9) -> None:
     """A calendar axis in UTC over `span` [s] with at most `ticks` ticks; the first one names year or
     month."""
     low, high = span
@@ -282,9 +289,7 @@ def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool
         low, high = low - 1800.0, high + 1800.0
     axes.set_xlim(float(days(low)), float(days(high)))
     at, words = calendar_ticks(low, high, ticks)
-    axes.set_xticks(days(at), words if labels else None)
-    if not labels:
-        axes.tick_params(labelbottom=False)
+    axes.set_xticks(days(at), words)
 
 
 _STEPS = (
@@ -342,16 +347,6 @@ def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def upright(axes: Axes, text: str, place: float = 0.012) -> None:
-    """The vertical label, at `place` of the figure's width: in line with those above and below it."""
-    from matplotlib.transforms import blended_transform_factory
-
-    axes.set_ylabel(text, va="center")
-    axes.yaxis.set_label_coords(
-        place, 0.5, blended_transform_factory(axes.figure.transFigure, axes.transAxes)
-    )
-
-
 def line_handle(colour: str, label: str, linewidth: float = 1.6, **style: Any) -> Artist:
     """The line of a key."""
     from matplotlib.lines import Line2D
@@ -366,31 +361,6 @@ def area_handle(colour: str, label: str, alpha: float = 1.0, **style: Any) -> Ar
     return Patch(facecolor=colour, label=label, alpha=alpha, **style)
 
 
-def key(
-    axes: Axes,
-    handles: Sequence[Artist],
-    columns: int | None = None,
-    anchor: tuple[float, float] = (0.0, 1.02),
-) -> None:
-    """A key above the axes, flush left, in one line."""
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=anchor, ncols=columns or len(handles))
-
-
-def figure_key(
-    figure: Figure,
-    handles: Sequence[Artist],
-    anchor: tuple[float, float] = (0.995, 0.995),
-    left: bool = False,
-) -> None:
-    """A key at the top of a figure, in one line; flush right, or left."""
-    figure.legend(
-        handles=handles,
-        loc="upper left" if left else "upper right",
-        ncols=len(handles),
-        bbox_to_anchor=anchor,
-    )
-
-
 def segments(
     axes: Axes, x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float
 ) -> None:
@@ -400,9 +370,59 @@ def segments(
     axes.plot(x, y, color=colour, linewidth=width)
 
 
+def line(
+    axes: Axes, time: np.ndarray, value: np.ndarray, span: tuple[float, float], colour: str, width: float,
+    bins: int = BINS,
+) -> None:  # fmt: skip
+    """A course (T,) over a stretch of time [s], thinned as in `envelope`; a single value is a point."""
+    t, v = envelope(time, value, span, bins)
+    single = np.isfinite(v).sum() == 1
+    axes.plot(days(t), v, color=colour, linewidth=width, marker="o" if single else None, markersize=3)
+
+
+def courses(
+    axes: Axes, time: np.ndarray, shown: Sequence[tuple[np.ndarray, str, float]], sd: np.ndarray | None,
+    span: tuple[float, float], bins: int = BINS,
+) -> None:  # fmt: skip
+    """Courses (value (T,), colour, width) over a stretch of time [s], the simulation last, with its 95 % band
+    where its standard deviation `sd` (T,) is known; limits show every value, not every excess of the band."""
+    if sd is not None:
+        simulated = shown[-1][0]
+        t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
+        axes.fill_between(days(t), low, high, color=SIMULATED, alpha=0.16, linewidth=0)
+    for value, colour, width in shown:
+        line(axes, time, value, span, colour, width, bins)
+    inside = (time >= span[0]) & (time <= span[1])
+    there = np.concatenate([value[inside & np.isfinite(value)] for value, _, _ in shown])
+    if len(there):
+        margin = 0.07 * float(np.ptp(there)) or 1.0
+        axes.set_ylim(float(there.min()) - margin, float(there.max()) + margin)
+
+
+def mark_validation(axes: Axes, start_s: float) -> None:
+    """Where the validation period begins [s], on calendar axes."""
+    low, high = axes.get_xlim()
+    start = max(float(days(start_s)), low)
+    late = (high - start) / max(high - low, 1e-9) < 0.12
+    axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
+    axes.annotate(
+        "validation", (start, 1.0), xycoords=("data", "axes fraction"), xytext=(-3 if late else 3, -3),
+        textcoords="offset points", ha="right" if late else "left", va="top", fontsize=6.5,
+        fontstyle="italic",
+        bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
+    )  # fmt: skip
+
+
 def shade(axes: Axes, start_s: float, end_s: float, **style: Any) -> None:
     """Shade a stretch of time [s] over the whole height of calendar axes."""
     axes.axvspan(float(days(start_s)), float(days(end_s)), **style)
+
+
+def name_rows(axes: Axes, labels: Sequence[str]) -> None:
+    """One label for each row of a picture, the first on top."""
+    axes.set_yticks(range(len(labels)), labels[::-1])
+    axes.set_ylim(-0.6, len(labels) - 0.4)
+    axes.grid(axis="y", visible=False)
 
 
 def empty(axes: Axes, sentence: str) -> None:

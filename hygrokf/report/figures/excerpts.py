@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
+from hygrokf.report.figures.drawing import means
 
 LENGTH_H = 144.0
 """[h] length of an excerpt, a quarter of the record if that is shorter."""
@@ -30,9 +31,7 @@ def hourly(time: np.ndarray, value: np.ndarray, hours: int) -> np.ndarray:
     """Means (hours,) over the hours since the first instant; NaN without a value. time: [s] (T,)."""
     there = np.isfinite(value)
     place = np.minimum(((time[there] - time[0]) // HOUR_S).astype(int), hours - 1)
-    count = np.bincount(place, minlength=hours).astype(float)
-    total = np.bincount(place, weights=value[there], minlength=hours)
-    return np.divide(total, count, out=np.full(hours, np.nan), where=count > 0)
+    return means(place, value[there], hours)
 
 
 def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:

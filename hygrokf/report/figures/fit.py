@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
@@ -23,9 +23,7 @@ from hygrokf.report.figures.course import (
 )
 from hygrokf.report.figures.identification import figure_composition, figure_heat_release, figure_profiles
 from hygrokf.report.figures.innovations import figure_innovations
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
+from hygrokf.report.figures.panels import Panels
 
 
 @dataclass(frozen=True)
@@ -35,15 +33,11 @@ class Picture:
     name: str
     heading: str
     caption: str
-    draw: Callable[[FitResults, Mapping[str, np.ndarray]], Drawing]
+    draw: Callable[[FitResults, Mapping[str, np.ndarray]], Panels]
 
     def of(self, fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
         """The picture of one fit as a block of its page."""
         return Figure(self.name, self.heading, self.caption, lambda: self.draw(fit, series))
-
-
-def _humidity_innovations(fit: FitResults, series: Mapping[str, np.ndarray]) -> Drawing:
-    return figure_innovations(fit, series, "humidity")
 
 
 FIGURES: tuple[Picture, ...] = (
@@ -117,6 +111,6 @@ FIGURES: tuple[Picture, ...] = (
         "Innovations of the humidity",
         "As above. Bars beyond the dashed limits at positive lags of an input show a response to that input "
         "that the model lacks.",
-        _humidity_innovations,
+        partial(figure_innovations, output="humidity"),
     ),
 )

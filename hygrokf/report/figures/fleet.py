@@ -4,6 +4,7 @@ spread."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,20 +16,21 @@ from hygrokf.report.figures.drawing import (
     SHADE,
     SIMULATED,
     NothingToShow,
+    area_handle,
+    line_handle,
     logarithmic,
-    new_figure,
-    styled,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NAMED = 45
 """Turbines up to which every one has its name beside its row."""
 
 
-def figure_spreads(found: Sequence[Spread]) -> Figure:
+def figure_spreads(found: Sequence[Spread]) -> Panels:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
@@ -40,33 +42,23 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
     most = max(len(one.turbines) for one in shown)
     named = most <= NAMED
     height = 0.95 + (0.155 * most if named else min(0.155 * NAMED, 0.03 * most + 3.0))
-    with styled():
-        from matplotlib.artist import Artist
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch
 
-        figure = new_figure(max(height, 1.9))
-        panels = figure.subplots(1, len(shown), squeeze=False)[0]
-        for axes, one in zip(panels, shown, strict=True):
-            _panel(axes, one, named, most)
-        handles: list[Artist] = [
-            Line2D([], [], color=MEASURED, marker="o", markersize=3, label="turbine" + _with_bounds(shown)),
-            Line2D([], [], color=QUIET, label="median"),
-        ]
-        if any(one.between > 0 for one in shown):
-            handles.append(Patch(color=SHADE, label="95 % of turbines"))
+    def handles() -> list[Artist]:
+        bounds = ", 95 % bounds" if any(one.compared.lower for one in shown) else ""
+        made = [line_handle(MEASURED, f"turbine{bounds}", marker="o", markersize=3)]
         if any(one.outliers for one in shown):
-            handles.insert(1, Line2D([], [], color=SIMULATED, marker="o", markersize=3, label="outlier"))
-        top = figure.get_figheight()
-        figure.legend(
-            handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.012, 1.0 - 0.03 / top)
-        )
-        figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.2 / top), w_pad=1.5)
-    return figure
+            made.append(line_handle(SIMULATED, "outlier", marker="o", markersize=3))
+        made.append(line_handle(QUIET, "median"))
+        if any(one.between > 0 for one in shown):
+            made.append(area_handle(SHADE, "95 % of turbines"))
+        return made
 
-
-def _with_bounds(shown: Sequence[Spread]) -> str:
-    return ", 95 % bounds" if any(one.compared.lower for one in shown) else ""
+    return Panels(
+        tuple(partial(_panel, one=one, named=named, most=most) for one in shown),
+        height_in=max(height, 1.9),
+        columns=len(shown),
+        handles=handles,
+    )
 
 
 def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:

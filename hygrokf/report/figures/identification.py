@@ -4,7 +4,8 @@ and how their intervals grow source by source."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,17 +23,17 @@ from hygrokf.report.figures.drawing import (
     NothingToShow,
     line_handle,
     logarithmic,
-    new_figure,
-    styled,
-    upright,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 THRESHOLD = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
+PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
+"""Symbols of the time constants."""
 POINTS = 500
 """Points of one cloud; more of them only hide each other."""
 LABELS = {
@@ -52,7 +53,7 @@ SHOWN_WEIGHT = 0.01
 # --- heat release ----------------------------------------------------------------------------
 
 
-def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
     paper)."""
     release = fit.heat_release
@@ -65,26 +66,26 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Fi
     if not shown:
         why = f" ({release.statement})" if release is not None and release.statement else ""
         raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
-    with styled():
-        figure = new_figure(2.9)
-        grid = figure.add_gridspec(1, len(shown), wspace=0.2, left=0.065, right=0.915, top=0.9, bottom=0.15)
-        ambient = np.concatenate([one.ambient for one in shown])
-        low, high = np.quantile(ambient, [0.02, 0.98])
-        edges = _round_edges(float(low), float(high))
-        highest = max(float(np.nanmax(one.difference)) for one in shown)
-        lowest = min(0.0, *(float(np.nanmin(one.difference)) for one in shown))
-        for column, one in enumerate(shown):
-            axes = figure.add_subplot(grid[column])
-            (_operation if one.regime == "operation" else _standstill)(axes, one, edges, fit)
-            axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
-            if column == 0:
-                upright(axes, "cabinet − ambient [K]")
-            count, episodes = one.data.n_points, one.data.n_episodes
-            axes.set_title(f"{one.regime}: {count} stationary periods, {episodes} episodes")
-            if one is shown[-1]:
-                _line_key(axes, bool(_likelihood(fit)[0]))
-        _colour_scale(figure, edges)
-    return figure
+    ambient = np.concatenate([one.ambient for one in shown])
+    low, high = np.quantile(ambient, [0.02, 0.98])
+    edges = _round_edges(float(low), float(high))
+    highest = max(float(np.nanmax(one.difference)) for one in shown)
+    lowest = min(0.0, *(float(np.nanmin(one.difference)) for one in shown))
+
+    def draw(axes: Axes, one: _Points) -> None:
+        (_operation if one.regime == "operation" else _standstill)(axes, one, edges, fit)
+        axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
+        axes.set_ylabel("cabinet − ambient [K]" if one is shown[0] else "")
+        count, episodes = one.data.n_points, one.data.n_episodes
+        axes.set_title(f"{one.regime}: {count} stationary periods, {episodes} episodes")
+
+    return Panels(
+        tuple(partial(draw, one=one) for one in shown),
+        height_in=2.9,
+        columns=len(shown),
+        handles=partial(_line_handles, bool(_likelihood(fit)[0])),
+        finish=partial(_colour_scale, edges),
+    )
 
 
 class _Points:
@@ -181,52 +182,42 @@ def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) ->
     axes.set_xlabel("ambient temperature [°C]")
 
 
-def _line_key(axes: Axes, estimated: bool) -> None:
+def _line_handles(estimated: bool) -> list[Artist]:
     handles = [line_handle(INK, "regression over the points")]
     if estimated:
         handles.append(line_handle(INK, "final estimate, all data", 1.0, dashes=(4, 2)))
-    axes.legend(handles=handles, loc="best", handlelength=2.2)
+    return handles
 
 
-def _colour_scale(figure: Figure, edges: np.ndarray) -> None:
-    from matplotlib.patches import Rectangle
+def _colour_scale(edges: np.ndarray, axes: Sequence[Axes]) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    axes = figure.add_axes((0.955, 0.15, 0.012, 0.66))
-    for i, colour in enumerate(WARM_TO_COLD):
-        axes.add_patch(Rectangle((0, edges[i]), 1, edges[i + 1] - edges[i], color=colour))
-    axes.set_xlim(0, 1)
-    axes.set_ylim(edges[0], edges[-1])
-    axes.set_yticks(edges, [f"{e:g}" for e in edges])
-    axes.yaxis.tick_right()
-    axes.set_xticks([])
-    axes.grid(False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.set_title("ambient\n[°C]", fontweight="normal", fontsize=7.0, loc="center")
+    figure = axes[0].get_figure(root=True)
+    assert figure is not None
+    colours = ScalarMappable(BoundaryNorm(edges, len(WARM_TO_COLD)), ListedColormap(list(WARM_TO_COLD)))
+    bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.03)
+    bar.set_ticks(list(edges), labels=[f"{e:g}" for e in edges])
+    bar.set_label("ambient [°C]")
 
 
 # --- time constants --------------------------------------------------------------------------
 
 
-def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
     constants = fit.time_constants
     shown = [name for name in ("thermal", "hygric") if name in constants and constants[name].value_h > 0]
     if not shown:
         raise NothingToShow("No time constant was identified, so there is no profile to show.")
-    with styled():
-        figure = new_figure(2.5)
-        grid = figure.add_gridspec(1, 2, wspace=0.2, left=0.06, right=0.985, top=0.9, bottom=0.17)
-        for column, name in enumerate(shown):
-            axes = figure.add_subplot(grid[column])
-            _profile(axes, constants[name])
-            axes.set_title(
-                "thermal time constant (R_AT+R_IC)·C" if name == "thermal" else "hygric time constant R_D*·V*"
-            )
-            axes.set_xlabel("time constant [h]")
-            if column == 0:
-                upright(axes, "2 × drop of log-likelihood")
-    return figure
+
+    def draw(axes: Axes, name: str) -> None:
+        _profile(axes, constants[name])
+        axes.set_title(f"{name} time constant {PRODUCT[name]}")
+        axes.set_xlabel("time constant [h]")
+        axes.set_ylabel("2 × drop of log-likelihood" if name == shown[0] else "")
+
+    return Panels(tuple(partial(draw, name=name) for name in shown), height_in=2.5, columns=2)
 
 
 def _profile(axes: Axes, found: TimeConstant) -> None:
@@ -299,7 +290,7 @@ def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.nd
 # --- composition of intervals ----------------------------------------------------------------
 
 
-def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
     """One panel a time constant: a bar for each step of the interval, the last one the headline."""
     shown = [
         (name, fit.time_constants[name])
@@ -308,15 +299,17 @@ def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Fig
     ]
     if not shown:
         raise NothingToShow("No interval is composed of several sources, so there is nothing to take apart.")
-    with styled():
-        figure = new_figure(0.75 + 0.2 * max(len(_steps(found)) for _, found in shown))
-        grid = figure.add_gridspec(1, 2, wspace=0.5, left=0.155, right=0.985, top=0.84, bottom=0.24)
-        for column, (name, found) in enumerate(shown):
-            axes = figure.add_subplot(grid[column])
-            _composed(axes, found)
-            axes.set_title(f"{name} time constant")
-            axes.set_xlabel("[h]")
-    return figure
+
+    def draw(axes: Axes, name: str, found: TimeConstant) -> None:
+        _composed(axes, found)
+        axes.set_title(f"{name} time constant")
+        axes.set_xlabel("[h]")
+
+    return Panels(
+        tuple(partial(draw, name=name, found=found) for name, found in shown),
+        height_in=0.75 + 0.2 * max(len(_steps(found)) for _, found in shown),
+        columns=2,
+    )
 
 
 def _steps(found: TimeConstant) -> list[Step]:

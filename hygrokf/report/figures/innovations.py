@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
@@ -26,19 +27,15 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     NothingToShow,
     calendar,
-    days,
     empty,
-    envelope,
+    line,
     logarithmic,
-    new_figure,
     segments,
-    styled,
 )
+from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.gridspec import GridSpec
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
@@ -49,7 +46,7 @@ LEVEL = 0.95
 
 def figure_innovations(
     fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
-) -> Figure:
+) -> Panels:
     """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
     period."""
     found = fit.innovations.outputs.get(output)
@@ -64,26 +61,27 @@ def figure_innovations(
     if found.autocorrelation is None:
         why = found.statements[0] if found.statements else "too few readings"
         raise NothingToShow(f"No diagnosis: {why}.")
-    with styled():
-        figure = new_figure(5.3)
-        top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
-        cross = _shown_inputs(found)
-        middle = figure.add_gridspec(
-            1, max(len(cross), 1), wspace=0.13, left=0.065, right=0.995, top=0.605, bottom=0.42
+    cross = _shown_inputs(found)
+    reach = max((correlation_reach(one) for _, one in cross), default=0.0)
+    without = "no input varies, or none is known: no cross-correlation"
+
+    def crossed(axes: Axes, name: str, one: CrossCorrelation) -> None:
+        correlation(axes, [one], [MEASURED], reach)
+        axes.set_title(
+            f"Correlation with {one_line(name).replace('_', ' ')}", fontweight="normal", fontsize=7.0
         )
-        last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
-        _autocorrelation(figure.add_subplot(top[0]), found.autocorrelation)
-        _cumulative(figure.add_subplot(top[1]), found.cumulative_periodogram or CumulativePeriodogram())
-        _periodogram(figure.add_subplot(top[2]), found.periodogram or Periodogram())
-        _cross_correlations(figure, middle, cross)
-        figure.text(
-            0.065, 0.645, "Cross-correlation of the innovations with …", fontweight="bold", fontsize=8.0
-        )
-        e = value[known]
-        _histogram(figure.add_subplot(last[0]), e)
-        _quantiles(figure.add_subplot(last[1]), e)
-        _course(figure.add_subplot(last[2]), time, np.where(known, value, np.nan))
-    return figure
+
+    draw = (
+        partial(_autocorrelation, data=found.autocorrelation),
+        partial(_cumulative, data=found.cumulative_periodogram or CumulativePeriodogram()),
+        partial(periodogram, shown=[found.periodogram], colours=[MEASURED]),
+        partial(_histogram, e=value[known]),
+        partial(_quantiles, e=value[known]),
+        partial(_course, time=time, value=np.where(known, value, np.nan)),
+        *(partial(crossed, name=name, one=one) for name, one in cross),
+        *([] if cross else [partial(empty, sentence=without)]),
+    )
+    return Panels(draw, height_in=1.6 * -(-len(draw) // 3), columns=3)
 
 
 def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
@@ -159,33 +157,37 @@ def _cumulative(axes: Axes, data: CumulativePeriodogram) -> None:
     axes.text(0.04, 0.95, f"Kolmogorov–Smirnov\n{words}", transform=axes.transAxes, va="top", fontsize=7.0)
 
 
-def _periodogram(axes: Axes, data: Periodogram) -> None:
-    frequency, power, lower, upper = _columns(data.frequency_per_h, data.power, data.lower, data.upper)
-    axes.set_title("Periodogram (white = 1)")
-    if len(frequency) < 2 or not 0.0 < frequency[0] < frequency[-1] or np.any(np.diff(frequency) <= 0):
+def periodogram(axes: Axes, shown: Sequence[Periodogram | None], colours: Sequence[str]) -> None:
+    """Power over the period, of white innovations 1, with the 95 % band of the first one."""
+    every = [
+        (_columns(one.frequency_per_h, one.power, one.lower, one.upper), colour)
+        for one, colour in zip(shown, colours, strict=True)
+        if one is not None
+    ]
+    every = [
+        (rows, colour)
+        for rows, colour in every
+        if len(rows[0]) > 1 and rows[0][0] > 0 and np.all(np.diff(rows[0]) > 0)
+    ]
+    if not every:
         return empty(axes, "no periodogram in fit.json")
+    frequency, _, lower, upper = every[0][0]
     period = 1.0 / frequency
     axes.fill_between(period, np.maximum(lower, 1e-3), upper, color=QUIET, alpha=0.16, linewidth=0)
     axes.axhline(1.0, color=QUIET, linewidth=0.6)
-    axes.plot(period, np.maximum(power, 1e-3), color=MEASURED, linewidth=0.9)
-    axes.set_ylim(max(0.05, 0.7 * float(np.nanmin(power))), 1.4 * max(float(np.nanmax(power)), 4.0))
-    axes.set_xlim(float(period[0]), float(period[-1]))
+    for rows, colour in every:
+        axes.plot(1.0 / rows[0], np.maximum(rows[1], 1e-3), color=colour, linewidth=0.9)
+    powers = np.concatenate([rows[1] for rows, _ in every])
+    axes.set_ylim(max(0.02, 0.7 * float(powers.min())), 1.4 * max(float(powers.max()), 4.0))
     logarithmic(axes, "y")
-    axes.set_xlim(min(float(period[0]), 2000.0), float(period[-1]))
-    _periods(axes)
-    axes.set_xlabel("period [h]")
-
-
-def _periods(axes: Axes) -> None:
-    from matplotlib.ticker import NullFormatter, NullLocator
-
+    high, low = min(float(period[0]), 2000.0), float(period[-1])
     axes.set_xscale("log")
-    ticks = [
-        p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if axes.get_xlim()[1] <= p <= axes.get_xlim()[0]
-    ]
+    axes.set_xlim(high, low)
+    ticks = [p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= p <= high]
     axes.set_xticks(ticks, [f"{p:g}" for p in ticks])
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.minorticks_off()
+    axes.set_title("Periodogram (white = 1)")
+    axes.set_xlabel("period [h]")
 
 
 def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
@@ -198,28 +200,33 @@ def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
     return [row for row in rows if row in first]
 
 
-def _cross_correlations(figure: Figure, grid: GridSpec, rows: list[tuple[str, CrossCorrelation]]) -> None:
-    if not rows:
-        empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
-        return
-    reach = max(
-        _reach(one.limit_all if one.limit_all > 0 else 0.0, _columns(one.lag_h, one.value)[1])
-        for _, one in rows
-    )
-    for column, (name, one) in enumerate(rows):
-        axes = figure.add_subplot(grid[column])
+def correlation_reach(one: CrossCorrelation) -> float:
+    """Height [1] at which a correlation and its limits can be seen."""
+    return _reach(one.limit_all if one.limit_all > 0 else 0.0, _columns(one.lag_h, one.value)[1])
+
+
+def correlation(
+    axes: Axes, shown: Sequence[CrossCorrelation | None], colours: Sequence[str], reach: float
+) -> None:
+    """Correlations with an input over the lag, those of several models as lines, within the limits of the
+    first one."""
+    pairs = zip(shown, colours, strict=True)
+    every = [(one, colour) for one, colour in pairs if one is not None and one.lag_h]
+    limit = _limits(axes, every[0][0])
+    for one, colour in every:
         lag, value = _columns(one.lag_h, one.value)
-        limit = _limits(axes, one)
-        _stems(axes, lag, value, limit)
-        axes.set_ylim(-reach, reach)
-        axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
-        _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
-        axes.set_title(one_line(name).replace("_", " "), fontweight="normal", fontsize=7.5)
-        axes.set_xlabel("lag [h]" if column else "lag [h]; > 0: after the input")
-        axes.locator_params(axis="y", nbins=5)
-        axes.axvline(0.0, color=QUIET, linewidth=0.6)
-        if column:
-            axes.tick_params(labelleft=False)
+        if colours[1:]:
+            axes.plot(lag, value, color=colour, linewidth=0.9)
+        else:
+            _stems(axes, lag, value, limit)
+    lag, _ = _columns(every[0][0].lag_h, every[0][0].value)
+    axes.axhline(0.0, color=QUIET, linewidth=0.6)
+    axes.axvline(0.0, color=QUIET, linewidth=0.6)
+    axes.set_ylim(-reach, reach)
+    axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
+    _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
+    axes.locator_params(axis="y", nbins=5)
+    axes.set_xlabel("lag [h], > 0: later")
 
 
 def _histogram(axes: Axes, e: np.ndarray) -> None:
@@ -258,8 +265,7 @@ def _quantiles(axes: Axes, e: np.ndarray) -> None:
 def _course(axes: Axes, time: np.ndarray, value: np.ndarray) -> None:
     known = np.isfinite(value)
     span = (float(time[known][0]), float(time[known][-1]))
-    t, v = envelope(time, value, span, 200)
-    axes.plot(days(t), v, color=MEASURED, linewidth=0.5, marker="o" if len(t) == 1 else None, markersize=3)
+    line(axes, time, value, span, MEASURED, 0.5, 200)
     for level in (-3.0, 3.0):
         axes.axhline(level, color=INK, linewidth=0.7, dashes=(4, 2))
     reach = max(4.5, 1.1 * float(np.max(np.abs(value[known]))))

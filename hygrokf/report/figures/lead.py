@@ -3,93 +3,106 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
-from hygrokf.climate.study import Study
+from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.wording import percent, sentence
+from hygrokf.report.blocks import Figure
 from hygrokf.report.climate_tables import share_held
-from hygrokf.report.figures.climate import (
-    DURATION_CAPTION,
-    JOINT_CAPTION,
-    REGIONS_CAPTION,
-    duration_panels,
-    joint_panels,
-    region_panels,
-)
-from hygrokf.report.figures.course import validation_panels
-from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, styled
-from hygrokf.report.figures.findings import drawable, episode_panels, episodes_caption, events
+from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
+from hygrokf.report.figures.drawing import NothingToShow
+from hygrokf.report.figures.findings import drawable, events, figure_episodes
 from hygrokf.report.figures.fit import FIGURES
-from hygrokf.report.figures.panels import Panels
-from hygrokf.report.figures.residual_structure import (
-    DRIVERS_HEADING,
-    driver_panels,
-    drivers_caption,
-    telling_drivers,
+from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
+
+EPISODE_FIGURES = 3
+JOINT_CAPTION = (
+    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
+    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
+)
+DURATION_CAPTION = (
+    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
+    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
+    "weather."
+)
+REGIONS_CAPTION = (
+    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
+    "years."
 )
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-YEAR_HEADING = "The year by temperature and relative humidity"
-DURATION_HEADING = "Duration curves"
-REGIONS_HEADING = "Regions side by side"
+def lead_of_fit(series: Mapping[str, np.ndarray]) -> Figure:
+    """Readings and free run after the identification period."""
+    return FIGURES[0].of(FitResults(), series)
 
 
-@dataclass(frozen=True)
-class Lead:
-    """A picture with its heading and a caption that says what to look for."""
-
-    heading: str
-    caption: str
-    panels: Panels
-
-    def figure(self, height_in: float = 0.0) -> Figure:
-        """The picture on a figure of a page's width; of its own height unless one [in] is given."""
-        from matplotlib.figure import Figure
-
-        with styled():
-            made = Figure(figsize=(WIDTH_IN, height_in or self.panels.height_in))
-            self.panels.on_figure(made)
-        return made
-
-
-def lead_of_fit(series: Mapping[str, np.ndarray]) -> Lead:
-    """Readings and free run after the identification period.  Raises NothingToShow."""
-    return Lead(FIGURES[0].heading, FIGURES[0].caption, validation_panels(series))
-
-
-def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> Lead:
+def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> Figure:
     """The worst finding that can be drawn, else the event of a cause, else the errors over the drivers.
 
-    Raises NothingToShow.
+    Raises NothingToShow where there are no residuals.
     """
     if before is None:
         raise NothingToShow("The discovery holds no residuals.")
-    overlaid = after is not None
-    shown = [*drawable(found), *(event for _, event in events(found))]
-    if shown:
-        panels = episode_panels(before, shown[0], after)
-        return Lead(sentence(shown[0].statement), episodes_caption(overlaid), panels)
-    panels = driver_panels(before, telling_drivers(before), after)
-    return Lead(DRIVERS_HEADING, drivers_caption(overlaid), panels)
+    return [*episodes(found, before, after), errors_over_drivers(found, before, after)][0]
 
 
-def lead_of_climate(study: Study) -> Lead:
-    """Regions side by side; of a single one the year by temperature and humidity, or duration curves.
+def episodes(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
+    """Readings, base and extended model in the worst findings, and where causes were found in stretches of
+    time."""
+    compare = "." if after is None else ": compare the base model (red) with the extended one (green)."
+    caption = f"Where the background is shaded the simulation should stay with the blue readings{compare}"
+    return [
+        Figure(
+            f"episodes-{place}",
+            sentence(one.statement),
+            caption if place == 1 else "",
+            partial(figure_episodes, before, one, after),
+        )
+        for place, one in enumerate((*drawable(found)[:EPISODE_FIGURES], *events(found)), start=1)
+    ]
 
-    Raises NothingToShow.
-    """
+
+def errors_over_drivers(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> Figure:
+    """The errors over those drivers that the findings name, then over the most telling ones."""
+    drivers = [one.driver for one in drawable(found) if one.driver]
+    bend = (
+        "; a bend shows what the model lacks."
+        if after is None
+        else "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where "
+        "only green shows, both are alike."
+    )
+    return Figure(
+        "drivers",
+        "Error against what drives the cabinet",
+        f"Medians should lie on zero along every driver{bend}",
+        lambda: figure_drivers(before, telling_drivers(before, drivers), after),
+    )
+
+
+def lead_of_climate(study: Study) -> Figure:
+    """Regions side by side; of a single one the year by temperature and humidity, or duration curves."""
     regions = study.regions
-    share = share_held(regions)
-    if len(regions) > 1:
-        means = percent(min(one.mean_bounds_hold for one in regions))
-        return Lead(REGIONS_HEADING, REGIONS_CAPTION.format(years=share, means=means), region_panels(regions))
-    if regions[0].joint is not None:
-        return Lead(YEAR_HEADING, JOINT_CAPTION, joint_panels(regions[0]))
-    return Lead(DURATION_HEADING, DURATION_CAPTION.format(share=share), duration_panels(regions[0]))
+    if len(regions) == 1:
+        return year_figure(regions[0], 1)
+    means = percent(min(one.mean_bounds_hold for one in regions))
+    caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
+    return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
+
+
+def year_figure(region: RegionClimate, place: int) -> Figure:
+    """The picture of the year: temperature with humidity, or duration curves without humidity."""
+    if region.joint is None:
+        return duration_figure(region, place)
+    heading = "The year by temperature and relative humidity"
+    return Figure(f"r{place}-joint", heading, JOINT_CAPTION, partial(figure_joint, region))
+
+
+def duration_figure(region: RegionClimate, place: int) -> Figure:
+    """The duration curves of a region."""
+    caption = DURATION_CAPTION.format(share=share_held([region]))
+    return Figure(f"r{place}-duration", "Duration curves", caption, partial(figure_duration, region))

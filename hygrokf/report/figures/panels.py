@@ -1,10 +1,13 @@
-"""A picture panel by panel: one drawing for pages, for the summary, and for axes that a user gives."""
+"""The layout of every picture: panels in rows and columns below a key, for pages, summaries, and axes that a
+user gives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
+
+from hygrokf.report.figures.drawing import new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,6 +26,7 @@ class Panels:
 
     `draw`: draws a panel on axes, row by row, the most important panel first.
     `columns`: panels side by side; `height_in` [in] of the whole picture at the width of a page.
+    `heights`: heights of the rows in proportion; equal without any.
     `shared`: the axes that the panels of a row ("y") or of a column ("x") have in common, which only the
         outer ones label.
     `handles`: makes those of the key.
@@ -35,11 +39,19 @@ class Panels:
     shared: Literal["", "x", "y", "xy"] = ""
     handles: Callable[[], Sequence[Artist]] | None = None
     finish: Callable[[Sequence[Axes]], None] | None = None
+    heights: tuple[float, ...] = ()
 
     @property
     def rows(self) -> int:
         """Panels one above the other."""
         return -(-len(self.draw) // self.columns)
+
+    def figure(self) -> Figure:
+        """The picture on a figure of a page's width."""
+        with styled():
+            made = new_figure(self.height_in)
+            self.on_figure(made)
+        return made
 
     def on(self, axes: Sequence[Axes]) -> None:
         """Draw the first panels, one on each of the axes, with a key in the first."""
@@ -49,7 +61,7 @@ class Panels:
 
     def on_figure(self, figure: Figure) -> list[Axes]:
         """Draw all panels on new axes, below their key; returns the axes."""
-        grid = figure.add_gridspec(self.rows, self.columns)
+        grid = figure.add_gridspec(self.rows, self.columns, height_ratios=self.heights or None)
         axes = [figure.add_subplot(grid[divmod(i, self.columns)]) for i in range(len(self.draw))]
         self.without_key(axes)
         key = 0.0
@@ -62,6 +74,7 @@ class Panels:
             legend.set_in_layout(False)
             lines = -(-len(handles) // columns)
             key = lines * LINE_EM * _letters() * POINT_IN / inches[1]
+        figure.align_ylabels(axes)
         figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - key))
         return axes
 

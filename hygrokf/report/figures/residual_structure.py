@@ -7,10 +7,9 @@ They raise `drawing.NothingToShow` with one sentence where their data are missin
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -34,31 +33,31 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     NothingToShow,
     area_handle,
-    calendar_ticks,
-    days,
+    calendar,
     empty,
-    figure_key,
     line_handle,
-    logarithmic,
-    new_figure,
-    styled,
-    upright,
+    mark_validation,
+    means,
 )
+from hygrokf.report.figures.innovations import correlation, correlation_reach, periodogram
 from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
+Correlations: TypeAlias = tuple[CrossCorrelation | None, ...]
+COLOURS = (SIMULATED, AFTER)
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
 FEWEST_READINGS = 100
 DRIVERS = 4
+INPUTS = 3
+"""Drivers with which innovations are correlated."""
 LONGEST_LAG_H = 24.0
 
 
@@ -81,56 +80,12 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 
 def figure_drivers(
     residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
-) -> Figure:
+) -> Panels:
     """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
-    shares.
+    shares; a row for each quantity, a column for each driver.
 
     drivers: up to four names; without any, those along which the medians move most.
     """
-    with styled():
-        panels = driver_panels(residuals, drivers, after)
-        height = panels.height_in
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            panels.rows, panels.columns, hspace=0.25, wspace=0.08, left=0.078, right=0.995,
-            top=1.0 - 0.42 / height,
-            bottom=0.46 / height,
-        )  # fmt: skip
-        for place, draw in enumerate(panels.draw):
-            row, column = divmod(place, panels.columns)
-            axes = figure.add_subplot(grid[row, column])
-            draw(axes)
-            axes.xaxis.label.set_fontsize(6.8)
-            if row < panels.rows - 1:
-                axes.tick_params(labelbottom=False)
-                axes.set_xlabel("")
-            if column:
-                axes.tick_params(labelleft=False)
-                axes.set_ylabel("")
-            else:
-                upright(axes, axes.get_ylabel())
-        figure_key(figure, _band_handles(after is not None))
-    return figure
-
-
-DRIVERS_HEADING = "Error against what drives the cabinet"
-
-
-def drivers_caption(overlaid: bool) -> str:
-    """What to look for in `figure_drivers`; `overlaid`: with the extended model."""
-    bend = (
-        "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where only "
-        "green shows, both are alike."
-        if overlaid
-        else "; a bend shows what the model lacks."
-    )
-    return f"Medians should lie on zero along every driver{bend}"
-
-
-def driver_panels(
-    residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
-) -> Panels:
-    """The panels of `figure_drivers`: a row for each quantity, a column for each driver."""
     quantities = _known(residuals)
     early = hourly(residuals)
     late = hourly(after) if after is not None else None
@@ -244,68 +199,113 @@ def _band_handles(overlaid: bool) -> list[Artist]:
     return handles
 
 
+# --- course of the error ---------------------------------------------------------------------
+
+
+def figure_error_course(before: Residuals, after: Residuals) -> Panels:
+    """Root mean square of the free run's error on each held-out day, of the base and of the extended model,
+    by quantity; shaded where one lies below the other."""
+    # a corrected clock can move an instant past midnight
+    numbers = np.concatenate([np.floor(one.time_s[one.validation] / DAY_S) for one in (before, after)])
+    if not len(numbers):
+        raise NothingToShow("No readings were held out.")
+    day = np.arange(numbers.min(), numbers.max() + 1.0)
+    every = {q: [_daily_rms(one, q, day) for one in (before, after)] for q in QUANTITIES}
+    courses = {q: pair for q, pair in every.items() if all(np.isfinite(one).any() for one in pair)}
+    if not courses:
+        raise NothingToShow("No held-out readings can be compared with the simulations.")
+
+    def draw(axes: Axes, quantity: str) -> None:
+        base, extended = courses[quantity]
+        for better, colour in ((extended < base, AFTER), (extended > base, SIMULATED)):
+            # a step of its own for each day, so that the areas end where the days do
+            axes.fill_between(
+                np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)), np.repeat(base, 2),
+                np.repeat(extended, 2), where=np.repeat(better, 2), color=colour, alpha=0.14, linewidth=0,
+            )  # fmt: skip
+        for value, colour in ((base, SIMULATED), (extended, AFTER)):
+            axes.stairs(value, np.append(day, day[-1] + 1.0), baseline=None, color=colour, linewidth=1.2)
+        axes.set_ylim(0.0, 1.08 * float(np.nanmax([base, extended])) or 1.0)
+        axes.locator_params(axis="y", nbins=5)
+        calendar(axes, (DAY_S * day[0], DAY_S * (day[-1] + 1.0)), 12)
+        axes.set_ylabel(f"RMS [{UNITS[quantity]}]")
+        axes.set_title(TITLE[quantity])
+
+    def handles() -> list[Artist]:
+        return [
+            line_handle(SIMULATED, "base model"),
+            line_handle(AFTER, "extended model"),
+            area_handle(AFTER, "smaller with the cause", 0.2),
+            area_handle(SIMULATED, "larger", 0.2),
+        ]
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity) for quantity in courses),
+        height_in=0.62 + 1.35 * len(courses),
+        shared="x",
+        handles=handles,
+    )
+
+
+def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
+    """Root mean square (n,) of the error on held-out days (n,) since 1970; NaN on those without a reading."""
+    error = residuals.error(quantity)
+    chosen = residuals.validation & np.isfinite(error)
+    place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
+    return np.sqrt(means(place, error[chosen] ** 2, len(days)))
+
+
 # --- day and hour ----------------------------------------------------------------------------
 
 
 def figure_day_hour(
     residuals: Residuals, quantity: str = TEMPERATURE, after: Residuals | None = None
-) -> Figure:
+) -> Panels:
     """Error of the free run by day (across) and hour of the day (up), over identification and validation."""
     from matplotlib.colors import LinearSegmentedColormap
 
     if quantity not in _known(residuals):
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
-    models = [("", residuals)] if after is None else [("before", residuals), ("after", after)]
+    models = [("", residuals)] if after is None else [(", before", residuals), (", after", after)]
     maps = [_by_day(one, quantity) for _, one in models]
     reach = float(np.nanquantile(np.abs(maps[0][1]), 0.97)) or 1.0
-    with styled():
-        height = 0.5 + 1.55 * len(maps)
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            len(maps), 1, hspace=0.16, left=0.072, right=0.915, top=1.0 - 0.22 / height, bottom=0.31 / height
-        )
-        colours = LinearSegmentedColormap.from_list("error", DIVERGING).with_extremes(bad="#e3e6ea")
-        for row, ((label, one), (first, table)) in enumerate(zip(models, maps, strict=True)):
-            axes = figure.add_subplot(grid[row])
-            axes.grid(False)
-            image = axes.imshow(
-                table.T, origin="lower", aspect="auto", cmap=colours, vmin=-reach, vmax=reach,
-                interpolation="nearest",
-                extent=(first, first + len(table), 0.0, 24.0),
-            )  # fmt: skip
-            axes.set_yticks(np.arange(0, 25, 6))
-            upright(axes, "hour [UTC]")
-            at, names = calendar_ticks(DAY_S * first, DAY_S * (first + len(table)), 12)
-            last = row == len(maps) - 1
-            axes.set_xticks(days(at), names if last else None)
-            axes.tick_params(labelbottom=last)
-            axes.set_xlim(maps[0][0], maps[0][0] + len(maps[0][1]))
-            held_out(axes, one, 23.3)
-            axes.set_title(TITLE[quantity] + (f", {label}" if label else ""))
-        bar = figure.add_axes((0.93, 0.31 / height, 0.013, 1.0 - 0.72 / height))
-        figure.colorbar(image, cax=bar, extend="both", extendfrac=0.03)
-        bar.set_title(UNITS[quantity], fontsize=7.0, fontweight="normal", loc="left", pad=10)
-        bar.tick_params(labelsize=6.5, length=2)
-        bar.locator_params(axis="y", nbins=7)
-        figure.text(
-            0.915, 1.0 - 0.05 / height, "simulation − reading: blue too low, red too high", ha="right",
-            va="top", fontsize=7.0,
-            color=QUIET,
+    colours = LinearSegmentedColormap.from_list("error", DIVERGING).with_extremes(bad="#e3e6ea")
+
+    def draw(axes: Axes, place: int) -> None:
+        (label, one), (first, table) = models[place], maps[place]
+        axes.grid(False)
+        axes.imshow(
+            table.T, origin="lower", aspect="auto", cmap=colours, vmin=-reach, vmax=reach,
+            interpolation="nearest",
+            extent=(first, first + len(table), 0.0, 24.0),
         )  # fmt: skip
-    return figure
+        axes.set_yticks(np.arange(0, 25, 6))
+        axes.set_ylabel("hour [UTC]")
+        first, table = maps[0]
+        calendar(axes, (DAY_S * first, DAY_S * (first + len(table))), 12)
+        held_out(axes, one)
+        axes.set_title(f"{TITLE[quantity]}, simulation − reading{label}")
+
+    def scale(axes: Sequence[Axes]) -> None:
+        figure = axes[0].get_figure(root=True)
+        assert figure is not None
+        bar = figure.colorbar(
+            axes[0].images[0], ax=list(axes), extend="both", extendfrac=0.03, fraction=0.03, pad=0.01
+        )
+        bar.set_label(UNITS[quantity])
+
+    return Panels(
+        tuple(partial(draw, place=place) for place in range(len(maps))),
+        height_in=0.5 + 1.55 * len(maps),
+        shared="x",
+        finish=scale,
+    )
 
 
-def held_out(axes: Axes, residuals: Residuals, height: float) -> None:
-    """Where the validation period begins, on an axis of days; its name hangs at `height` of the other
-    axis."""
-    if not residuals.validation.any():
-        return
-    start = float(days(residuals.time_s[np.argmax(residuals.validation)]))
-    axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
-    axes.text(
-        start, height, " validation", fontsize=6.5, color=INK, fontstyle="italic", va="top",
-        bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
-    )  # fmt: skip
+def held_out(axes: Axes, residuals: Residuals) -> None:
+    """Where the validation period begins, on calendar axes."""
+    if residuals.validation.any():
+        mark_validation(axes, float(residuals.time_s[np.argmax(residuals.validation)]))
 
 
 def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
@@ -315,10 +315,7 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
     hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
     first = int(np.floor(residuals.time_s[0] / DAY_S))
     count = int(np.floor(residuals.time_s[-1] / DAY_S)) - first + 1
-    number = np.bincount(hour - 24 * first, minlength=24 * count).astype(float)
-    total = np.bincount(hour - 24 * first, weights=error[there], minlength=24 * count)
-    mean = np.divide(total, number, out=np.full(24 * count, np.nan), where=number > 0)
-    return first, mean.reshape(count, 24)
+    return first, means(hour - 24 * first, error[there], 24 * count).reshape(count, 24)
 
 
 # --- innovations -----------------------------------------------------------------------------
@@ -326,7 +323,7 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
 
 def figure_innovations(
     residuals: Residuals, after: Residuals | None = None, drivers: Sequence[str] = ()
-) -> Figure:
+) -> Panels:
     """Periodogram of the standardised innovations and their cross-correlations with drivers, by quantity.
 
     drivers: up to three names; without any, those with the largest cross-correlations before.
@@ -334,35 +331,36 @@ def figure_innovations(
     quantities = _known(residuals, innovations=True)
     found = _diagnosed(residuals)
     later = _diagnosed(after) if after is not None else {}
-    with styled():
-        height = 0.75 + 1.65 * len(quantities)
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            len(quantities), 5, hspace=0.48, wspace=0.12, left=0.055, right=0.985, top=1.0 - 0.52 / height,
-            bottom=0.36 / height, width_ratios=(1.25, 0.12, 1.0, 1.0, 1.0),
-        )  # fmt: skip
-        for row, quantity in enumerate(quantities):
-            base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
-            last = row == len(quantities) - 1
-            axes = figure.add_subplot(grid[row, 0])
-            _periodogram(axes, base.periodogram, wider.periodogram)
+    columns = 1 + INPUTS
+    drawn: list[Callable[[Axes], None]] = []
+    for quantity in quantities:
+        base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
+        rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
+        best = [name for name in drivers if name in rows] or sorted(rows, key=lambda name: rows[name].p)
+        reach = max((correlation_reach(rows[name]) for name in best[:INPUTS]), default=0.1)
+
+        def spectrum(axes: Axes, quantity: str, shown: tuple[Periodogram | None, ...]) -> None:
+            periodogram(axes, shown, COLOURS)
             axes.set_title(TITLE[quantity])
-            if last:
-                axes.set_xlabel("power (white = 1) by period [h]")
-            rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
-            ranked = sorted(rows, key=lambda name: rows[name].p)
-            best = [name for name in drivers if name in rows] or ranked
-            reach = max((_size(rows[name]) for name in best[:3]), default=0.1)
-            for column, name in enumerate(best[:3]):
-                axes = figure.add_subplot(grid[row, column + 2])
-                _correlation(axes, rows[name], wider.cross_correlation.get(name), reach)
-                axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
-                if last:
-                    axes.set_xlabel("lag [h]; > 0: after the driver" if column == 0 else "lag [h]")
-                if column:
-                    axes.tick_params(labelleft=False)
-        _line_key(figure, after is not None)
-    return figure
+            axes.set_ylabel("power (white = 1)")
+
+        def correlated(
+            axes: Axes, name: str, shown: tuple[CrossCorrelation | None, ...], reach: float
+        ) -> None:
+            correlation(axes, shown, COLOURS, reach)
+            axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
+
+        drawn.append(partial(spectrum, quantity=quantity, shown=(base.periodogram, wider.periodogram)))
+        for name in best[:INPUTS]:
+            shown = (rows[name], wider.cross_correlation.get(name))
+            drawn.append(partial(correlated, name=name, shown=shown, reach=reach))
+        drawn += [lambda axes: axes.set_axis_off()] * (columns - 1 - len(best[:INPUTS]))
+    return Panels(
+        tuple(drawn),
+        height_in=0.75 + 1.65 * len(quantities),
+        columns=columns,
+        handles=partial(_line_handles, after is not None),
+    )
 
 
 def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
@@ -377,51 +375,7 @@ def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
     return diagnose(residuals.time_h[early], known, varying, longest_h=LONGEST_LAG_H).outputs
 
 
-def _periodogram(axes: Axes, base: Periodogram | None, wider: Periodogram | None) -> None:
-    if base is None:
-        return empty(axes, "too few innovations for a periodogram")
-    period = 1.0 / np.array(base.frequency_per_h)
-    axes.fill_between(period, np.maximum(base.lower, 1e-3), base.upper, color=QUIET, alpha=0.16, linewidth=0)
-    axes.axhline(1.0, color=QUIET, linewidth=0.6)
-    top, least = 4.0, 1.0
-    for one, colour in ((base, SIMULATED), (wider, AFTER)):
-        if one is not None:
-            power = np.array(one.power)
-            top, least = max(top, float(power.max())), min(least, float(power.min()))
-            axes.plot(1.0 / np.array(one.frequency_per_h), power, color=colour, linewidth=1.0)
-    axes.set_xlim(min(float(period[0]), 2000.0), float(period[-1]))
-    axes.set_ylim(max(0.02, min(0.5, 0.7 * least)), 1.5 * top)
-    logarithmic(axes, "y")
-    axes.set_xscale("log")
-    low, high = float(period[-1]), min(float(period[0]), 2000.0)
-    ticks = [one for one in (0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= one <= high]
-    axes.set_xticks(ticks, [f"{one:g}" for one in ticks])
-    axes.set_xticks([], minor=True)
-
-
-def _size(one: CrossCorrelation) -> float:
-    return max(1.2 * float(np.max(np.abs(one.value))), 1.8 * one.limit_all)
-
-
-def _correlation(axes: Axes, one: CrossCorrelation, other: CrossCorrelation | None, reach: float) -> None:
-    axes.axhspan(-one.limit, one.limit, color=QUIET, alpha=0.16, linewidth=0)
-    for sign in (-1.0, 1.0):
-        axes.axhline(sign * one.limit_all, color=INK, linewidth=0.6, dashes=(4, 2))
-    axes.axhline(0.0, color=QUIET, linewidth=0.6)
-    axes.axvline(0.0, color=QUIET, linewidth=0.6)
-    axes.plot(one.lag_h, one.value, color=SIMULATED, linewidth=0.9)
-    if other is not None and other.lag_h:
-        axes.plot(other.lag_h, other.value, color=AFTER, linewidth=0.9)
-    axes.set_ylim(-reach, reach)
-    end = math.ceil(one.lag_h[-1])
-    axes.set_xlim(-end, end)
-    ticks = [tick for tick in (-24, -12, 0, 12, 24) if abs(tick) <= end]
-    # the labels of two neighbours' ends would touch
-    axes.set_xticks(ticks, [f"{tick}".replace("-", "−") if abs(tick) < 24 else "" for tick in ticks])
-    axes.locator_params(axis="y", nbins=5)
-
-
-def _line_key(figure: Figure, overlaid: bool) -> None:
+def _line_handles(overlaid: bool) -> list[Artist]:
     handles = [
         line_handle(SIMULATED, "innovations" + (", before" if overlaid else ""), 1.4),
         area_handle(QUIET, "95 % if white", 0.16),
@@ -429,4 +383,4 @@ def _line_key(figure: Figure, overlaid: bool) -> None:
     ]
     if overlaid:
         handles.insert(1, line_handle(AFTER, "after", 1.4))
-    figure_key(figure, handles)
+    return handles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from hygrokf.identification.turbine_type import TurbineType
@@ -18,17 +19,17 @@ from hygrokf.report.figures.drawing import (
     SHADE,
     SIMULATED,
     NothingToShow,
-    key,
+    line_handle,
     logarithmic,
-    new_figure,
-    styled,
+    name_rows,
 )
+from hygrokf.report.figures.panels import Panels
 from hygrokf.transfer.course import Course
 from hygrokf.transfer.results import ParameterChange, TransferResult
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 RE_ESTIMATED = "#1d7a3a"
 TICKS = (0.05, 0.1, 0.25, 0.5, 0.67, 0.8, 1.0, 1.25, 1.5, 2.0, 4.0, 10.0, 20.0)
@@ -44,7 +45,7 @@ SETS = {
 SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": RE_ESTIMATED, "all_own": MEASURED}
 
 
-def figure_course(course: Course, re_estimated: bool) -> Figure:
+def figure_course(course: Course, re_estimated: bool) -> Panels:
     """Twelve held-out days: readings, the model as it is, and the re-estimated one, or that with its own
     loggers where nothing was re-estimated."""
     chosen = ("as_is", "re_estimated" if re_estimated else "own_loggers")
@@ -52,41 +53,34 @@ def figure_course(course: Course, re_estimated: bool) -> Figure:
     return figure_courses([Panel("", course, lines)])
 
 
-def figure_sets(found: TransferResult) -> Figure:
+def figure_sets(found: TransferResult) -> Panels:
     """Errors of the four sets of values and of the rules in the scored period, with bounds."""
     tables = {q: rows for q, rows in found.rmse.items() if rows}
     if not tables:
         raise NothingToShow("Nothing was scored.")
-    height = 0.75 + 0.2 * max(len(rows) for rows in tables.values())
-    with styled():
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            1, len(tables), wspace=0.72, left=0.17, right=0.985, top=0.97, bottom=0.42 / height
-        )
-        for place, (quantity, rows) in enumerate(tables.items()):
-            axes = figure.add_subplot(grid[place])
-            names = [name for name in SETS if name in rows]
-            for i, name in enumerate(names):
-                at, colour = len(names) - 1 - i, SET_COLOURS.get(name, QUIET)
-                bounds = rows[name].bounds
-                if bounds is not None:
-                    axes.plot(list(bounds), [at, at], color=colour, linewidth=1.6, alpha=0.55)
-                mark, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
-                axes.plot(rows[name].total, at, mark, color=colour, markersize=size)
-            _rows(axes, [SETS[name] for name in names])
-            axes.set_xlim(left=0.0)
-            axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
-    return figure
+
+    def draw(axes: Axes, quantity: str) -> None:
+        rows = tables[quantity]
+        names = [name for name in SETS if name in rows]
+        for i, name in enumerate(names):
+            at, colour = len(names) - 1 - i, SET_COLOURS.get(name, QUIET)
+            bounds = rows[name].bounds
+            if bounds is not None:
+                axes.plot(list(bounds), [at, at], color=colour, linewidth=1.6, alpha=0.55)
+            mark, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
+            axes.plot(rows[name].total, at, mark, color=colour, markersize=size)
+        name_rows(axes, [SETS[name] for name in names])
+        axes.set_xlim(left=0.0)
+        axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
+
+    return Panels(
+        tuple(partial(draw, quantity=quantity) for quantity in tables),
+        height_in=0.75 + 0.2 * max(len(rows) for rows in tables.values()),
+        columns=len(tables),
+    )
 
 
-def _rows(axes: Axes, labels: list[str]) -> None:
-    """One label for each row, the first on top."""
-    axes.set_yticks(range(len(labels)), labels[::-1])
-    axes.set_ylim(-0.6, len(labels) - 0.4)
-    axes.grid(axis="y", visible=False)
-
-
-def figure_parameters(found: TransferResult) -> Figure:
+def figure_parameters(found: TransferResult) -> Panels:
     """Differences of the cabinet's parameters from those of the fit, with 95 % bounds; differing groups in
     red."""
     compared = {name: row for name, row in found.parameters.items() if row.difference is not None}
@@ -97,32 +91,31 @@ def figure_parameters(found: TransferResult) -> Figure:
     panels = {kind: rows for kind, rows in panels.items() if rows}
     if not panels:
         raise NothingToShow("No parameter of the cabinet could be judged.")
-    height = 0.75 + 0.19 * max(len(rows) for rows in panels.values())
-    with styled():
-        figure = new_figure(height)
-        grid = figure.add_gridspec(
-            1, len(panels), wspace=0.85, left=0.18, right=0.985, top=0.92, bottom=0.42 / height
-        )
-        for place, (kind, rows) in enumerate(panels.items()):
-            axes = figure.add_subplot(grid[place])
-            ratio = kind == "ratio"
-            if ratio:
-                margin = math.exp(found.matters["ln_time_constant"])
-                axes.axvspan(1.0 / margin, margin, color=SHADE, zorder=0)
-            axes.axvline(1.0 if ratio else 0.0, color=QUIET, linewidth=0.8, zorder=1)
-            for i, row in enumerate(rows.values()):
-                colour, at = SIMULATED if row.group in found.re_estimate else MEASURED, len(rows) - 1 - i
-                change = row.difference
-                assert change is not None
-                axes.plot([change.lower, change.upper], [at, at], color=colour, linewidth=1.6, alpha=0.6)
-                axes.plot(change.value, at, "o", color=colour, markersize=4)
-            _rows(axes, [_label(name, "" if ratio else row.unit) for name, row in rows.items()])
-            axes.set_xlabel("own value over the fit's" if ratio else "own value less the fit's")
-            if ratio:
-                _around(axes, rows)
-                logarithmic(axes, "x")
-                _plain_ratios(axes)
-    return figure
+
+    def draw(axes: Axes, kind: str) -> None:
+        rows, ratio = panels[kind], kind == "ratio"
+        if ratio:
+            margin = math.exp(found.matters["ln_time_constant"])
+            axes.axvspan(1.0 / margin, margin, color=SHADE, zorder=0)
+        axes.axvline(1.0 if ratio else 0.0, color=QUIET, linewidth=0.8, zorder=1)
+        for i, row in enumerate(rows.values()):
+            colour, at = SIMULATED if row.group in found.re_estimate else MEASURED, len(rows) - 1 - i
+            change = row.difference
+            assert change is not None
+            axes.plot([change.lower, change.upper], [at, at], color=colour, linewidth=1.6, alpha=0.6)
+            axes.plot(change.value, at, "o", color=colour, markersize=4)
+        name_rows(axes, [_label(name, "" if ratio else row.unit) for name, row in rows.items()])
+        axes.set_xlabel("own value over the fit's" if ratio else "own value less the fit's")
+        if ratio:
+            _around(axes, rows)
+            logarithmic(axes, "x")
+            _plain_ratios(axes)
+
+    return Panels(
+        tuple(partial(draw, kind=kind) for kind in panels),
+        height_in=0.75 + 0.19 * max(len(rows) for rows in panels.values()),
+        columns=len(panels),
+    )
 
 
 def _label(name: str, unit: str) -> str:
@@ -150,7 +143,7 @@ def _plain_ratios(axes: Axes) -> None:
     axes.xaxis.set_major_locator(FixedLocator(ticks))
 
 
-def figure_type(found: TurbineType) -> Figure:
+def figure_type(found: TurbineType) -> Panels:
     """The time constants of a type with bounds and the range of the next turbine."""
     shown = {
         n: r
@@ -159,20 +152,17 @@ def figure_type(found: TurbineType) -> Figure:
     }
     if not shown:
         raise NothingToShow("The type has no time constant.")
-    height = 0.8 + 0.3 * len(shown)
-    with styled():
-        figure = new_figure(height)
-        axes = figure.add_axes((0.2, 0.45 / height, 0.785, 1.0 - 0.78 / height))
+
+    def draw(axes: Axes) -> None:
         for i, row in enumerate(shown.values()):
             at, ends = len(shown) - 1 - i, row.in_unit()
             axes.plot([ends["next_lower"], ends["next_upper"]], [at, at], color=RULE, linewidth=7.0)
             axes.plot([ends["lower"], ends["upper"]], [at, at], color=MEASURED, linewidth=2.2)
             axes.plot(ends["value"], at, "o", color=INK, markersize=4)
-        _rows(axes, [f"{n.replace('_', ' ')} [{r.unit}]" for n, r in shown.items()])
+        name_rows(axes, [f"{n.replace('_', ' ')} [{r.unit}]" for n, r in shown.items()])
         logarithmic(axes, "x")
-        handles = [
-            axes.plot([], [], color=RULE, linewidth=7.0, label="next turbine, 95 %")[0],
-            axes.plot([], [], color=MEASURED, linewidth=2.2, label="type, 95 %")[0],
-        ]
-        key(axes, handles)
-    return figure
+
+    def handles() -> list[Artist]:
+        return [line_handle(RULE, "next turbine, 95 %", 7.0), line_handle(MEASURED, "type, 95 %", 2.2)]
+
+    return Panels((draw,), height_in=0.8 + 0.3 * len(shown), handles=handles)

@@ -8,9 +8,8 @@ from typing import Literal, TypeAlias
 
 from hygrokf.identification.verdict_terms import Kind
 from hygrokf.identification.wording import one_line
-from hygrokf.report.blocks import Table
+from hygrokf.report.blocks import Figure, Table
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.lead import Lead
 from hygrokf.version import __version__
 
 MOST_ROWS, MOST_ACTIONS = 12, 8
@@ -37,7 +36,7 @@ class Summary:
     verdict: Kind | Literal[""]
     reasons: tuple[str, ...]
     bounds: Table
-    picture: Lead | None
+    picture: Figure | None
     actions: tuple[str, ...]
     foot: tuple[tuple[str, str], ...]
     tone: Tone = "plain"
@@ -74,9 +73,11 @@ def first_actions(actions: Sequence[str]) -> tuple[str, ...]:
     return (*actions[:MOST_ACTIONS], *([f"{rest} more: see the report."] if rest > 0 else []))
 
 
-def drawable(make: Callable[[], Lead]) -> Lead | None:
+def drawable(make: Callable[[], Figure]) -> Figure | None:
     """A picture; None where there is nothing to show."""
     try:
-        return make()
+        picture = make()
+        picture.draw()
+        return picture
     except NothingToShow:
         return None

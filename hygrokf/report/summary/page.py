@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 
-from hygrokf.report.blocks import Card, Cards, Figure, Items, Page, Prose, Table, present, section, synthetic
+from hygrokf.report.blocks import Card, Cards, Items, Page, Prose, Table, present, section, synthetic
 from hygrokf.report.figures.drawing import WIDTH_IN
 from hygrokf.report.summary.content import TODO, Summary
 
@@ -14,7 +13,7 @@ from hygrokf.report.summary.content import TODO, Summary
 def summary_blocks(summary: Summary) -> Page:
     """The answer to the question, its numbers and its picture, then what to do; prints on one page of A4."""
     card = Card(
-        summary.question, summary.answer, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
+        summary.question, summary.answer, summary.verdict, lines=summary.reasons, wide=True,
         words=True, tone=summary.tone,
     )  # fmt: skip
     picture = summary.picture
@@ -29,7 +28,7 @@ def summary_blocks(summary: Summary) -> Page:
             replace(summary.bounds, heading=""),
             None
             if picture is None
-            else Figure("lead", picture.heading, picture.caption, partial(picture.figure, height_in)),
+            else replace(picture, draw=lambda: replace(picture.draw(), height_in=height_in)),
         ),
         section(TODO, Items(summary.actions)),
         tuple(Prose(f"{term}: {text}") for term, text in summary.foot),
@@ -50,7 +49,7 @@ LEAST_SHARE, MOST_SHARE, MOST_IN = 0.9, 1.5, 3.4
 
 def fitted(summary: Summary) -> tuple[float, float]:
     """Size of the letters [pt] with which the summary fits on its page, and height of its picture [in]."""
-    wanted = 0.0 if summary.picture is None else summary.picture.panels.height_in
+    wanted = 0.0 if summary.picture is None else summary.picture.draw().height_in
     size, room = 0.0, 0.0
     for size in LETTERS_PT:
         room = (HEIGHT_PT - text_pt(summary, size)) / WIDTH_PT * WIDTH_IN

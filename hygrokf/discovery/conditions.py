@@ -11,14 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.residuals import NORMAL_95, Hours, displayed, run_lengths, words
+from hygrokf.discovery.residuals import NORMAL_95, Hours, date_text, displayed, run_lengths, words
 from hygrokf.evaluation.bootstrap import block_h
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
+LAG_TOLERANCE = 0.1
+"""[1] share of a lag by which the bins may miss it."""
 RATE_H = 3.0
 """[h] over which a rate is taken: shorter ones are noise of the readings."""
 STANDSTILL_H = 6.0
@@ -34,14 +37,10 @@ RESTING = 0.15
 """[1] share of the time at its least value from which a driver counts as resting there (night, calm, dry)."""
 MONTH_H = 240.0
 """[h] of a month within the record from which it counts."""
-CANDIDATES_H = 12.0
-"""[h] between candidate dates of a step."""
-EDGE = 0.07
-"""[1] share of the record at either end in which no step is looked for."""
 SECTORS = 12
 SHORTEST_H = 6.0
 """[h] shortest time for which a condition must hold to be tested."""
-LARGEST_PART = 0.6
+LARGEST_PART = 0.5
 """[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
 GROUPS = {
     "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes",
@@ -55,17 +54,14 @@ Phrase = Callable[[int, int], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Stratum:
+class Condition:
     """A condition on which errors may depend.
 
     kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
-    law: "linear" (all columns together), "largest" (the best column), "trend", "change" (column 0 lists
-        candidate dates, evenly spaced from bin 0).
     bins: (n,) number of the bin 0 … m − 1, −1 = none.  x: (n,) the values that are binned, in display units;
         axis: their label.
     phrase: first and last bin -> (where, when).  flag: bin 0 is the condition, bin 1 the rest.
-    circular: the bins close a circle.  sharp: the condition begins and ends within an hour.
-    columns: conditions of single columns.
+    circular: the bins close a circle.
     """
 
     kind: str
@@ -75,28 +71,30 @@ class Stratum:
     x: np.ndarray
     phrase: Phrase
     axis: str = ""
-    law: str = "linear"
     flag: bool = False
     circular: bool = False
-    sharp: bool = False
-    columns: tuple[Stratum, ...] = ()
 
     @property
     def group(self) -> str:
         """Group with which it shares the false discoveries."""
         return GROUPS[self.kind]
 
-    def worst(self, error: np.ndarray) -> tuple[int, int, np.ndarray] | None:
-        """First and last bin of the stretch of bins whose error (n,) differs most from the rest, and its
-        hours (n,) bool; None without errors on both sides."""
-        there = np.isfinite(error) & (self.bins >= 0)
+    @property
+    def flow(self) -> bool:
+        """Whether a flow under the condition leaves a course of its own, unlike that of a lag or a wave."""
+        return self.group in ("episodes", "drivers") and self.kind != "lag"
+
+    def worst(self, effect: np.ndarray) -> tuple[int, int]:
+        """First and last bin of the stretch of bins whose effect (n,), NaN = unknown, differs most from the
+        rest."""
+        if self.flag:
+            return 0, 0
+        there = np.isfinite(effect) & (self.bins >= 0)
         count = int(self.bins.max()) + 1
         number = np.bincount(self.bins[there], minlength=count).astype(float)
-        total = np.bincount(self.bins[there], weights=error[there], minlength=count)
-        if self.flag:
-            return (0, 0, self.bins == 0) if number[0] and number[1:].sum() else None
+        total = np.bincount(self.bins[there], weights=effect[there], minlength=count)
         all_n, all_e = number.sum(), total.sum()
-        best, chosen = 0.0, None
+        best, chosen = 0.0, (0, 0)
         for first in range(count):
             for length in range(1, count if self.circular else count - first + 1):
                 place = np.arange(first, first + length) % count
@@ -105,16 +103,13 @@ class Stratum:
                     continue
                 gain = (e / n - (all_e - e) / (all_n - n)) ** 2 * n * (all_n - n)
                 if gain > best * (1.0 + 1e-9):
-                    best, chosen = gain, (first, first + length - 1, np.isin(self.bins, place))
+                    best, chosen = gain, (first, first + length - 1)
         return chosen
 
-    def explained(self, error: np.ndarray) -> float:
-        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as a
-        bin."""
-        there = np.isfinite(error)
-        number = np.bincount(self.bins[there] + 1).astype(float)
-        total = np.bincount(self.bins[there] + 1, weights=error[there])
-        return float((total**2 / np.maximum(number, 1.0)).sum())
+    def inside(self, first: int, last: int) -> np.ndarray:
+        """(n,) whether a bin of the stretch holds."""
+        count = int(self.bins.max()) + 1
+        return np.isin(self.bins, np.arange(first, last + 1) % count)
 
     def curve(self, error: np.ndarray, step_h: float) -> Settings:
         """Mean error by bin, with its sign, and a 95 % band that counts blocks instead of hours."""
@@ -123,15 +118,16 @@ class Stratum:
         rows = []
         for one in np.unique(self.bins[there]):
             part = there & (self.bins == one)
-            mean = float(error[part].mean())
+            mean, count = float(error[part].mean()), int(part.sum())
             shares = np.bincount(block[part], weights=error[part] - mean)
-            half = NORMAL_95 * math.sqrt(float((shares**2).sum())) / int(part.sum())
-            rows.append((float(np.nanmedian(self.x[part])), mean, mean - half, mean + half, int(part.sum())))
+            half = NORMAL_95 * math.sqrt(float((shares**2).sum())) / count
+            hours = round(step_h * count)
+            rows.append((float(np.nanmedian(self.x[part])), mean, mean - half, mean + half, hours))
         names = ("x", "error", "lower", "upper", "hours")
         return {"axis": self.axis} | {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
 
-def strata(hours: Hours) -> list[Stratum]:
+def conditions(hours: Hours) -> list[Condition]:
     """All conditions that a record can show: those that hold for at least six hours."""
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
@@ -144,21 +140,18 @@ def strata(hours: Hours) -> list[Stratum]:
     return [one for one in made if not one.flag or _held(one, hours.step_h)]
 
 
-def _held(one: Stratum, step_h: float) -> bool:
+def _held(one: Condition, step_h: float) -> bool:
     inside = float((one.bins == 0).sum()) * step_h
     return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
 
 
 def _flag(
     kind: str, flag: np.ndarray, where: str, when: str = "", share: np.ndarray | None = None
-) -> Stratum:
+) -> Condition:
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
-    flag = np.asarray(flag, dtype=bool)
     column = flag.astype(float) if share is None else share
-    return Stratum(
-        kind, "", column[:, None], np.where(flag, 0, 1), column, lambda a, b: (where, when), where, flag=True,
-        sharp=True
-    )  # fmt: skip
+    bins = np.where(flag, 0, 1)
+    return Condition(kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:
@@ -179,7 +172,7 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
     return flag
 
 
-def _regimes(hours: Hours) -> list[Stratum]:
+def _regimes(hours: Hours) -> list[Condition]:
     """Standstill, its longer episodes, the hours after starts, hours since the last change."""
     count, step, running = len(hours), hours.step_h, hours.operating
     if running.all() or not running.any():
@@ -207,11 +200,11 @@ def _regimes(hours: Hours) -> list[Stratum]:
             return where, f"{edges[a]:g} to {edges[b + 1]:g} h after the {change}"
 
         basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
-        made.append(Stratum("since", "", basis, bins, since, phrase, f"hours after the {change}"))
+        made.append(Condition("since", "", basis, bins, since, phrase, f"hours after the {change}"))
     return made
 
 
-def _preheating(hours: Hours) -> list[Stratum]:
+def _preheating(hours: Hours) -> list[Condition]:
     """Pre-heating, after long standstills and after any, and the hours after it."""
     count, step = len(hours), hours.step_h
     heated = run_lengths(hours.preheating)
@@ -238,18 +231,18 @@ def _preheating(hours: Hours) -> list[Stratum]:
 # --- clock and calendar ----------------------------------------------------------------------
 
 
-def _hour(hours: Hours) -> Stratum:
+def _hour(hours: Hours) -> Condition:
     angle = 2.0 * math.pi * hours.hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
     bins = np.floor(hours.hour).astype(int)
-    return Stratum(
+    return Condition(
         "hour", "", basis, bins, hours.hour, lambda a, b: ("", f"from {a % 24} to {(b + 1) % 24} h UTC"),
         "hour of the day [UTC]", circular=True,
     )  # fmt: skip
 
 
-def _calendar(hours: Hours) -> list[Stratum]:
-    """Months, a straight drift, a step at an unknown date."""
+def _calendar(hours: Hours) -> list[Condition]:
+    """Months and a straight drift."""
     count, step = len(hours), hours.step_h
     month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
     bins = month - month[0]
@@ -267,22 +260,25 @@ def _calendar(hours: Hours) -> list[Stratum]:
 
     made = []
     if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
-        made.append(Stratum("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
+        made.append(Condition("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
     days, third = step * np.arange(count) / 24.0, np.minimum(3 * np.arange(count) // count, 2)
     trend = np.linspace(-1.0, 1.0, count)[:, None]
-    made.append(Stratum("drift", "", trend, third, days, thirds, "days since the start", law="trend"))
-    width = max(1, round(CANDIDATES_H / step))
-    dates = width * np.arange(math.ceil(EDGE * count / width), math.floor((1.0 - EDGE) * count / width))
-    if len(dates):
-        basis, none = dates[:, None].astype(float), np.zeros(count, dtype=int)
-        made.append(Stratum("step", "", basis, none, days, thirds, "days since the start", law="change"))
+    made.append(Condition("drift", "", trend, third, days, thirds, "days since the start"))
     return made
+
+
+def step_at(hours: Hours, first: int, sharp: bool) -> Condition:
+    """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
+    date = hours.start_s + 3600.0 * hours.step_h * first
+    words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
+    after = np.arange(len(hours)) >= first
+    return _flag("step", after, "", words if sharp else f"since about {date_text(date)}")
 
 
 # --- drivers ---------------------------------------------------------------------------------
 
 
-def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Stratum]:
+def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Condition]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]
@@ -298,23 +294,19 @@ def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Stratum]:
     changing = _binned("rate", name, rate, RATES, f"while the {words(name)}")
     if changing is not None:
         made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
-    columns = []
     for lag in LAGS_H:
         shift = round(lag / hours.step_h)
-        if shift < 1 or shift >= count or abs(shift * hours.step_h - lag) > 0.01:
+        if not 1 <= shift < count or abs(shift * hours.step_h - lag) > LAG_TOLERANCE * lag:
             continue
         before = np.full(count, np.nan)
         before[shift:] = value[:-shift]
         one = _binned("lag", name, before, LEVELS, f"{lag:g} h after the {words(name)} was")
         if one is not None:
-            columns.append(one)
-    if columns:
-        basis = np.column_stack([one.basis for one in columns])
-        made.append(replace(level, kind="lag", basis=basis, law="largest", columns=tuple(columns)))
+            made.append(one)
     return made
 
 
-def _direction(name: str, value: np.ndarray) -> Stratum:
+def _direction(name: str, value: np.ndarray) -> Condition:
     basis = np.column_stack([wave(k * value) for k in (1, 2) for wave in (np.cos, np.sin)])
     degrees = np.degrees(value)
     width = 360.0 / SECTORS
@@ -324,12 +316,12 @@ def _direction(name: str, value: np.ndarray) -> Stratum:
         low, high = width * (a % SECTORS), width * (b % SECTORS + 1)
         return f"while the {words(name)} is between {low:.0f} and {high:.0f}°", ""
 
-    return Stratum("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
+    return Condition("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
 
 
 def _binned(
     kind: str, name: str, value: np.ndarray, quantiles: tuple[float, ...], opening: str
-) -> Stratum | None:
+) -> Condition | None:
     """A condition by bins between quantiles of a value; its basis is the standardised value itself."""
     known = value[np.isfinite(value)]
     if len(known) < 48 or not known.std() > 1e-9 * max(1.0, float(np.abs(known).max())):
@@ -355,7 +347,7 @@ def _binned(
     x, _ = displayed(name, value, rate)
     axis = f"{'change of ' if rate else ''}{words(name)} [{unit.strip() or '1'}]"
     scaled = (value - known.mean()) / known.std()
-    return Stratum(kind, name, scaled[:, None], bins, x, phrase, axis)
+    return Condition(kind, name, scaled[:, None], bins, x, phrase, axis)
 
 
 def _changing(marks: np.ndarray, a: int, b: int, last: int, unit: str) -> str:
