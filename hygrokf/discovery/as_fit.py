@@ -18,8 +18,10 @@ from hygrokf.discovery.final_set import FinalSet
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.optimiser import Estimate, Objective, climb
+from hygrokf.identification.clock_offsets import clock_offsets
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.needed_inputs import without_input
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_verdicts
@@ -93,7 +95,11 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
         for name in TIME_CONSTANTS
         if name in coordinates.names
     }
-    return Stage(base, run, estimate, spread, bounds)
+    say("clocks, and models without the input")
+    clock = clock_offsets(early, base, run, estimate, spread)
+    stated = base.humidity is not None and early[base.humidity].response_time_s is not None
+    without = {name: without_input(name, base.model, run, estimate) for name in bounds}
+    return Stage(base, run, estimate, spread, bounds, clock, response_stated=stated, without=without)
 
 
 def _inside(low: float, high: float, value: float) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, estimate_at, fitted, frame, slopes
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
+from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
 
 THRESHOLD = 10.0
@@ -67,6 +68,18 @@ def acts(form: Form, quantities: Sequence[str]) -> set[str]:
         return {"vapour"}
     pairs = (("temperature", form.heat), ("vapour", form.vapour or form.altered))
     return {q for q, mechanisms in pairs if mechanisms and q in quantities}
+
+
+def brought(form: Form, simulator: Simulator) -> frozenset[str]:
+    """The parameters that a form's own mechanisms have in a simulator."""
+    mechanisms = {name for name, _ in (*form.heat, *form.vapour)}
+    return frozenset(
+        p.name
+        for design in simulator.designs
+        for m in design.model.mechanisms
+        if m.name in mechanisms
+        for p in m.parameters
+    )
 
 
 def estimated(

@@ -17,8 +17,9 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.as_fit import fit_of
-from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate
+from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate, brought
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion, concluded
 from hygrokf.discovery.discovery_results import (
@@ -124,6 +125,8 @@ def discover(
     Returns the base fit, the extended fit where a cause was accepted, and `results` as in discovery.json.
     Raises ValueError as `identify` does, and LibraryFault for user causes that cannot be used.
     """
+    if not (isinstance(budget, int) and budget >= 1):
+        raise ValueError(f"budget: expected a whole number of simulations from 1 on, found {budget!r}")
     adopt(library)
     record = mask(record)
     expect_readings(record.identification())
@@ -141,9 +144,11 @@ def expect_movement(early: Record) -> None:
     for series in early.series:
         known = series.value[np.isfinite(series.value)]
         if series.signal in MOVING and len(known) and np.ptp(np.quantile(known, (0.01, 0.99))) == 0.0:
+            unit = SIGNALS[series.signal].unit
+            value = f"{known[0]:.6g}" if unit == "1" else f"{known[0]:.6g} {unit}"
             still.append(
-                f"{series.signal}: expected readings that move, found {known[0]:.6g} "
-                f"{SIGNALS[series.signal].unit} throughout the identification period"
+                f"{series.signal}: expected readings that move, found {value} throughout the identification "
+                "period"
             )
     if still:
         raise ValueError("; ".join(still) + ": check the sensor, or leave the signal out of the case")
@@ -207,16 +212,9 @@ def _lines(ended: Conclusion) -> list[Line]:
     """What is left in the errors of the last model, and in the daily scores of what is named."""
     one, own = ended.last.estimate, {}
     for accepted in ended.accepted:
-        new = added(ended.base.estimate, accepted.candidate.estimate.simulator)
-        mine = {m[0] for m in (*accepted.candidate.form.heat, *accepted.candidate.form.vapour)}
-        names = {
-            p.name
-            for design in one.simulator.designs
-            for m in design.model.mechanisms
-            if m.name in mine
-            for p in m.parameters
-        }
-        own[accepted.candidate.cause] = tuple(p.name for p in new if p.name in names)
+        new = {p.name for p in added(ended.base.estimate, accepted.candidate.estimate.simulator)}
+        mine = brought(accepted.candidate.form, one.simulator)
+        own[accepted.candidate.cause] = tuple(sorted(new & mine))
     return lines(one, own)
 
 
@@ -260,7 +258,7 @@ def _scores(fit: Fit) -> ModelScores:
 
 def _days(time_s: np.ndarray) -> int:
     """Days that have an instant."""
-    return len(np.unique(np.floor(time_s / 86_400.0)))
+    return len(np.unique(np.floor(time_s / DAY_S)))
 
 
 def _saturated(record: Record) -> float:

@@ -13,6 +13,7 @@ from hygrokf.discovery.candidates import (
     Candidate,
     acts,
     alike,
+    brought,
     candidate,
     estimated,
     free_of,
@@ -204,13 +205,12 @@ class Search:
 
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
-        gone = self.names
         parent = parent_of(self.parent)
         self._columns = parent.columns
         seen: dict[str, list[Screened]] = {}
         self.not_judged = []
         for cause, forms in self.forms.items():
-            if cause in gone or not forms:
+            if cause in self.names or not forms:
                 continue
             self.say(f"screening of {cause}")
             mark = self._known.mark(forms, self.parent.quantities)
@@ -233,10 +233,10 @@ class Search:
             mine = [one for one in best.values() if q in acts(one.form, self.parent.quantities)]
             if not mine:
                 continue
-            lead = max(mine, key=lambda one: one.evidence)
+            leader = max(mine, key=lambda one: one.evidence)
             for one in mine:
-                if one.evidence > lead.evidence - max(NEAR, NEAR_SHARE * lead.evidence):
-                    best[one.cause] = self._finished(one, one is lead)
+                if one.evidence > leader.evidence - max(NEAR, NEAR_SHARE * leader.evidence):
+                    best[one.cause] = self._finished(one, one is leader)
         return sorted(best.values(), key=lambda c: -c.strength)
 
     def _first(self, seen: Mapping[str, Sequence[Screened]]) -> list[str]:
@@ -273,9 +273,8 @@ class Search:
         if self._known.finished.get(one.cause) in ((mark, True), (mark, leads)):
             return one
         made = fitted(one.estimate, free_of(one.estimate, one.form), POLISH)
-        same = one.alike
-        one = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
-        one = replace(one, alike=same)
+        again = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
+        one = replace(again, alike=one.alike)
         if leads and one.evidence > 0.0:
             one = jumped(self.parent, one, self.searched[one.cause])
         self._known.candidates[one.cause] = mark, one
@@ -350,20 +349,9 @@ def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str,
     """The difference that a cause itself makes to held-out readings (`difference`); infinite for one without
     a size."""
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
-    mine = {p for m in (*form.heat, *form.vapour) for p in _parameters(child, m[0])}
+    mine = brought(form, child.simulator)
     if not mine & set(names):
         return math.inf
     theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in mine}})
     without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
     return sum(difference(after, without).values())
-
-
-def _parameters(one: Estimate, mechanism: str) -> list[str]:
-    """The parameters of a mechanism."""
-    return [
-        p.name
-        for design in one.simulator.designs
-        for m in design.model.mechanisms
-        if m.name == mechanism
-        for p in m.parameters
-    ]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from scipy.special import expit
+
 from hygrokf.data.clocks import sources
 from hygrokf.data.record import Record
-from hygrokf.discovery.candidates import SENSOR, WATER, Candidate
+from hygrokf.discovery.candidates import SENSOR, WATER, Candidate, brought
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion
 from hygrokf.discovery.discovery_results import (
@@ -64,7 +66,7 @@ def confidence(in_days: float, lead: float) -> float:
     """How often [1] a name with such evidence is right: logistic in ln of the evidence in days and in its
     lead in days."""
     constant, by_evidence, by_lead = CONFIDENCE
-    return 1.0 / (1.0 + math.exp(-(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead)))
+    return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
 def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> Evidence:
@@ -105,19 +107,11 @@ def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str,
     """The cause's own parameters in the extended model, with bounds."""
     known = set(base.estimate.simulator.names)
     mine = set(one.estimate.simulator.names) - known
-    mechanisms = {name for name, _ in (*one.form.heat, *one.form.vapour)}
     simulator = extended.estimate.simulator
-    brought = {
-        p.name: p
-        for design in simulator.designs
-        for m in design.model.mechanisms
-        if m.name in mechanisms
-        for p in m.parameters
-    }
     own: dict[str, Parameter] = {}
     for p in simulator.parameters:
         level = p.name.rpartition("_")[0] in one.setting.features
-        if (p.name in mine and (p.name in brought or level)) or p.name == one.form.freed:
+        if (p.name in mine and (p.name in brought(one.form, simulator) or level)) or p.name == one.form.freed:
             own[p.name] = p
     return {name: _parameter(p, extended) for name, p in own.items()}
 

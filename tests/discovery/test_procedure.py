@@ -7,10 +7,10 @@ import math
 import pickle
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from battery.measured import absent, measured
 from builders import greenhouse
 from builders.documents import document
 from plants.as_record import to_record
@@ -19,15 +19,19 @@ from plants.hidden import hidden_plant
 from plants.paper import paper_case
 from plants.plant import Plant
 
-from hygrokf.cases.case_file import read_case
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.discovery_results import DiscoveryResults
+from hygrokf.discovery.final_set import final_set
+from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.plugin_validation import IDENTIFIER
 from hygrokf.discovery.procedure import Discovery, discover
+from hygrokf.discovery.screening import parent_of, screened
+from hygrokf.discovery.starting_model import base_estimate
+from hygrokf.discovery.told import confidence
 from hygrokf.identification.fit_on_record import evaluate
 
 STEP = (named("exchange_step"),)
@@ -139,6 +143,39 @@ def test_progress_names_the_steps_and_a_budget_the_causes_that_it_left(in_the_su
     assert said[0] == "base model" and "screening of solar_gain" in said
 
 
+@pytest.mark.parametrize("budget", [0, -1, 2.5, "many", None])
+def test_a_budget_is_a_number_of_simulations(budget: object, in_the_sun: Record) -> None:
+    with pytest.raises(ValueError, match="budget: expected a whole number of simulations from 1 on, found "):
+        discover(in_the_sun, library=SUN, budget=budget)  # type: ignore[arg-type]
+
+
+def test_confidence_grows_with_evidence_and_lead_and_has_no_end() -> None:
+    assert confidence(10.0, 5.0) < confidence(100.0, 5.0) < confidence(100.0, 90.0) < 1.0
+    assert confidence(0.0, -1e6) == 0.0 and confidence(1e12, 1e12) == 1.0
+
+
+def test_edges_of_an_opening_are_found_by_runs() -> None:
+    """Open for 173 h: within 2 h at both ends."""
+    made = hidden_plant(9302, "door_opening", form=1, days=60.0)
+    base = base_estimate(to_record(made))
+    (form,) = doors(ground_of(base.simulator.scene.record, base.simulator.heat, base.simulator.vapour))
+    (found,) = screened(parent_of(base), form)
+    spans = found.setting.features["door_open"]["spans"]
+    begin, end = made.truth.hidden[0].dates
+    assert abs(spans[0][0] - begin) < 2 * HOUR_S and abs(spans[-1][1] - end) < 2 * HOUR_S
+    assert found.gain > 1000.0 and found.values["door_exchange"] > found.values["door_conductance"] > 0.0
+
+
+def test_what_a_constant_ambient_cannot_tell_is_open(in_the_sun: Record) -> None:
+    air = in_the_sun["ambient_temperature"]
+    still = in_the_sun.replace_series(replace(air, value=np.full(len(air.time), 283.15)))
+    final = final_set(base_estimate(still), "likelihood")
+    assert set(final.flat) == {"heat_release_operation_ambient", "heat_release_standstill_ambient"}
+    assert final.bounds("heat_release_operation_ambient") == (-math.inf, math.inf)
+    low, high = final.bounds("thermal_time_constant")
+    assert 0.0 < low < final.estimate.values["thermal_time_constant"] < high < 4.0 * low
+
+
 # -- the held-out part ---------------------------------------------------------------------------------------
 def spliced(early: Series, late: Series, at_s: float) -> Series:
     """A series until an instant, another one from then on."""
@@ -241,31 +278,9 @@ def test_a_greenhouse_ends_in_an_answer_that_simulates_better() -> None:
 
 
 @pytest.mark.slow
-def test_a_measured_cabinet_keeps_its_base_model(tmp_path: Path) -> None:
+def test_a_measured_cabinet_errs_no_more_than_its_base_model() -> None:
     """A step was accepted once, and the held-out error grew from 1.12 to 1.63 K."""
-    file = Path(__file__).resolve().parents[2] / (
-        "../shared/data/turbine_controller_cabinet_660kW_10min_2013.csv.gz"
-    )
-    if not file.is_file():
-        pytest.skip(f"../shared/data/{file.name} is not there")
-    case = tmp_path / "case.toml"
-    case.write_text(CABINET.format(file=file.resolve()), encoding="utf-8")
-    results = discover(read_case(case)).results
+    if reason := absent("controller"):
+        pytest.skip(reason)
+    results = discover(measured("controller")).results
     assert all(one.rmse_after < 1.02 * one.rmse_before for one in results.gains)
-
-
-CABINET = """\
-name = "controller's cabinet of a turbine"
-rated_power_kW = 660.0
-[[source]]
-file = "{file}"
-time = "time"
-timezone = "UTC"
-stamp = "end"
-interval = "10min"
-signals.cabinet_temperature = {{ column = "controller_temperature_degC", unit = "degC" }}
-signals.ambient_temperature = {{ column = "outside_temperature_degC", unit = "degC" }}
-signals.active_power = {{ column = "active_power_kW", unit = "kW" }}
-[identification]
-until = "2013-05-15T00:00Z"
-"""

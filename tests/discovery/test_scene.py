@@ -245,6 +245,15 @@ def test_a_moved_logger_shifts_its_readings():
     assert_allclose(drive[1][5:], drive[0][5 - round(shift) : -round(shift)], rtol=0, atol=1e-9)
 
 
+def test_a_clock_that_is_off_in_summer_time_moves_summer_alone():
+    """The record's site has the summer time of Europe, which ends on 25 October 2020 at 01:00 UTC."""
+    one = scene(record())
+    end = 1603587600.0
+    turned = replace(one, first_s=end - 0.5 * one.count * one.cell_h * HOUR_S)
+    later = turned._later(Shift("SCADA", -3600.0, summer=True), turned.edges_s)
+    assert (later[turned.edges_s < end] == -3600.0).all() and (later[turned.edges_s >= end] == 0.0).all()
+
+
 # -- what is unknown -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("signal", ["ambient_temperature", "active_power"])
 def test_readings_in_a_gap_of_an_input_are_left_out_and_the_error_begins_anew(signal):

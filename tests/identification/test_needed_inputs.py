@@ -76,6 +76,16 @@ def test_a_held_humidity_has_no_constant():
     assert thermal.lower_h < 2.0 < thermal.upper_h and thermal.verdict != "reject"
 
 
+def test_a_discovery_gives_a_held_humidity_no_constant_either():
+    held, free = (
+        discover(a_cabinet(0, humidity), library=()).base.results.time_constants["hygric"]
+        for humidity in ("held", "exchanged")
+    )
+    assert held.verdict == "reject" and "input_not_needed" in [one.code for one in held.reasons]
+    assert held.lower_h == 0.0 and math.isnan(held.upper_h)
+    assert free.verdict != "reject" and free.lower_h < 0.5 < 1.2 * free.upper_h
+
+
 def test_an_exchange_is_needed_beyond_doubt():
     hygric = identify(a_cabinet(1, "exchanges"), starts=1).results.time_constants["hygric"]
     assert hygric.without_input.gain > 5.0 * hygric.without_input.required
