@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from scipy.special import expit
-
 from hygrokf.data.clocks import sources
 from hygrokf.data.record import Record
 from hygrokf.discovery.candidates import SENSOR, WATER, Candidate, brought
@@ -65,6 +63,8 @@ def refuted_cause(one: Candidate, judged: Judged, searched: Mapping[str, int]) -
 def confidence(in_days: float, lead: float) -> float:
     """How often [1] a name with such evidence is right: logistic in ln of the evidence in days and in its
     lead in days."""
+    from scipy.special import expit
+
     constant, by_evidence, by_lead = CONFIDENCE
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
