@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from hygrokf.discovery.candidates import Candidate
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
-from hygrokf.discovery.judgement import Judged, judged, scores
+from hygrokf.discovery.judgement import NOTICED, Judged, judged, scores
 from hygrokf.discovery.search import Accepted, Found, beside, composed, effect_of, foreseen
 
 
@@ -68,12 +68,17 @@ def _judged(
     if others:
         without = final_set(composed(start, others, extended.estimate), estimator).estimate
     child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
-    after, effect = scores(child), math.inf
+    after, effect, form = scores(child), math.inf, name.candidate.form
     if not beside(name.candidate, list(itertools.takewhile(lambda a: a is not name, accepted))):
-        effect = effect_of(name.candidate.form, without, child, after)
-    return judged(scores(without), after, effect)
+        effect = effect_of(form, without, child, after)
+    verdict = judged(scores(without), after, effect)
+    if effect_of(form, without, child, after, held_out=False) < NOTICED:
+        return replace(verdict, reason="no_effect")
+    return verdict
 
 
 def _harm(one: Judged) -> float:
-    """By how much a name grows the errors, where it is refuted."""
+    """By how much a name grows the errors, where it is refuted; without an effect it goes first."""
+    if one.reason == "no_effect":
+        return math.inf
     return max(one.growth.values(), default=0.0) if one.reason else -math.inf

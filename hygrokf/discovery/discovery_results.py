@@ -24,7 +24,7 @@ LASTING_KINDS = ("step", "drift", "season")
 Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
 """No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
 beside what is named; held-out readings refute every cause that was found."""
-Reason: TypeAlias = Literal["", "worse", "no_gain"]
+Reason: TypeAlias = Literal["", "worse", "no_gain", "no_effect"]
 """Why held-out readings refute a cause: its errors are larger, or neither they nor the likelihood gain."""
 Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
 """Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its

@@ -30,7 +30,8 @@ BETTER = 0.95
 """Share of the likelihood's error below which the least free-run error is preferred."""
 EARLY = 2.0 / 3.0
 UNDETERMINED = 1e-10
-"""Share of the largest eigenvalue of the information below which a direction is not determined."""
+"""Information of a coordinate, and share of the largest eigenvalue, below which a direction is not
+determined."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,8 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
     priors = _prior_information(one, f.place, f.logarithmic)
     information += priors
     spread += priors
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    told = np.diag(information) > UNDETERMINED
+    scale = np.where(told, 1.0 / np.sqrt(np.where(told, np.diag(information), 1.0)), 0.0)
     size, axes = np.linalg.eigh(information * scale[:, None] * scale)
     seen = size > UNDETERMINED * size[-1]
     share = (axes[:, ~seen] ** 2).sum(axis=1)

@@ -22,6 +22,7 @@ from hygrokf.modelling.design import Design
 
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
+AMBIENT_HUMIDITY = "ambient_relative_humidity"
 SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
 inputs."""
@@ -333,11 +334,10 @@ def ambient(ground: Ground) -> list[Form]:
             Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=intake,
                  grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
         )  # fmt: skip
-        found += [
-            Form("ambient_bias", code, vapour=(("breathed_air", {"form": form}),))
-            for code, form in (("offset", "vapour"), ("humidity", "humidity"))
-        ]
+        found.append(Form("ambient_bias", "offset", vapour=(("breathed_air", {"form": "vapour"}),)))
         found.append(Form("ambient_bias", "gain", freed="breathed_gain"))
+        if AMBIENT_HUMIDITY in ground.record:
+            found.append(Form("ambient_bias", "humidity", freed="breathed_humidity_offset"))
     return found
 
 

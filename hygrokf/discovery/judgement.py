@@ -15,7 +15,7 @@ from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 LEVELS = (
     "heat_release_operation", "heat_release_standstill", "heat_release_operation_ambient",
     "heat_release_standstill_ambient", "cabinet_temperature_bias", "cabinet_relative_humidity_bias",
-    "breathed_offset",
+    "breathed_offset", "breathed_humidity_offset",
 )  # fmt: skip
 """Parameters that are the slow part of a simulation."""
 HORIZONS_H = (3.0, 12.0, 48.0)
@@ -94,13 +94,16 @@ def scores(one: Estimate) -> dict[str, Scores]:
     return found
 
 
-def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[str, float]:
-    """By quantity, the square of the whitened difference of two simulations on held-out readings: what
-    −2 ln L gains by it on average where the one that differs is right."""
+def difference(
+    one: Mapping[str, Scores], other: Mapping[str, Scores], held_out: bool = True
+) -> dict[str, float]:
+    """By quantity, the square of the whitened difference of two simulations on held-out readings, or on all:
+    what −2 ln L gains by it on average where the one that differs is right."""
     found = {}
     for q, known in one.items():
         white = known.run.whitened((other[q].simulated - known.simulated)[:, None])[:, 0]
-        found[q] = float(np.sum((white**2 * known.run.weight)[known.held_out]))
+        square = white**2 * known.run.weight
+        found[q] = float(np.nansum(square[known.held_out] if held_out else square))
     return found
 
 

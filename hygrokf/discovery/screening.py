@@ -113,7 +113,10 @@ def _without_prior(design: Design, name: str) -> Design:
     return replace(design, priors={**design.priors, name: (0.0, FREE[name], False)})
 
 
-FREE = {"breathed_gain": 0.3, "humidity_scale_error": 0.3, "cabinet_temperature_offset": 5.0}
+FREE = {
+    "breathed_gain": 0.3, "breathed_humidity_offset": 0.3, "humidity_scale_error": 0.3,
+    "cabinet_temperature_offset": 5.0,
+}  # fmt: skip
 """Standard deviation of a freed parameter's prior, in its unit."""
 
 

@@ -345,13 +345,15 @@ def beside(one: Candidate, accepted: Sequence[Accepted]) -> bool:
     return any(mine & acts(a.candidate.form, quantities) for a in accepted)
 
 
-def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:
-    """The difference that a cause itself makes to held-out readings (`difference`); infinite for one without
-    a size."""
+def effect_of(
+    form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores], held_out: bool = True
+) -> float:
+    """The difference that a cause itself makes to held-out readings, or to all (`difference`); infinite for
+    one without a size."""
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
     mine = brought(form, child.simulator)
     if not mine & set(names):
         return math.inf
     theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in mine}})
     without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
-    return sum(difference(after, without).values())
+    return sum(difference(after, without, held_out).values())

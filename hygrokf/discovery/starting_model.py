@@ -10,7 +10,8 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import filtered
 from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, errors_of, estimate_at, fitted
-from hygrokf.discovery.forms import MechanismSettings
+from hygrokf.discovery.forms import AMBIENT_HUMIDITY, MechanismSettings
+from hygrokf.discovery.residuals import NORMAL_95
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import Simulator, Work
 from hygrokf.identification.steady_state import heat_release_regression
@@ -32,7 +33,8 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     humidity.
 
     Beside the base model's own parameters, the vapour has the errors that sensors have within their accuracy:
-    a gain of the ambient's vapour, a scale and a response time of the humidity sensor.
+    a gain of the ambient's vapour, an offset of its relative humidity, a scale and a response time of the
+    humidity sensor.
     """
     early = record.identification()
     regression = heat_release_regression(early)
@@ -45,6 +47,10 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
         return heat, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
+    sd = accuracy_of(early[AMBIENT_HUMIDITY]) / NORMAL_95 if AMBIENT_HUMIDITY in early else 0.0
+    if sd > 0.0:
+        additions.append(("breathed_air", {"form": "humidity"}))
+        priors["breathed_humidity_offset"] = (0.0, sd, False)
     mechanisms = moist.mechanisms
     if moist.humidity == "cabinet_relative_humidity":
         additions.append(("humidity_scale", {"flag": None}))

@@ -372,6 +372,8 @@ def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
 
 def refutation(one: HeldOutTest) -> str:
     """Why held-out readings refute a cause."""
+    if one.reason == "no_effect":
+        return "in the final set of parameters it has no effect"
     if one.reason == "no_gain":
         return "on held-out readings neither the errors fall nor the likelihood grows"
     grown = [q for q in one.z if one.z[q] > WORSE_Z or one.growth.get(q, math.nan) > WORSE_GROWTH]

@@ -386,7 +386,9 @@ def breathed_air(form: str = "vapour") -> Mechanism:
     the saturation concentration at ambient temperature.
     """
     unit, bound = ("g/m3", 10.0) if form == "vapour" else ("1", 0.6)
-    name = "breathed_gain" if form == "temperature" else "breathed_offset"
+    name = {
+        "vapour": "breathed_offset", "temperature": "breathed_gain", "humidity": "breathed_humidity_offset",
+    }[form]  # fmt: skip
     meaning = {
         "vapour": "what the breathed air holds more than the ambient series says",
         "temperature": "share by which the ambient series understates the vapour of the breathed air",
