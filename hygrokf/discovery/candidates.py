@@ -59,6 +59,11 @@ class Candidate:
         """The smaller of both evidences, by which candidates are ordered and accepted."""
         return min(self.evidence, self.in_days)
 
+    @property
+    def factor(self) -> float:
+        """Evidence by evidence in days."""
+        return self.evidence / self.in_days if self.in_days > 0.0 else 1.0
+
 
 def acts(form: Form, quantities: Sequence[str]) -> set[str]:
     """The quantities that a form acts on."""

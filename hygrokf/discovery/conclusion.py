@@ -16,7 +16,7 @@ from hygrokf.discovery.candidates import Candidate
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
 from hygrokf.discovery.judgement import NOTICED, Judged, judged, scores
-from hygrokf.discovery.search import Accepted, Found, beside, composed, effect_of, foreseen
+from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, needed
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,10 @@ def _judged(
     if others:
         without = final_set(composed(start, others, extended.estimate), estimator).estimate
     child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
-    after, effect, form = scores(child), math.inf, name.candidate.form
-    if not beside(name.candidate, list(itertools.takewhile(lambda a: a is not name, accepted))):
-        effect = effect_of(form, without, child, after)
-    verdict = judged(scores(without), after, effect)
-    if effect_of(form, without, child, after, held_out=False) < NOTICED:
+    after, one = scores(child), name.candidate
+    earlier = list(itertools.takewhile(lambda a: a is not name, accepted))
+    verdict = judged(scores(without), after, one.in_days - needed(one, earlier), one.factor)
+    if effect_of(one.form, without, child, after) < NOTICED:
         return replace(verdict, reason="no_effect")
     return verdict
 

@@ -94,29 +94,28 @@ def scores(one: Estimate) -> dict[str, Scores]:
     return found
 
 
-def difference(
-    one: Mapping[str, Scores], other: Mapping[str, Scores], held_out: bool = True
-) -> dict[str, float]:
-    """By quantity, the square of the whitened difference of two simulations on held-out readings, or on all:
-    what −2 ln L gains by it on average where the one that differs is right."""
+def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[str, np.ndarray]:
+    """(T,) by quantity, the square of the whitened difference of two simulations: what −2 ln L gains by it on
+    average where the one that differs is right."""
     found = {}
     for q, known in one.items():
         white = known.run.whitened((other[q].simulated - known.simulated)[:, None])[:, 0]
-        square = white**2 * known.run.weight
-        found[q] = float(np.nansum(square[known.held_out] if held_out else square))
+        found[q] = np.nan_to_num(white**2 * known.run.weight)
     return found
 
 
-def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], effect: float = math.inf) -> Judged:
+def judged(
+    parent: Mapping[str, Scores], child: Mapping[str, Scores], spare: float = 0.0, factor: float = 1.0
+) -> Judged:
     """A child beside its parent.
 
-    effect: difference that the cause itself makes to held-out readings; one that is not noticed there cannot
-    be refuted by a gain that does not come.
+    spare: the child's evidence in days beyond what it needs; factor: evidence by that in days.  Held-out
+    readings refute a child if their likelihood takes more than is spare; what they give does not count.
     """
     z, growth, before, after, number = {}, {}, {}, {}, 0
     moved = difference(parent, child)
     for q, old in parent.items():
-        if moved[q] < NOTICED:
+        if moved[q][child[q].held_out].sum() < NOTICED:
             continue
         new = child[q]
         both = np.isfinite(old.squares) & np.isfinite(new.squares)
@@ -141,6 +140,6 @@ def judged(parent: Mapping[str, Scores], child: Mapping[str, Scores], effect: fl
     reason: Reason = ""
     if any(v > WORSE_Z for v in z.values()) or any(v > WORSE_GROWTH for v in growth.values()):
         reason = "worse"
-    elif z and not any(v <= -WORSE_Z for v in z.values()) and not gain > 0.0:
-        reason = "no_gain" if effect > NOTICED else ""
+    elif z and not any(v <= -WORSE_Z for v in z.values()) and spare + gain / factor < 0.0:
+        reason = "no_gain"
     return Judged(z, growth, before, after, gain, number, reason)

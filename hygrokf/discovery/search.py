@@ -182,13 +182,13 @@ class Search:
 
     def _earns(self, one: Candidate) -> bool:
         others = [a for a in self.accepted if a.candidate.cause != one.cause]
-        return not one.lacking and one.strength >= (FURTHER if beside(one, others) else THRESHOLD)
+        return not one.lacking and one.strength >= needed(one, others)
 
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
         child = levelled(foreseen(self.parent, one))
         after, mine = scores(child), acts(one.form, self.parent.quantities)
-        effect = math.inf if beside(one, self.accepted) else effect_of(one.form, self.parent, child, after)
-        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, effect)
+        spare = one.in_days - needed(one, self.accepted)
+        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, spare, one.factor)
 
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the others, under the renewed error models."""
@@ -337,23 +337,21 @@ def _held_out_deviance(one: Estimate) -> float:
     return sum(score.deviance for score in scores(one).values())
 
 
-def beside(one: Candidate, accepted: Sequence[Accepted]) -> bool:
-    """Whether a quantity on which a candidate acts has a name already: what is left there is more often that
-    one's misfit than another cause."""
+def needed(one: Candidate, accepted: Sequence[Accepted]) -> float:
+    """The evidence that a candidate needs: more if a quantity on which it acts has a name already, since what
+    is left there is more often that one's misfit than another cause."""
     quantities = one.estimate.quantities
     mine = acts(one.form, quantities)
-    return any(mine & acts(a.candidate.form, quantities) for a in accepted)
+    return FURTHER if any(mine & acts(a.candidate.form, quantities) for a in accepted) else THRESHOLD
 
 
-def effect_of(
-    form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores], held_out: bool = True
-) -> float:
-    """The difference that a cause itself makes to held-out readings, or to all (`difference`); infinite for
-    one without a size."""
+def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:
+    """The difference that a cause itself makes to the readings (`difference`); infinite for one without a
+    size."""
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}
     mine = brought(form, child.simulator)
     if not mine & set(names):
         return math.inf
     theta = child.simulator.vector({**child.values, **{n: v for n, v in names.items() if n in mine}})
     without = scores(estimate_at(child.simulator, child.errors, theta, child.linear, child.variances))
-    return sum(difference(after, without, held_out).values())
+    return sum(float(square.sum()) for square in difference(after, without).values())
