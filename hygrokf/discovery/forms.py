@@ -356,7 +356,7 @@ def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[
 def sorption(ground: Ground) -> list[Form]:
     found = []
     for slab, hours, limits in (
-        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)), (True, (20.0, 80.0, 300.0), (18.0, 4000.0))
+        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)), (True, (150.0, 400.0, 1200.0), (62.7 * SLOWEST_H, 4000.0))
     ):  # fmt: skip
         grid = tuple(Setting(values={"sorption_time": h}) for h in hours)
         for activated in (True, False):
