@@ -8,8 +8,8 @@ from pathlib import Path
 
 from hygrokf.commands.activity import activity
 from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
-from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, add_out, whole
+from hygrokf.commands.inputs import identified, record_of, stored_fit, written
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
 from hygrokf.data.files import FIT
 
 
@@ -34,6 +34,13 @@ def _arguments(parser: ArgumentParser) -> None:
         default=5,
         help="number of starts of the search for the maximum (default 5)",
     )
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FIT.json",
+        help="estimate the model of this fit, such as the one of `hygrokf discover`, from its values",
+    )
+    add_library(parser)
     add_json(parser)
 
 
@@ -44,7 +51,8 @@ def _run(options: Namespace) -> int:
     expect_own_directory(options.out, FIT)
     former = _record_of_the_fit_in(options.out)
     record = record_of(options.case)
-    fit = identified(record, options.case, options.criterion, options.starts, options.kind)
+    model = options.model and stored_fit(options.model, options.library)
+    fit = identified(record, options.case, options.criterion, options.starts, options.kind, model)
     if former and former != record.name:
         activity().note(f"note: --out {options.out}: replaces the fit of {printable(former)}")
     page = written(fit, options.out)

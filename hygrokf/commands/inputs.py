@@ -27,15 +27,17 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
 
 
 def identified(
-    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None
-) -> Fit:
-    """The fit of a record.  Raises UserFault that names the case."""
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None,
+    model: Fit | None = None,
+) -> Fit:  # fmt: skip
+    """The fit of a record; `model` as in `identify`.  Raises UserFault that names the case."""
     from hygrokf.identification.procedure import DEFAULT_KIND, identify
 
     with faults_of(case), Progress(16) as progress:
         return identify(
-            record, criterion=criterion, kind=kind or DEFAULT_KIND, starts=starts, progress=progress
-        )
+            record, criterion=criterion, kind=kind or DEFAULT_KIND, starts=starts, progress=progress,
+            model=model,
+        )  # fmt: skip
 
 
 def own_causes(libraries: Sequence[str | Path]) -> tuple[Cause, ...]:

@@ -116,11 +116,13 @@ def select_form(
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
 
 
-def estimate_design(early: Record, base: Design, starts: int, say: Progress) -> DesignEstimate:
-    """Maximum likelihood of one design."""
+def estimate_design(
+    early: Record, base: Design, starts: int, say: Progress, values: Mapping[str, float] | None = None
+) -> DesignEstimate:
+    """Maximum likelihood of one design; `values`: of the first start."""
     run = prepare_run(base, early)
     likelihood = Likelihood(base.model, run.timeline)
-    estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
+    estimate = maximise(likelihood, values, count=starts, progress=say, search=_search(likelihood))
     return DesignEstimate(base, run, estimate)
 
 

@@ -48,7 +48,16 @@ from hygrokf.identification.fit_results import (
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import with_verdicts
 from hygrokf.identification.wording import iso_time
-from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, PARTS, Design, design, merged
+from hygrokf.modelling.design import (
+    CASCADE,
+    FEWEST_READINGS,
+    JOINT,
+    PARTS,
+    Design,
+    design,
+    merged,
+    read_as,
+)
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
@@ -73,6 +82,7 @@ def identify(
     profiles: bool = True,
     progress: Progress | bool | None = None,
     prior: Callable[[Design], Mapping[str, Prior]] | None = None,
+    model: Fit | None = None,
 ) -> Fit:
     """Identify the thermal model of a record, and the hygric one where the record has humidity.
 
@@ -87,6 +97,8 @@ def identify(
     profiles: whether to compute profile-likelihood bounds.
     progress: called with each step in words; True: shows them as one line, also in a notebook.
     prior: gives priors of a design's parameters, from other turbines of the type (`TurbineType.prior`).
+    model: a fit whose model takes the place of the base model, such as `Discovery.extended`; its values are
+        the first start, and its mechanisms are estimated in one filter, of kind "joint".
 
     Returns the fit: time constants [h] with bounds in `results.time_constants`.
     Raises ValueError for unknown options, and for records from which nothing can be identified.
@@ -98,7 +110,10 @@ def identify(
     record = mask(record)  # nothing to do for a record of `read_case` and `read_frames`
     early = record.identification()
     with reporting(progress, "identify") as say:
-        basis = identify_stages(early, kind, starts, profiles, say, prior)
+        if model is None:
+            basis = identify_stages(early, kind, starts, profiles, say, prior)
+        else:
+            basis = _identify_model(early, model, starts, profiles, say)
         say("output-error fit")
         simulated = output_errors(early, basis.whole, basis.values)
         return assemble_fit(record, basis, simulated, criterion, say)
@@ -170,6 +185,19 @@ def identify_stages(
         jobs.append(partial(moist, second, second.humidity))
     driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
     return Basis(kind, tuple(stages), tuple(driven), regression)
+
+
+def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say: Progress) -> Basis:
+    """Estimate the model of a fit on the identification period, beginning at its values."""
+    from hygrokf.identification.steady_state import heat_release_regression
+
+    expect_readings(early)
+    base = read_as(model.design, early)
+    words = f"the model and its first start are those of the fit {model.name} by {model.results.criterion}"
+    base = replace(base, statements=(*base.statements, words))
+    found = estimate_design(early, base, starts, say, model.values)
+    stage = assess_stage(early, found, profiles, say)
+    return Basis(JOINT, (stage,), (early,), heat_release_regression(early))
 
 
 def expect_readings(early: Record) -> None:

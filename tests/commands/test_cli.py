@@ -178,9 +178,10 @@ def test_options_of_fit_reach_the_identification(folder, monkeypatch):
 
     monkeypatch.setattr("hygrokf.identification.procedure.identify", identify)
     run("fit case.toml --out made")
-    usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND}
+    usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND, "model": None}
     assert seen == {"name": "synthetic-turbine-3", **usual}
-    run("fit case.toml --out made --kind joint --criterion simulation --starts 7")
+    run("fit case.toml --out made --kind joint --criterion simulation --starts 7 --model result/fit.json")
+    assert seen.pop("model").name == "synthetic-turbine-3"
     assert seen == {"name": "synthetic-turbine-3", "criterion": "simulation", "starts": 7, "kind": "joint"}
 
 

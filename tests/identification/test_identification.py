@@ -22,7 +22,7 @@ from hygrokf.identification.estimation import assess_stage, estimate_design, ide
 from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.procedure import identify, shared_error
 from hygrokf.identification.time_constants import hygric_entry
-from hygrokf.modelling.design import Design, design
+from hygrokf.modelling.design import Design, design, extended
 from hygrokf.physics.parameters import Parameter
 
 DAYS = 45
@@ -72,6 +72,20 @@ def test_bands_hold_on_the_validation_period(fit):
             cell = fit.results.bands[lead][quantity]
             assert cell.n > 100
             assert 0.85 < cell.coverage <= 1.0
+
+
+def test_the_model_of_a_fit_is_estimated_from_its_values(record, fit):
+    """A model with a second mass contains the one without: it is no less likely, and it says whose it is."""
+    wider = replace(fit, design=extended(fit.design, [("wall_thermal_mass", {})]))
+    joint = identify(record, model=fit, starts=1, profiles=False)
+    other = identify(record, model=wider, starts=1, profiles=False)
+    assert "wall_thermal_mass" in dict(other.design.mechanisms)
+    assert other.results.converged and other.results.loglik > joint.results.loglik - 0.5
+    assert any(fit.name in line for line in other.results.statements)
+    # estimated in one filter, the same model has the same constants
+    for part in ("thermal", "hygric"):
+        entry = fit.results.time_constants[part]
+        assert entry.lower_h < joint.results.time_constants[part].value_h < entry.upper_h
 
 
 def test_validation_readings_touch_nothing(record, fit):
