@@ -24,7 +24,8 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.needed_inputs import without_input
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
-from hygrokf.identification.verdict import with_verdicts
+from hygrokf.identification.verdict import with_reasons, with_verdicts
+from hygrokf.identification.verdict_terms import Reason
 from hygrokf.modelling.design import CASCADE, Design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.parameters import Coordinates
@@ -34,29 +35,27 @@ RATE_STEP = 1.0
 
 
 def fit_of(
-    record: Record, final: FinalSet, say: Progress = lambda text: None, doubts: Sequence[str] = ()
+    record: Record, final: FinalSet, say: Progress = lambda text: None, against: Sequence[Reason] = ()
 ) -> Fit:
     """A final set as a fit of the record, whose clocks are corrected as the set says.
 
-    doubts: about the hygric constant, beside those about the record.
+    against: reasons against the hygric constant, beside the fit's own.
     Raises ValueError where the set is faster than a filter of the readings can follow.
     """
     try:
-        return _fit_of(record, final, say, doubts)
+        return _fit_of(record, final, say, against)
     except RatesFault as fault:
         raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
 
 
-def _fit_of(record: Record, final: FinalSet, say: Progress, doubts: Sequence[str]) -> Fit:
+def _fit_of(record: Record, final: FinalSet, say: Progress, against: Sequence[Reason]) -> Fit:
     record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
     fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
-    known = fit.results.doubted
-    doubted = {**known, "hygric": (*known.get("hygric", ()), *doubts)} if doubts else known
-    results = replace(fit.results, criterion=final.estimator, doubted=doubted)
-    return replace(fit, results=with_verdicts(results))
+    results = with_verdicts(replace(fit.results, criterion=final.estimator))
+    return replace(fit, results=with_reasons(results, "hygric", against))
 
 
 def final_designs(final: FinalSet) -> tuple[Design, ...]:

@@ -19,6 +19,7 @@ from hygrokf.data.timestamps import HOUR_S, summer_time
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.modelling.derived_inputs import operating
 from hygrokf.modelling.design import Design
+from hygrokf.physics.mechanisms.moisture import SLAB
 
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
@@ -355,9 +356,12 @@ def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[
 @of_vapour
 def sorption(ground: Ground) -> list[Form]:
     found = []
+    # a slab's skin is quicker than its slowest mode by so much
+    skin = SLAB["sorbed_skin"][1]
     for slab, hours, limits in (
-        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)), (True, (150.0, 400.0, 1200.0), (62.7 * SLOWEST_H, 4000.0))
-    ):  # fmt: skip
+        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),
+        (True, (150.0, 400.0, 1200.0), (skin * SLOWEST_H, 4000.0)),
+    ):
         grid = tuple(Setting(values={"sorption_time": h}) for h in hours)
         for activated in (True, False):
             code = ("slab" if slab else "thin") + ("_activated" if activated else "")

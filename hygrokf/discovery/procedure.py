@@ -45,6 +45,7 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import cause_found, evidence_of, refuted_cause
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
+from hygrokf.identification.verdict_terms import REJECT, Reason
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -54,9 +55,10 @@ BUDGET = 40_000
 """Simulations after which no further cause is tried."""
 MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
 """Readings that a simulation explains."""
-WET_SENSOR = (
-    "what the model takes as an error of the humidity sensor may be water in the cabinet; compare the sensor "
-    "with a second one"
+WET_SENSOR = Reason(
+    "sensor_or_water",
+    REJECT,
+    "what the model takes as an error of the humidity sensor may be water in the cabinet",
 )
 
 
@@ -169,8 +171,8 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     before = after = residuals(base, record)
     extended = None
     if ended.extended is not None:
-        doubts = (WET_SENSOR,) if any(_wet(one) for one in ended.accepted) else ()
-        extended = fit_of(record, ended.extended, say, doubts)
+        against = (WET_SENSOR,) if any(_wet(one) for one in ended.accepted) else ()
+        extended = fit_of(record, ended.extended, say, against)
         after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
     say("what is left")
     left = _lines(ended)

@@ -23,16 +23,19 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.final_set import final_set
 from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.plugin_validation import IDENTIFIER
-from hygrokf.discovery.procedure import Discovery, discover
+from hygrokf.discovery.procedure import WET_SENSOR, Discovery, discover
 from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import confidence
 from hygrokf.identification.fit_on_record import evaluate
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import REJECT, rests_on
 
 STEP = (named("exchange_step"),)
 SUN = (named("solar_gain"), named("condensation"))
@@ -104,6 +107,13 @@ def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
     assert cause.held_out.days == 12 and cause.held_out.improvement > 0.2 and not cause.held_out.reason
     heat = cause.parameters["solar_heat"]
     assert heat.lower < heat.value < heat.upper and heat.unit == "K/(kW/m2)" and heat.null == 0.0
+
+
+def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water() -> None:
+    record = identified(hidden_plant(9101, "solar_gain", days=40.0))
+    fit = fit_of(record, final_set(base_estimate(record), "likelihood"), against=(WET_SENSOR,))
+    assert fit.results.time_constants["hygric"].verdict == REJECT
+    assert "hygric time constant, on which this rests, is not reliable" in rests_on(inherited(fit.results))
 
 
 def test_the_extended_model_is_a_fit_that_simulates_as_is_told(sunny: Discovery, in_the_sun: Record) -> None:

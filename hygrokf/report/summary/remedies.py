@@ -11,6 +11,7 @@ LACKING = "Run “hygrokf discover” on the record: the model lacks something t
 AGAIN = "Run “hygrokf fit” again with more starts (--starts): the estimation has not ended."
 CABINET_FASTER = "Log the cabinet at shorter steps."
 AMBIENT_FASTER = "Take the weather from a source with shorter steps."
+SECOND_SENSOR = "Compare the humidity sensor with a second one."
 DOUBTS = "Settle the doubts about the record first: “hygrokf check” lists them."
 
 REMEDIES = {
@@ -38,9 +39,10 @@ REMEDIES = {
     "ambient_coarse": AMBIENT_FASTER,
     "readings_coarse": CABINET_FASTER,
     "record_doubted": DOUBTS,
+    "sensor_or_water": SECOND_SENSOR,
 }
 """By the code of the reason (`identification.verdict`)."""
-ORDER = (DOUBTS, AGAIN, LACKING, LONGER, CABINET_FASTER, AMBIENT_FASTER)
+ORDER = (DOUBTS, SECOND_SENSOR, AGAIN, LACKING, LONGER, CABINET_FASTER, AMBIENT_FASTER)
 
 
 def remedies(reasons: Iterable[Reason]) -> tuple[str, ...]:
