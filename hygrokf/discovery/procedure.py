@@ -175,7 +175,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         extended = fit_of(record, ended.extended, say, against)
         after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
     say("what is left")
-    left = _lines(ended)
+    left = what_is_left(ended)
     results = DiscoveryResults(
         name=base.results.name,
         version=__version__,
@@ -210,7 +210,7 @@ def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
     return "refuted" if ended.refuted else "none"
 
 
-def _lines(ended: Conclusion) -> list[Line]:
+def what_is_left(ended: Conclusion) -> list[Line]:
     """What is left in the errors of the last model, and in the daily scores of what is named."""
     one, own = ended.last.estimate, {}
     for accepted in ended.accepted:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from trials.command import read_lines, span
 
+from battery import constants
 from battery.calibration import calibrated
 from battery.cases import GROUPS, Case, chosen
 from battery.tables import table
@@ -33,6 +34,17 @@ def run_into(file: Path, cases: Sequence[Case], one: Callable[[Case], dict] = ru
             print(f"{count} of {len(wanted)} {case.key}: {named or told}", file=sys.stderr, flush=True)
 
 
+def run_constants(file: Path) -> None:
+    """Append the lines of every variant of the cases that the file lacks."""
+    done = {line["key"].partition(": ")[2] for line in read_lines([file])} if file.exists() else set()
+    for case in constants.cases():
+        if case.key not in done:
+            some = list(constants.lines_of(case))
+            with file.open("a", encoding="utf-8") as out:
+                out.writelines(json.dumps(line) + "\n" for line in some)
+            print(case.key, file=sys.stderr, flush=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="discovery_trials", description=__doc__)
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"one or more of {', '.join(GROUPS)}")
@@ -45,12 +57,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--calibrate", action="store_true", help="print the coefficients of the confidence from the files"
     )
+    parser.add_argument(
+        "--constants", action="store_true",
+        help="halve and double each constant that decides, on ten plants and five nulls",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
+    if options.constants:
+        run_constants(options.out[0])
+        print(constants.table(read_lines(options.out)))
+        return 0
     if unknown := sorted(set(options.groups) - set(GROUPS)):
         parser.error(f"expected groups of {', '.join(GROUPS)}, found {', '.join(unknown)}")
     printed = [one for one, wanted in ((table, options.table), (calibrated, options.calibrate)) if wanted]
     if bool(options.groups) != bool(options.seeds) or not (options.groups or printed):
-        parser.error("expected GROUP and --seeds, or --table, or --calibrate")
+        parser.error("expected GROUP and --seeds, or --table, --calibrate or --constants")
     if options.groups:
         run_into(options.out[0], chosen(options.groups, options.seeds))
     if printed:

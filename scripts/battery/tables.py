@@ -12,10 +12,9 @@ import numpy as np
 from battery.cases import NULL_KINDS
 from battery.measured import GIVEN, KNOWN, WITHHELD
 from battery.rates import Rate, rate
+from hygrokf.discovery import discovery_results
 
 Line = Mapping
-LARGEST_CLASS = 3
-"""Causes of a class that is told; a name with a longer one names nothing."""
 LEAST_WORTH = 0.02
 """Share of the held-out error from which a further name is worth its place."""
 
@@ -28,7 +27,7 @@ def truths(line: Line) -> list[str]:
 
 def names(line: Line) -> list[Mapping]:
     """Names whose class is short enough to be told."""
-    return [one for one in line["names"] if 1 + len(one["rivals"]) <= LARGEST_CLASS]
+    return [one for one in line["names"] if 1 + len(one["rivals"]) <= discovery_results.CLASS_LIMIT]
 
 
 def first_right(line: Line, in_class: bool = False) -> bool:

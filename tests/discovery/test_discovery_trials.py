@@ -340,7 +340,7 @@ def test_stopped_trials_go_on_where_they_stopped(
     [
         ("nowhere --seeds 0:1 --out x", "found nowhere"),
         ("nulls --out x", "expected GROUP and --seeds"),
-        ("--out x", "expected GROUP and --seeds, or --table, or --calibrate"),
+        ("--out x", "expected GROUP and --seeds, or --table, --calibrate or --constants"),
         ("nulls --seeds 5 --out x", "expected FIRST:LAST"),
         ("--table --out nowhere.jsonl", "no lines in nowhere.jsonl"),
     ],
