@@ -57,12 +57,13 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant."""
+    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant, empty
+    where they were not asked for."""
 
     loglik: float
     score: np.ndarray
     information: np.ndarray
-    scores: np.ndarray | None = None
+    scores: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -482,7 +483,7 @@ class Likelihood:
         count = directions.shape[1]
         blocks = self._tangent_start(values, directions)
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
-        scores = np.zeros((len(self.timeline), count)) if each else None
+        scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
@@ -492,7 +493,7 @@ class Likelihood:
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
             loglik += value
             score += share.sum(axis=(0, 1))
-            if scores is not None:
+            if each:
                 scores[part] = share.sum(axis=1)
             a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
             b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
