@@ -17,15 +17,12 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
-from hygrokf.engine.filter_loops import filter_loop
+from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep
-from hygrokf.engine.packing import pack, trace_width, unpack
-from hygrokf.engine.pieces import SubSteps, gap_variances, long_step
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, bounded_weight, traced
+from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
@@ -82,8 +79,6 @@ class Trace:
     transition: np.ndarray
     loglik: float
     last: Gaussian
-
-
 
 
 @dataclass(frozen=True)

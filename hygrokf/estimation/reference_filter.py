@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from hygrokf.engine.pieces import gap_variances
+from hygrokf.engine.long_steps import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import between
@@ -61,7 +61,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
                     total -= 0.5 * (math.log(2.0 * math.pi * S) + z * z)
                     K = P @ H / S
                 m, P = m + K * e, P - np.outer(K, P @ H)
-        for bit, state in enumerate(model.system.resets):  # running means that begin anew
+        for bit, state in enumerate(model.resets):  # running means that begin anew
             if line.reset[k] & (1 << bit):
                 m[state], P[state, :], P[:, state] = 0.0, 0.0, 0.0
         states.append(Gaussian(m.copy(), P.copy(), float(line.time[k])))
@@ -76,7 +76,7 @@ def predicted(
     from scipy.integrate import solve_ivp
 
     model, line, n = likelihood.model, likelihood.timeline, len(m)
-    length, Q = float(line.steps[line.key[k], 0]), np.array(model.system.noise(values), dtype=float)
+    length, Q = float(line.steps[line.key[k], 0]), np.array(model.noise(values), dtype=float)
     regimes = dict(zip(line.regimes, line.steps[line.key[k], 1:], strict=True))
 
     def inputs(share: float) -> dict[str, float]:

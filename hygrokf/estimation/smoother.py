@@ -100,7 +100,7 @@ def _readings(
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
     """(T, n) 1 where a state continues from an instant, 0 where it restarts."""
-    states, resets = likelihood.model.states, likelihood.recursion.system.resets
+    states, resets = likelihood.model.states, likelihood.model.resets
     result = np.ones((len(likelihood.timeline), len(states)))
     for bit, state in enumerate(resets):
         result[(likelihood.timeline.reset & (1 << bit)) != 0, state] = 0.0
@@ -153,7 +153,7 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
                         lambda x, prediction=prediction: np.array([prediction]),
                         R=np.array([[variance]]),
                     )
-            for bit, state in enumerate(likelihood.recursion.system.resets):
+            for bit, state in enumerate(likelihood.model.resets):
                 if likelihood.timeline.reset[k] & (1 << bit):
                     self.x[state] = 0.0
                     self.P[state, :] = 0.0

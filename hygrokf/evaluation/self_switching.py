@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.engine.control_loop import Control
+from hygrokf.engine.filter_loops import Control
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.modelling.design import Design
