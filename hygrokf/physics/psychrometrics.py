@@ -74,20 +74,15 @@ def _log_saturation_slope(temperature: np.ndarray, coefficients: tuple[float, ..
     return -a / temperature**2 + c + 2.0 * d * temperature + e / temperature
 
 
-def _saturation(temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]) -> Number:
-    kelvin = _as_number(temperature)
-    with np.errstate(all="ignore"):
-        pressure = np.exp(_log_saturation(kelvin, coefficients))
-    return _only_within(_between(kelvin, *valid), pressure)
-
-
-def _saturation_slope(
-    temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]
+def _saturation(
+    temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float], slope: bool = False
 ) -> Number:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
-        slope = np.exp(_log_saturation(kelvin, coefficients)) * _log_saturation_slope(kelvin, coefficients)
-    return _only_within(_between(kelvin, *valid), slope)
+        found = np.exp(_log_saturation(kelvin, coefficients))
+        if slope:
+            found = found * _log_saturation_slope(kelvin, coefficients)
+    return _only_within(_between(kelvin, *valid), found)
 
 
 def saturation_pressure_water(temperature: Number) -> Number:
@@ -109,7 +104,7 @@ def saturation_pressure_water_slope(temperature: Number) -> Number:
     temperature: [K], any shape.
     Range: 173.15 K to 373.15 K, NaN outside. Derivative of `saturation_pressure_water`.
     """
-    return _saturation_slope(temperature, SATURATION_WATER, WATER_RANGE)
+    return _saturation(temperature, SATURATION_WATER, WATER_RANGE, slope=True)
 
 
 def saturation_pressure_ice(temperature: Number) -> Number:
@@ -130,7 +125,7 @@ def saturation_pressure_ice_slope(temperature: Number) -> Number:
     temperature: [K], any shape.
     Range: 173.15 K to 273.16 K, NaN outside. Derivative of `saturation_pressure_ice`.
     """
-    return _saturation_slope(temperature, SATURATION_ICE, ICE_RANGE)
+    return _saturation(temperature, SATURATION_ICE, ICE_RANGE, slope=True)
 
 
 @cache
