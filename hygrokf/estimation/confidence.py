@@ -538,3 +538,10 @@ def normal_quantile(level: float) -> float:
     from statistics import NormalDist
 
     return NormalDist().inv_cdf(0.5 + 0.5 * level)
+
+
+def student(level: float, freedom: float) -> float:
+    """Two-sided quantile of Student's t."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * level, freedom))

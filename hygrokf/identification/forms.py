@@ -106,19 +106,6 @@ class Form:
         return float(slope @ self.covariance[np.ix_(places, places)] @ slope) if inside else 0.0
 
 
-@dataclass(frozen=True)
-class _Short:
-    """The base's likelihood of a shorter stretch, and its maximum there."""
-
-    likelihood: Likelihood
-    objective: float
-
-    @classmethod
-    def of(cls, likelihood: Likelihood, base: Estimate) -> _Short:
-        found = climb(Objective(likelihood, base.coordinates), base.z, passes=8, tolerance=1e-2)
-        return cls(likelihood, found.objective)
-
-
 def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[Candidate]:
     """The forms to compare with a design on a record, except those that the design already contains."""
     names = [name for name, _ in base.mechanisms]
@@ -185,16 +172,19 @@ def weigh_forms(
     at_base, _ = _curvature(likelihood, estimate)
     places = [at_base.names.index(name) for name in constants if name in at_base.names]
     temper = max([1.0, *(float(at_base.factor[i]) for i in places)])
+    # the base's maximum on the shorter stretch
+    known = -math.inf
+    if scout is not None:
+        start = Objective(scout, estimate.coordinates)
+        known = climb(start, estimate.z, passes=8, tolerance=1e-2).objective
     forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
     evidence = [0.0]
-
-    short = None if scout is None else _Short.of(scout, estimate)
 
     def try_form(one: Candidate) -> tuple[Form, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
         timeline = prepare_run(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
-        found = _fitted(one, likelihood, estimate, short)
+        found = _fitted(one, likelihood, estimate, scout, known)
         if found is None:
             return None
         at, score = _curvature(likelihood, found)
@@ -226,24 +216,24 @@ def ended_at_limits(found: Estimate, base: Estimate) -> set[str]:
     }
 
 
-def _fitted(one: Candidate, whole: Likelihood, base: Estimate, short: _Short | None) -> Estimate | None:
-    """A form's maximum from its starts; None where the shorter stretch rules the form out."""
+def _fitted(
+    one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None, known: float
+) -> Estimate | None:
+    """A form's maximum from its starts; None where it is too far below the `known` maximum of the base on the
+    shorter stretch `scout`."""
     coordinates = Coordinates(one.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in one.starts]
-    if short is not None:
-        cut = replace(whole, timeline=whole.timeline.window(0, _until(whole, short.likelihood)))
+    if scout is not None:
+        time = whole.timeline.time
+        last = int(np.searchsorted(time, scout.timeline.time[-1], side="right"))
+        cut = replace(whole, timeline=whole.timeline.window(0, last))
         tried = [climb(Objective(cut, coordinates), z, passes=12, tolerance=1e-2) for z in starts]
         best = max(tried, key=lambda found: found.objective)
-        if best.objective - short.objective < SCOUT_GAIN:
+        if best.objective - known < SCOUT_GAIN:
             return None
         starts = [best.z]
     found = [climb(Objective(whole, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts]
     return estimate_of(whole, coordinates, found)
-
-
-def _until(whole: Likelihood, scout: Likelihood) -> int:
-    """Instants of the whole run within the scout's stretch."""
-    return int(np.searchsorted(whole.timeline.time, scout.timeline.time[-1], side="right"))
 
 
 def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty, dict[str, float]]:
