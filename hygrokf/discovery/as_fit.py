@@ -119,4 +119,4 @@ def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
     covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
     information = np.linalg.pinv(covariance)
     factor = np.ones(len(names))
-    return Uncertainty(names, information, covariance, covariance, factor, final.flat, (), information)
+    return Uncertainty(names, covariance, covariance, factor, final.flat, (), information)

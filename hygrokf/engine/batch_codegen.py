@@ -123,7 +123,7 @@ class _Emission:
         left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
         result = {}
         for c, name in enumerate(r.varying):
-            hold = r.system.inputs[name]
+            hold = r.holds[name]
             now = self._column("before" if hold == PREVIOUS else "now", block, c)
             result[r.end[name].index] = now
             if hold == LINEAR:

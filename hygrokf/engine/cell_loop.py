@@ -139,8 +139,8 @@ class TracedCell:
         """Move the states of a model in `state`, one after the other; returns them in the middle."""
 
         def rates(at: Mapping[str, Value], inputs: Mapping[str, Value]) -> list[Expression]:
-            made = model.system.drift([at[one] for one in model.states], inputs, self.values)
-            return [self.graph.lift(one) for one in made]
+            made = model.traced([at[one] for one in model.states], inputs, self.values)
+            return [self.graph.lift(one) for one in made.rates]
 
         floors = dict(zip(model.states, model.amounts, strict=True))
         now: dict[str, Value] = {}

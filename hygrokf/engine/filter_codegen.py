@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
-from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
-from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
+from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, place, trace_width
 from hygrokf.physics.expression import Expression, forward, reverse
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 
@@ -135,28 +134,30 @@ class Emission:
         values = self._row("%table", key, self.recursion.key_nodes)
         return self._key_row(key) | values
 
-    def inputs_within(self, k: str, j: str, count: str) -> Names:
-        """Inputs at the start and the end of sub-step j of `count`, between instants k−1 and k."""
+    def inputs_within(self, k: str, j: str | None = None, count: str = "") -> Names:
+        """Inputs at the start and the end of sub-step j of `count`, by default of the whole step, between
+        instants k−1 and k."""
         r, w = self.recursion, self.writer
         m = len(r.varying)
         row = w.integer("mul", k, m)
         before = w.integer("sub", row, m)
-        parts = w.value(f"sitofp i64 {count} to double")
-        part = w.real("fdiv", literal(1.0), parts)
-        left = w.real("fmul", w.value(f"sitofp i64 {j} to double"), part)
-        right = w.real("fmul", w.value(f"sitofp i64 {w.integer('add', j, 1)} to double"), part)
+        if j is not None:
+            part = w.real("fdiv", literal(1.0), w.value(f"sitofp i64 {count} to double"))
+            left = w.real("fmul", w.value(f"sitofp i64 {j} to double"), part)
+            right = w.real("fmul", w.value(f"sitofp i64 {w.integer('add', j, 1)} to double"), part)
         result = {}
         for c, name in enumerate(r.varying):
-            hold = r.system.inputs[name]
+            hold = r.holds[name]
             end = w.integer("add", before if hold == PREVIOUS else row, c)
             value = w.load(SCALAR, w.at(SCALAR, "%u", end))
+            result[r.end[name].index] = value
             if hold == LINEAR:
                 old = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
-                rise = w.real("fsub", value, old)
-                for table, fraction in ((r.start, left), (r.end, right)):
-                    result[table[name].index] = w.real("fadd", old, w.real("fmul", rise, fraction))
-            else:
-                result[r.end[name].index] = value
+                result[r.start[name].index] = old
+                if j is not None:
+                    rise = w.real("fsub", value, old)
+                    for table, share in ((r.start, left), (r.end, right)):
+                        result[table[name].index] = w.real("fadd", old, w.real("fmul", rise, share))
         return result
 
     def _inputs_at(self, k: str) -> Names:
@@ -171,7 +172,7 @@ class Emission:
         if each is None:  # nearly every step has a single sub-step, whose inputs need no fractions
             one = w.value(f"icmp eq i64 {count}, 1")
             with w.when(one):
-                self._advance(slots, key, self._inputs_whole(k))
+                self._advance(slots, key, self.inputs_within(k))
             rest = w.value(f"select i1 {one}, i64 0, i64 {count}")
         with w.loop(rest) as j:
             if each is not None:
@@ -183,21 +184,6 @@ class Emission:
         leaves = self.read(slots) | self.table(key) | inputs
         values = w.block(r.graph, r.predict, leaves | self.at_parameters)
         self._store(slots, values)
-
-    def _inputs_whole(self, k: str) -> Names:
-        """Inputs at the start and the end of the step between instants k−1 and k."""
-        r, w = self.recursion, self.writer
-        m = len(r.varying)
-        row = w.integer("mul", k, m)
-        before = w.integer("sub", row, m)
-        result = {}
-        for c, name in enumerate(r.varying):
-            hold = r.system.inputs[name]
-            end = w.integer("add", before if hold == PREVIOUS else row, c)
-            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", end))
-            if hold == LINEAR:
-                result[r.start[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
-        return result
 
     def _readings(self, k: str) -> list[tuple[str, str]]:
         """(value, condition that a reading exists) of every output at instant k."""
@@ -222,11 +208,11 @@ class Emission:
     def _resets(self, slots: Names, k: str, zero: str = literal(0.0), kind: str = SCALAR) -> None:
         """Set the running means to zero where their interval begins."""
         r, w = self.recursion, self.writer
-        if not r.system.resets:
+        if not r.model.resets:
             return
         flags = w.load("i32", w.at("i32", "%reset", k))
         indices = list(slots)
-        for bit, state in enumerate(r.system.resets):
+        for bit, state in enumerate(r.model.resets):
             test = w.value(f"and i32 {flags}, {1 << bit}")
             with w.when(w.value(f"icmp ne i32 {test}, 0")):
                 w.store(kind, zero, slots[indices[state]])

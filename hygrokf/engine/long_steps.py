@@ -1,4 +1,5 @@
-"""The moments of a state across a step much longer than its sub-steps: a gap of months or of ten years.
+"""The pieces of a run that the compiled loops take in one call, and what comes between: long steps, which are
+gaps of months or of ten years, and the ends of gaps.
 
 The compiled loops divide a step into sub-steps according to the fastest rate.  A year takes a hundred
 thousand of them, most of which change nothing: the fast states follow the inputs, the slow ones move slowly.
@@ -22,7 +23,17 @@ the tail removes the remaining error.  States that outlast the tail (random walk
 linear, so their moments are exact too.
 
 Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003,
-doi:10.1137/S00361445024180 (scaling and squaring).  Shapes: B runs or directions side by side, n states.
+doi:10.1137/S00361445024180 (scaling and squaring).
+
+In a gap too long to bridge the inputs hold their last values, and no reading is used.  The true inputs may
+have been any, so every state that follows an input, at once or through other states, is as uncertain at the
+end of the gap as at a record's first instant:
+
+    P ← P + diag(p₀),    p₀ the initial variance of these states, 0 of the others.
+
+The filter's own covariance says from then on how much a reading tells, and how soon the gap is forgotten.
+Disturbances, sensors' errors and random walks keep what is known of them.
+Shapes: B runs or directions side by side, T instants, n states.
 """
 
 from __future__ import annotations
@@ -30,15 +41,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
-from hygrokf.engine.packing import pack, unpack
-from hygrokf.engine.traced_filter import Recursion
+from hygrokf.engine.timeline import Timeline
+from hygrokf.engine.traced_filter import Recursion, pack, unpack
 from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import inputs_between
-from hygrokf.physics.model import Values
+from hygrokf.physics.model import Model, Values
 
 MOST = 10_000
 """Largest number of sub-steps that the loops take for a whole step; of a longer step they take the last
@@ -105,7 +117,7 @@ class LongStep:
     def _jumped(self, values: Values, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
         n, (count, width) = self.recursion.n, packed.shape
-        found = jump(
+        mean, covariances, transition = jump(
             self.recursion,
             values,
             self.before,
@@ -115,17 +127,7 @@ class LongStep:
             packed[:, :n],
             [unpack(part, n) for part in np.split(packed[:, n:], 2 * (width - n) // (n * (n + 1)), axis=1)],
         )
-        return np.concatenate([found.mean, *map(pack, found.covariances)], axis=1), found.transition
-
-
-@dataclass(frozen=True)
-class Moments:
-    """Moments after a jump: `mean` (B, n), `covariances` (B, n, n) each, and the `transition` (B, n, n) of
-    the state."""
-
-    mean: np.ndarray
-    covariances: tuple[np.ndarray, ...]
-    transition: np.ndarray
+        return np.concatenate([mean, *map(pack, covariances)], axis=1), transition
 
 
 def jump(
@@ -137,8 +139,9 @@ def jump(
     rest_h: np.ndarray,
     mean: np.ndarray,
     covariances: Sequence[np.ndarray],
-) -> Moments:
-    """The moments after `hours` (B,) [h].
+) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    """Mean (B, n) and covariances (B, n, n) after `hours` (B,) [h], and the transition (B, n, n) of the
+    state.
 
     `values` of the parameters; `before` and `after` the inputs at both ends (numbers or (B,)), linear in
     between; `rest_h` (B,) [h] the remainder of the step after the jump; `covariances` (B, n, n) each: the
@@ -150,7 +153,7 @@ def jump(
     pieces = 1 if recursion.exact else max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
     shrink = (1.0 + hours / rest_h) ** (-1.0 / pieces)
     share = [(hours + rest_h) * (1.0 - shrink**k) / hours for k in range(pieces)] + [np.ones_like(hours)]
-    carried, holds = tuple(covariances), recursion.system.inputs
+    carried, holds = tuple(covariances), recursion.holds
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(pieces):
             first, last = (inputs_between(holds, before, after, share[i]) for i in (k, k + 1))
@@ -167,7 +170,7 @@ def jump(
             carried = tuple(_symmetric(step @ p @ np.swapaxes(step, 1, 2)) for p in carried)
             carried = (carried[0] + gained, *carried[1:])
             transition = step @ transition
-    return Moments(mean, carried, transition)
+    return mean, carried, transition
 
 
 def _doubled(
@@ -229,3 +232,55 @@ def _matrix(recursion: Recursion, rows: Matrix, known: Values, count: int) -> np
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + np.swapaxes(matrix, 1, 2))
+
+
+@dataclass(frozen=True)
+class SubSteps:
+    """Sub-steps: `keys` (distinct steps, 1 + regimes) with their length [h], `parts` their number; `ends` the
+    instants after the ends of gaps; `long` the instants that a long step leads to, of which the loops take
+    the last `tail_h` [h]."""
+
+    keys: np.ndarray
+    parts: np.ndarray
+    ends: tuple[int, ...]
+    long: tuple[int, ...] = ()
+    tail_h: float = 0.0
+
+    def pieces(self, part: slice) -> list[slice]:
+        """Stretches of instants that the loops take in one call; every long step and every end of a gap
+        begins a new one."""
+        inner = {k for k in (*self.long, *self.ends) if part.start < k < part.stop}
+        return [slice(a, b) for a, b in pairwise([part.start, *sorted(inner), part.stop])]
+
+
+def gap_variances(model: Model, recursion: Recursion, t: Timeline) -> dict[int, np.ndarray]:
+    """p₀ (n,) of each end of a gap, by the instant after it; parameters that it depends on have their start
+    values."""
+    start, found = {p.name: p.start for p in model.parameters}, {}
+    driven = _driven(recursion) if t.ends.any() else np.empty(0)
+    for k in np.flatnonzero(t.ends).tolist():
+        held = zip((*t.regimes, *t.varying), (*t.steps[t.key[k], 1:], *t.u[k]), strict=True)
+        _, variance = model.initial(start, {name: float(value) for name, value in held})
+        found[k] = np.where(driven, np.array(variance, dtype=float), 0.0)
+    return found
+
+
+def _driven(recursion: Recursion) -> np.ndarray:
+    """(n,) True for states that follow an input, by themselves or through other states."""
+    graph, n = recursion.graph, recursion.n
+    inputs = {i for i, node in enumerate(graph.nodes) if node[0] == "symbol" and node[1][:2] in ("b:", "g:")}
+    driven = np.array([not inputs.isdisjoint(graph.needed([rate])) for rate in recursion.rates])
+    acts = np.array([[not is_zero(entry) for entry in row] for row in recursion.jacobian]).reshape(n, n)
+    for _ in range(n):
+        driven = driven | (acts @ driven)
+    return driven
+
+
+def long_step(model: Model, recursion: Recursion, t: Timeline, steps: SubSteps, k: int) -> LongStep:
+    """The long step to instant k."""
+    hours, *held = t.steps[t.key[k]].tolist()
+    before, after = (
+        dict(zip((*t.regimes, *t.varying), (*held, *t.u[row].tolist()), strict=True)) for row in (k, k + 1)
+    )
+    tail = inputs_between(model.holds, before, after, 1.0 - steps.tail_h / hours)
+    return LongStep(recursion, before, tail, hours - steps.tail_h, steps.tail_h)

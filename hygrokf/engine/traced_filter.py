@@ -23,12 +23,11 @@ import hashlib
 import math
 import weakref
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import Step, congruence, step
-from hygrokf.engine.packing import place
+from hygrokf.engine.discretisation import congruence, step
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -44,7 +43,7 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
-from hygrokf.physics.model import Model, System, TracedOutput, Values
+from hygrokf.physics.model import Model, Values
 
 DIFFUSE_TOLERANCE = 1e-9
 """An infinite variance counts as resolved below this share of its initial value."""
@@ -56,22 +55,23 @@ Block = list[Expression]
 
 
 class Recursion:
-    """The filter of one `System` as expressions.
+    """The filter of one model as expressions.
 
     With `diffuse`, a second covariance P∞ follows the first in the moments: the prior covariance is κ P∞ with
     κ → ∞ (exact diffuse start, Durbin & Koopman 2012, section 5.2).
     """
 
-    def __init__(self, system: System, diffuse: bool = False) -> None:
-        self.system = system
+    def __init__(self, model: Model, diffuse: bool = False) -> None:
+        self.model = model
         self.diffuse = diffuse
         self.graph = Graph()
         g = self.graph
-        n = len(system.states)
+        n = len(model.states)
         self.n, self.q = n, n * (n + 1) // 2
-        self.p = {name: g.symbol(f"p:{name}") for name in system.parameters}
-        self.varying = [name for name, hold in system.inputs.items() if hold != REGIME]
-        self.regimes = [name for name, hold in system.inputs.items() if hold == REGIME]
+        self.p = {p.name: g.symbol(f"p:{p.name}") for p in model.parameters}
+        self.holds = model.input_holds
+        self.varying = [name for name, hold in self.holds.items() if hold != REGIME]
+        self.regimes = [name for name, hold in self.holds.items() if hold == REGIME]
         self.h = g.symbol("h")
         regime = {name: g.symbol(f"g:{name}") for name in self.regimes}
         self.key_leaves = [self.h, *regime.values()]
@@ -82,7 +82,7 @@ class Recursion:
         self.state = [*self.mean, *self.packed, *self.infinite]
         self.start, self.end, self.now = {}, {}, {}
         for name in self.varying:
-            hold = system.inputs[name]
+            hold = self.holds[name]
             self.now[name] = g.symbol(f"b:{name}")
             self.start[name] = g.symbol(f"a:{name}") if hold in (LINEAR, PREVIOUS) else self.now[name]
             self.end[name] = self.start[name] if hold == PREVIOUS else self.now[name]
@@ -90,10 +90,10 @@ class Recursion:
             table.update(regime)
         self.reading = g.symbol("y")
 
-        self.noise = [[_lifted(g, v) for v in row] for row in system.noise(self.p)]
-        self.step: Step = step(
+        self.noise = [[_lifted(g, v) for v in row] for row in model.noise(self.p)]
+        made = step(
             g,
-            lambda x, u: system.drift(x, u, self.p),
+            lambda x, u: model.traced(x, u, self.p).rates,
             self.noise,
             self.mean,
             self.covariance,
@@ -101,14 +101,14 @@ class Recursion:
             self.end,
             self.h,
         )
-        self.predict: Block = [*self.step.mean, *self._lower(self.step.covariance)]
+        self.predict: Block = [*made.mean, *self._lower(made.covariance)]
         if diffuse:
-            carried = congruence(self.step.transition, self._square(self.infinite))
-            self.predict.extend(self._lower(carried))
-        self.rates = [g.lift(v) for v in system.drift(self.mean, self.now, self.p)]
+            self.predict.extend(self._lower(congruence(made.transition, self._square(self.infinite))))
+        at = model.traced(self.mean, self.now, self.p)
+        self.rates = [g.lift(v) for v in at.rates]
         self.jacobian = jacobian(self.rates, self.mean)
-        self.updates = [self._trace_update(function) for _, function in system.outputs]
-        self.transition = [g.lift(v) for row in self.step.transition for v in row]
+        self.updates = [self._trace_update(*at.outputs[name]) for name in model.outputs]
+        self.transition = [g.lift(v) for row in made.transition for v in row]
         self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
         self.constants = np.array(g.given, dtype=float)
         self.structure = self._digest()
@@ -120,11 +120,10 @@ class Recursion:
     def _square(self, packed: Sequence[Expression]) -> Matrix:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
-    def _trace_update(self, function: TracedOutput) -> Block:
-        """Outputs: mean, packed covariance, innovation, its variance, and the log-likelihood term without its
-        constant."""
+    def _trace_update(self, prediction: Value, variance: Value) -> Block:
+        """Outputs for one reading with this prediction and variance of its noise: mean, packed covariance,
+        innovation, its variance, and the log-likelihood term without its constant."""
         g = self.graph
-        prediction, variance = function(self.mean, self.now, self.p)
         prediction = g.lift(prediction)
         row = jacobian([prediction], self.mean)[0]
         cross = [dot(self.covariance[i], row) for i in range(self.n)]
@@ -152,7 +151,7 @@ class Recursion:
         Beyond b standard deviations it is b √S/|e| (Huber 1964, doi:10.1214/aoms/1177703732): the state moves
         as by a reading at the bound, so that it follows readings that stay far off.
         """
-        if math.isinf(self.system.bound):
+        if math.isinf(self.model.bound):
             return 1.0
         ratio = maximum(quadratic * (1.0 / self.square), 1.0)  # never 0, where the root has no finite slope
         # the condition stands directly before the quotient and keeps it out of the ordinary step
@@ -161,7 +160,7 @@ class Recursion:
     @property
     def square(self) -> float:
         """b², from which the squared innovations count less."""
-        return self.system.bound**2
+        return self.model.bound**2
 
     def term_slope(self, quadratic: Expression) -> Value:
         """Slope of a reading's term in −2 ln L along e²/S = `quadratic`.
@@ -292,10 +291,10 @@ class Recursion:
         """Digest of everything that determines the compiled loops: recursions with the same digest share
         their code."""
         outputs = [[e.index for e in block] for block in self._blocks]
-        system = self.system
+        model = self.model
         content = (
-            *(system.parameters, system.states, sorted(system.inputs.items()), list(system.inputs)),
-            *(system.resets, self.diffuse, self.graph.nodes, outputs),
+            *(list(self.p), model.states, sorted(self.holds.items()), model.inputs),
+            *(model.resets, self.diffuse, self.graph.nodes, outputs),
             [e.index for e in self.transition],
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
@@ -320,6 +319,40 @@ def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
     return 0.0 if is_zero(value) else graph.lift(value)
 
 
+# -- memory layout of the moments: a mean, then the lower triangle of a covariance by rows -------------------
+def place(i: int, j: int) -> int:
+    """Place of entry (i, j) in a packed lower triangle."""
+    i, j = max(i, j), min(i, j)
+    return i * (i + 1) // 2 + j
+
+
+def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
+    """Numbers in one row of a trace: moments before and after, two for every output, the transition
+    matrix."""
+    return 2 * (n + (2 if diffuse else 1) * (n * (n + 1) // 2)) + 2 * outputs + n * n
+
+
+@cache
+def _places(n: int) -> np.ndarray:
+    return np.array([[place(i, j) for j in range(n)] for i in range(n)])
+
+
+@cache
+def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.tril_indices(n)
+
+
+def unpack(packed: np.ndarray, n: int) -> np.ndarray:
+    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
+    return packed[..., _places(n)]
+
+
+def pack(matrix: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
+    rows, columns = _triangle(matrix.shape[-1])
+    return np.ascontiguousarray(matrix[..., rows, columns])
+
+
 _filters: dict[tuple[int, bool], Recursion] = {}
 """Filters of existing models by identity, so that each model is traced once."""
 
@@ -329,6 +362,6 @@ def traced(model: Model, diffuse: bool = False) -> Recursion:
     key = (id(model), diffuse)
     found = _filters.get(key)
     if found is None:
-        found = _filters.setdefault(key, Recursion(model.system, diffuse=diffuse))
+        found = _filters.setdefault(key, Recursion(model, diffuse))
         weakref.finalize(model, _filters.pop, key, None).atexit = False
     return found

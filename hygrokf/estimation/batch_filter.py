@@ -16,8 +16,7 @@ from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.long_steps import MOST, TAIL, jump
-from hygrokf.engine.packing import pack, unpack
-from hygrokf.engine.traced_filter import traced
+from hygrokf.engine.traced_filter import pack, traced, unpack
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model
@@ -150,7 +149,7 @@ class SideBySide:
         }
         tail = inputs_between(self.model.holds, before, now, 1.0 - rest_h / hours)
         rows, n = self._in_rows(self._state).copy(), traced(self.model).n
-        found = jump(
+        mean, (covariance,), _ = jump(
             traced(self.model),
             {name: column[far] for name, column in self._values.items()},
             before,
@@ -160,7 +159,7 @@ class SideBySide:
             rows[far, :n],
             [unpack(rows[far, n:], n)],
         )
-        rows[far] = np.concatenate([found.mean, pack(found.covariances[0])], axis=1)
+        rows[far] = np.concatenate([mean, pack(covariance)], axis=1)
         self._state[...] = self._in_blocks(rows)
         for name, row in zip(self.varying, self._before, strict=False):
             at = row[: self._count].copy()

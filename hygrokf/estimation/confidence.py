@@ -41,14 +41,13 @@ it."""
 class Uncertainty:
     """Second-order description of an estimate; `names` of the coordinates inside their bounds.
 
-    `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor`
-    (f,) ratios of their diagonals, at least 1; `flat` names of directions that the data hardly determine.
-    `curvature` (d, d) observed information of all coordinates, including those at a bound.  `parts` (PARTS,
-    f) first-order shift of the coordinates if estimated from each part of the readings alone.
+    `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) ratios of their diagonals, at
+    least 1; `flat` names of directions that the data hardly determine.  `curvature` (d, d) observed
+    information of all coordinates, including those at a bound.  `parts` (PARTS, f) first-order shift of the
+    coordinates if estimated from each part of the readings alone.
     """
 
     names: tuple[str, ...]
-    hessian: np.ndarray
     wald: np.ndarray
     sandwich: np.ndarray
     factor: np.ndarray
@@ -112,29 +111,33 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
 
     Raises ValueError where the likelihood is not finite around the estimate.
     """
-    coordinates, z = estimate.coordinates, estimate.z
-    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
-    _, _, information, scores = objective.information_and_scores(z)
-    if not np.isfinite(information).all():
+    expected = objective.information(estimate.z, each=True)
+    if not np.isfinite(expected.information).all():
         raise ValueError(
             "expected a finite likelihood around the estimate, found none: the model diverges with "
-            + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in coordinates.names)
+            + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in estimate.coordinates.names)
             + "; leave out the mechanism that diverges, or mask the readings that it cannot follow"
         )
-    steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(information), 1e-12))
-    steps = np.clip(steps, 1e-7, 0.05)
-    curvature = _curvature(objective, z, steps)
-    hessian = curvature[np.ix_(inside, inside)]
+    steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12))
+    curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7, 0.05))
+    return uncertainty_by(objective, estimate, curvature, expected.scores)
+
+
+def uncertainty_by(
+    objective: Objective, estimate: Estimate, curvature: np.ndarray, scores: np.ndarray
+) -> Uncertainty:
+    """The uncertainty of an estimate by an information `curvature` (d, d) and the `scores` (T, d) there."""
+    coordinates = estimate.coordinates
+    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
-    wald = positive_inverse(hessian)
-    prior = coordinates.log_prior(z)[2][inside]
+    wald = positive_inverse(curvature[np.ix_(inside, inside)])
+    prior = coordinates.log_prior(estimate.z)[2][inside]
     scores = scores[:, inside]
     variance = long_run_variance(scores, objective.likelihood.timeline.time, block_h(estimate.values))
     sandwich = wald @ (variance + np.diag(prior)) @ wald
     factor = np.maximum(1.0, np.diag(sandwich) / np.diag(wald))
     return Uncertainty(
         names,
-        hessian,
         wald,
         sandwich,
         factor,
@@ -429,7 +432,7 @@ class _Walk:
                     break
                 # the curvature of the estimate is no use here: replace it by the expected information at this
                 # point
-                curvature, informed = self.objective.information(z)[2], True
+                curvature, informed = self.objective.information(z).information, True
                 continue
             curvature = _bfgs(curvature, step, gradient - new_gradient)
             z, value, gradient = trial, new, new_gradient
@@ -535,3 +538,10 @@ def normal_quantile(level: float) -> float:
     from statistics import NormalDist
 
     return NormalDist().inv_cdf(0.5 + 0.5 * level)
+
+
+def student(level: float, freedom: float) -> float:
+    """Two-sided quantile of Student's t."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * level, freedom))

@@ -30,15 +30,6 @@ ALIKE = 1e-6
 """[1] product of the normalised left and right eigenvectors below which two eigenvalues count as equal."""
 
 
-def covariances(likelihood: Likelihood, estimate: Estimate) -> Uncertainty:
-    """Observed information, Wald and sandwich covariance of an estimate made by `maximise` from this
-    likelihood.
-
-    Raises ValueError where the likelihood is not finite around the estimate.
-    """
-    return uncertainty(Objective(likelihood, estimate.coordinates), estimate)
-
-
 def confidence_bounds(
     likelihood: Likelihood,
     estimate: Estimate,
@@ -68,9 +59,9 @@ def confidence_bounds(
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
-    known = covariances(likelihood, estimate)
+    objective = Objective(likelihood, estimate.coordinates)
+    known = uncertainty(objective, estimate)
     if method == "profile":
-        objective = Objective(likelihood, estimate.coordinates)
         return {name: profile(objective, estimate, known, name, level) for name in wanted}
     return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
 
@@ -123,8 +114,8 @@ def system_time_constants(
     from scipy.linalg import eig
 
     at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
-    known = known or covariances(likelihood, estimate)
     coordinates, z = estimate.coordinates, estimate.z
+    known = known or uncertainty(Objective(likelihood, coordinates), estimate)
 
     def matrix(point: np.ndarray) -> np.ndarray:
         return likelihood.jacobian(coordinates.values(point), at_state, at_inputs).astype(float)

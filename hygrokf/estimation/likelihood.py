@@ -17,15 +17,12 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
-from hygrokf.engine.filter_loops import filter_loop
+from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep
-from hygrokf.engine.packing import pack, trace_width, unpack
-from hygrokf.engine.pieces import SubSteps, gap_variances, long_step
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, bounded_weight, traced
+from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
@@ -57,12 +54,13 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant."""
+    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant, empty
+    where they were not asked for."""
 
     loglik: float
     score: np.ndarray
     information: np.ndarray
-    scores: np.ndarray | None = None
+    scores: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -81,8 +79,6 @@ class Trace:
     transition: np.ndarray
     loglik: float
     last: Gaussian
-
-
 
 
 @dataclass(frozen=True)
@@ -482,7 +478,7 @@ class Likelihood:
         count = directions.shape[1]
         blocks = self._tangent_start(values, directions)
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
-        scores = np.zeros((len(self.timeline), count)) if each else None
+        scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
@@ -492,7 +488,7 @@ class Likelihood:
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
             loglik += value
             score += share.sum(axis=(0, 1))
-            if scores is not None:
+            if each:
                 scores[part] = share.sum(axis=1)
             a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
             b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.likelihood import Likelihood, Sensitivities
 from hygrokf.physics.parameters import Coordinates, Parameter
 
 GAIN_TOLERANCE = 1e-5
@@ -96,25 +96,14 @@ class Objective:
         prior, slope, _ = self.coordinates.log_prior(z)
         return value + prior, gradient[self._place] * self.coordinates.slopes(z) + slope
 
-    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """l, its gradient (d,) and the expected information (d, d), including that of the prior."""
-        value, gradient, information, _ = self._sensitivities(z, each=False)
-        return value, gradient, information
-
-    def _sensitivities(
-        self, z: np.ndarray, each: bool
-    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray | None]:
+    def information(self, z: np.ndarray, each: bool = False) -> Sensitivities:
+        """l, its gradient (d,) and the expected information (d, d), including that of the prior; with `each`,
+        also each instant's share (T, d) of the score, without the prior."""
         directions = self.coordinates.directions(z)
-        found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each=each)
+        found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each)
         prior, slope, curvature = self.coordinates.log_prior(z)
         information = found.information + np.diag(curvature)
-        return found.loglik + prior, found.score + slope, information, found.scores
-
-    def information_and_scores(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """`information`, and each instant's share (T, d) of the score, without the prior."""
-        value, gradient, information, scores = self._sensitivities(z, each=True)
-        assert scores is not None  # requested by each=True
-        return value, gradient, information, scores
+        return Sensitivities(found.loglik + prior, found.score + slope, information, found.scores)
 
 
 class _Metered:
@@ -138,10 +127,10 @@ class _Metered:
         self._keep(z, found[0])
         return found
 
-    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    def information(self, z: np.ndarray) -> Sensitivities:
         self._spend(z)
         found = self._objective.information(z)
-        self._keep(z, found[0])
+        self._keep(z, found.loglik)
         return found
 
     def _spend(self, z: np.ndarray) -> None:
@@ -218,30 +207,30 @@ def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: flo
     lower, upper = objective.coordinates.lower, objective.coordinates.upper
     z = np.clip(start, lower, upper)
     damping = 1e-3
-    value, gradient, information = objective.information(z)
-    if not math.isfinite(value):
+    at = objective.information(z)
+    if not math.isfinite(at.loglik):
         return Optimum(z, -math.inf, False, "the likelihood is not finite at the start")
     for _ in range(passes):
-        free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
+        free = ~(((z <= lower) & (at.score <= 0)) | ((z >= upper) & (at.score >= 0)))
         if not free.any():
-            return Optimum(z, value, True, "converged: every free parameter is at a bound")
-        if bounded_step(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
-            return Optimum(z, value, True, "converged")
+            return Optimum(z, at.loglik, True, "converged: every free parameter is at a bound")
+        if bounded_step(at.information, at.score, free, z, lower, upper, 1e-9)[1] < tolerance:
+            return Optimum(z, at.loglik, True, "converged")
         for _ in range(25):
-            step, promised = bounded_step(information, gradient, free, z, lower, upper, damping)
+            step, promised = bounded_step(at.information, at.score, free, z, lower, upper, damping)
             if promised > 0:
-                trial = objective.value(z + step)
-                if trial - value > 0.05 * promised:
-                    damping = max(damping / (10.0 if trial - value > 0.5 * promised else 2.0), 1e-9)
+                gain = objective.value(z + step) - at.loglik
+                if gain > 0.05 * promised:
+                    damping = max(damping / (10.0 if gain > 0.5 * promised else 2.0), 1e-9)
                     break
                 if promised < 0.1 * tolerance:
-                    return Optimum(z, value, True, "converged to rounding")
+                    return Optimum(z, at.loglik, True, "converged to rounding")
             damping = max(damping, 1e-6) * 6.0
         else:
-            return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero")
+            return Optimum(z, at.loglik, False, "no step improves the likelihood, yet its score is not zero")
         z = z + step
-        value, gradient, information = objective.information(z)
-    return Optimum(z, value, False, f"stopped after {passes} passes")
+        at = objective.information(z)
+    return Optimum(z, at.loglik, False, f"stopped after {passes} passes")
 
 
 def bounded_step(

@@ -14,15 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
-from hygrokf.engine.pieces import gap_variances
+from hygrokf.engine.long_steps import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.physics.expression import Value
+from hygrokf.estimation.smoother import observation
 from hygrokf.physics.holds import between
-from hygrokf.physics.model import Model
 
 TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
@@ -46,11 +44,9 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
     for k, readings in enumerate(line.y):
         P = P + np.diag(gaps.get(k, np.zeros(len(m))))
         m, P = predicted(likelihood, values, k, m, P)
-        u = {name: float(line.input(name)[k]) for name in model.inputs}
         for name, y in zip(model.outputs, readings, strict=True):
             if np.isfinite(y):  # a reading that is missing corrects nothing
-                h, R = (float(np.real(part)) for part in model.evaluate(list(m), u, values).outputs[name])
-                H = _jacobian(partial(_prediction, model, values, u, name), m)[0]
+                h, H, R = observation(likelihood, values, k, name, m)
                 e, S = y - h, H @ P @ H + R
                 z = abs(e) / math.sqrt(S)
                 if z > model.bound:  # the reading counts as at its bound: its noise is that much larger
@@ -61,7 +57,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
                     total -= 0.5 * (math.log(2.0 * math.pi * S) + z * z)
                     K = P @ H / S
                 m, P = m + K * e, P - np.outer(K, P @ H)
-        for bit, state in enumerate(model.system.resets):  # running means that begin anew
+        for bit, state in enumerate(model.resets):  # running means that begin anew
             if line.reset[k] & (1 << bit):
                 m[state], P[state, :], P[:, state] = 0.0, 0.0, 0.0
         states.append(Gaussian(m.copy(), P.copy(), float(line.time[k])))
@@ -76,7 +72,7 @@ def predicted(
     from scipy.integrate import solve_ivp
 
     model, line, n = likelihood.model, likelihood.timeline, len(m)
-    length, Q = float(line.steps[line.key[k], 0]), np.array(model.system.noise(values), dtype=float)
+    length, Q = float(line.steps[line.key[k], 0]), np.array(model.noise(values), dtype=float)
     regimes = dict(zip(line.regimes, line.steps[line.key[k], 1:], strict=True))
 
     def inputs(share: float) -> dict[str, float]:
@@ -97,13 +93,6 @@ def predicted(
         slopes, (0.0, length), start, "DOP853", [length], rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start))
     ).y[:, -1]
     return end[:n], end[n:].reshape(n, n)
-
-
-def _prediction(
-    model: Model, values: Mapping[str, float], u: Mapping[str, float], name: str, x: Sequence[Value]
-) -> list[Value]:
-    """The prediction of one output at a state x, as a list of one."""
-    return [model.evaluate(x, u, values).outputs[name][0]]
 
 
 def _jacobian(function: Callable[[list[complex]], Sequence[complex]], x: np.ndarray) -> np.ndarray:

@@ -100,7 +100,7 @@ def _readings(
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
     """(T, n) 1 where a state continues from an instant, 0 where it restarts."""
-    states, resets = likelihood.model.states, likelihood.recursion.system.resets
+    states, resets = likelihood.model.states, likelihood.model.resets
     result = np.ones((len(likelihood.timeline), len(states)))
     for bit, state in enumerate(resets):
         result[(likelihood.timeline.reset & (1 << bit)) != 0, state] = 0.0
@@ -137,9 +137,9 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
 
         def observe(self, k: int) -> float:
             total = 0.0
-            for j, z in enumerate(likelihood.timeline.y[k]):
+            for name, z in zip(likelihood.model.outputs, likelihood.timeline.y[k], strict=True):
                 if np.isfinite(z):
-                    prediction, row, variance = observation(likelihood, values, k, j, self.x)
+                    prediction, row, variance = observation(likelihood, values, k, name, self.x)
                     spread, error = float(row @ self.P @ row) + variance, z - prediction
                     bound, distance = likelihood.model.bound, abs(error) / np.sqrt(spread)
                     term = distance**2
@@ -153,7 +153,7 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
                         lambda x, prediction=prediction: np.array([prediction]),
                         R=np.array([[variance]]),
                     )
-            for bit, state in enumerate(likelihood.recursion.system.resets):
+            for bit, state in enumerate(likelihood.model.resets):
                 if likelihood.timeline.reset[k] & (1 << bit):
                     self.x[state] = 0.0
                     self.P[state, :] = 0.0
@@ -181,13 +181,12 @@ def transition(
 
 
 def observation(
-    likelihood: Likelihood, values: Mapping[str, float], k: int, j: int, mean: np.ndarray
+    likelihood: Likelihood, values: Mapping[str, float], k: int, name: str, mean: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """Prediction of output j at instant k, its slopes (n,) by complex steps, and the variance of its
+    """Prediction of an output at instant k, its slopes (n,) by complex steps, and the variance of its
     noise."""
     model, t = likelihood.model, likelihood.timeline
-    u = {name: float(t.input(name)[k]) for name in model.inputs}
-    name = model.outputs[j]
+    u = {one: float(t.input(one)[k]) for one in model.inputs}
     prediction, variance = model.evaluate(list(mean), u, values).outputs[name]
     row = np.empty(len(mean))
     for i in range(len(mean)):

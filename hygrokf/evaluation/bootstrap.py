@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
+from hygrokf.estimation.confidence import student
 
 LEVEL = 0.95
 """[1] probability of the bounds."""
@@ -150,10 +151,8 @@ class Resampled:
         """
         if self.blocks < FEWEST_BLOCKS:
             return None
-        from scipy.stats import t as student
-
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return float(student.ppf(0.5 + 0.5 * LEVEL, self.blocks - 1.0)) * spread
+        return student(LEVEL, self.blocks - 1.0) * spread
 
 
 def resampled(

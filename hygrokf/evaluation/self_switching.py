@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.engine.control_loop import Control
+from hygrokf.engine.filter_loops import Control
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.modelling.design import Design
@@ -118,16 +118,14 @@ def _self_switched(
     pieces = _pieces(model, run)
     rate = Likelihood(model, all_on(t, switches)).rate(values)
     first = start or Likelihood(model, t).first_gaussian(values)
-    controls = {_control(model, name, switch): switch.levels for name, switch in switches.items()}
+    controls = {
+        Control(name, one.reads, model.averaged.get(one.reads, 0.0), one.idle): one.levels
+        for name, one in switches.items()
+    }
     likelihood = Likelihood(model, pieces.timeline, initial=first, fastest=rate)
     found = likelihood.controlled(values, controls, pieces.idle)
     shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
     return replace(run, timeline=t.with_inputs(shares))
-
-
-def _control(model: Model, name: str, switch: Throttle) -> Control:
-    """A switch in the form used by the compiled loop."""
-    return Control(name, switch.reads, model.averaged.get(switch.reads, 0.0), switch.idle)
 
 
 @dataclass(frozen=True)

@@ -134,12 +134,8 @@ def _innovations(
     coordinates = estimate.coordinates
     trace = likelihood.trace(estimate.values)
     there = np.isfinite(likelihood.timeline.y)
-    directions = np.zeros((len(coordinates.parameters), len(uncertainty.names)))
-    slope = dict(zip(coordinates.names, coordinates.slopes(estimate.z), strict=True))
-    place = {p.name: i for i, p in enumerate(coordinates.parameters)}
-    for column, name in enumerate(uncertainty.names):
-        directions[place[name], column] = slope[name]
-    slopes = likelihood.slopes(estimate.values, directions)
+    chosen = [coordinates.names.index(name) for name in uncertainty.names]
+    slopes = likelihood.slopes(estimate.values, coordinates.directions(estimate.z)[:, chosen])
     errors = np.where(there, likelihood.timeline.y - trace.prediction, 0.0)
     return np.where(there, 1.0 / trace.variance, 0.0), errors, np.where(there[..., None], slopes, 0.0)
 

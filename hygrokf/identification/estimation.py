@@ -45,32 +45,6 @@ SEARCH_DAYS = 30.0
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One identified likelihood.
-
-    `bounds`: of its time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
-    on them; `sampling`: their change (ln) with half as many ambient readings; `forms`: all competing forms,
-    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated;
-    `without`: the best model in which the input of each time constant does not act.
-    """
-
-    base: Design
-    run: Run
-    estimate: Estimate
-    uncertainty: Uncertainty
-    bounds: Mapping[str, Bounds]
-    clock: ClockOffsets = NO_OFFSETS
-    sampling: Mapping[str, float] | None = None
-    forms: tuple[Form, ...] = ()
-    response_stated: bool = False
-    without: Mapping[str, WithoutInput] = field(default_factory=dict)
-
-    @property
-    def likelihood(self) -> Likelihood:
-        return Likelihood(self.base.model, self.run.timeline)
-
-
-@dataclass(frozen=True)
 class DesignEstimate:
     """One likelihood with its maximum, before its uncertainty is known."""
 
@@ -81,6 +55,25 @@ class DesignEstimate:
     @property
     def likelihood(self) -> Likelihood:
         return Likelihood(self.base.model, self.run.timeline)
+
+
+@dataclass(frozen=True)
+class Stage(DesignEstimate):
+    """One identified likelihood.
+
+    `bounds`: of its time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
+    on them; `sampling`: their change (ln) with half as many ambient readings; `forms`: all competing forms,
+    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated;
+    `without`: the best model in which the input of each time constant does not act.
+    """
+
+    uncertainty: Uncertainty
+    bounds: Mapping[str, Bounds]
+    clock: ClockOffsets = NO_OFFSETS
+    sampling: Mapping[str, float] | None = None
+    forms: tuple[Form, ...] = ()
+    response_stated: bool = False
+    without: Mapping[str, WithoutInput] = field(default_factory=dict)
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:

@@ -25,7 +25,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.confidence import block_h, long_run_variance, positive_inverse
+from hygrokf.estimation.confidence import Uncertainty, uncertainty_by
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
 from hygrokf.modelling.design import TEMPERATURE, Design, extended
@@ -106,36 +106,6 @@ class Form:
         return float(slope @ self.covariance[np.ix_(places, places)] @ slope) if inside else 0.0
 
 
-@dataclass(frozen=True)
-class _Curvature:
-    """Score and covariance at a maximum, by the expected information of one pass; `factor` as in
-    `Uncertainty`."""
-
-    names: tuple[str, ...]
-    covariance: np.ndarray
-    factor: np.ndarray
-    score: Mapping[str, float]
-
-    @property
-    def widest(self) -> np.ndarray:
-        """The covariance (f, f) with the wider of both variances on its diagonal."""
-        root = np.sqrt(self.factor)
-        return self.covariance * np.outer(root, root)
-
-
-@dataclass(frozen=True)
-class _Short:
-    """The base's likelihood of a shorter stretch, and its maximum there."""
-
-    likelihood: Likelihood
-    objective: float
-
-    @classmethod
-    def of(cls, likelihood: Likelihood, base: Estimate) -> _Short:
-        found = climb(Objective(likelihood, base.coordinates), base.z, passes=8, tolerance=1e-2)
-        return cls(likelihood, found.objective)
-
-
 def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[Candidate]:
     """The forms to compare with a design on a record, except those that the design already contains."""
     names = [name for name, _ in base.mechanisms]
@@ -199,27 +169,30 @@ def weigh_forms(
     `scout` is the base's likelihood of a shorter stretch, on which every form is tried first.
     """
     likelihood = Likelihood(base.model, run.timeline)
-    at_base = _curvature(Objective(likelihood, estimate.coordinates), estimate)
+    at_base, _ = _curvature(likelihood, estimate)
     places = [at_base.names.index(name) for name in constants if name in at_base.names]
     temper = max([1.0, *(float(at_base.factor[i]) for i in places)])
-    forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.widest)]
+    # the base's maximum on the shorter stretch
+    known = -math.inf
+    if scout is not None:
+        start = Objective(scout, estimate.coordinates)
+        known = climb(start, estimate.z, passes=8, tolerance=1e-2).objective
+    forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.wider)]
     evidence = [0.0]
-
-    short = None if scout is None else _Short.of(scout, estimate)
 
     def try_form(one: Candidate) -> tuple[Form, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
         timeline = prepare_run(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
-        found = _fitted(one, likelihood, estimate, short)
+        found = _fitted(one, likelihood, estimate, scout, known)
         if found is None:
             return None
-        at = _curvature(Objective(likelihood, found.coordinates), found)
+        at, score = _curvature(likelihood, found)
         gain = found.objective - estimate.objective
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
         adoptable = one.adoptable and not ended_at_limits(found, estimate)
-        form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
-        return form, gain / temper + _occam(found, at, further, temper)
+        form = Form(one.name, one.design, found, gain, 0.0, at.names, at.wider, adoptable)
+        return form, gain / temper + _occam(found, at, score, further, temper)
 
     for tried in mapped(try_form, candidates(base, early, run, estimate.values)):
         if tried is not None:
@@ -243,44 +216,37 @@ def ended_at_limits(found: Estimate, base: Estimate) -> set[str]:
     }
 
 
-def _fitted(one: Candidate, whole: Likelihood, base: Estimate, short: _Short | None) -> Estimate | None:
-    """A form's maximum from its starts; None where the shorter stretch rules the form out."""
+def _fitted(
+    one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None, known: float
+) -> Estimate | None:
+    """A form's maximum from its starts; None where it is too far below the `known` maximum of the base on the
+    shorter stretch `scout`."""
     coordinates = Coordinates(one.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in one.starts]
-    if short is not None:
-        cut = replace(whole, timeline=whole.timeline.window(0, _until(whole, short.likelihood)))
+    if scout is not None:
+        time = whole.timeline.time
+        last = int(np.searchsorted(time, scout.timeline.time[-1], side="right"))
+        cut = replace(whole, timeline=whole.timeline.window(0, last))
         tried = [climb(Objective(cut, coordinates), z, passes=12, tolerance=1e-2) for z in starts]
         best = max(tried, key=lambda found: found.objective)
-        if best.objective - short.objective < SCOUT_GAIN:
+        if best.objective - known < SCOUT_GAIN:
             return None
         starts = [best.z]
     found = [climb(Objective(whole, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts]
     return estimate_of(whole, coordinates, found)
 
 
-def _until(whole: Likelihood, scout: Likelihood) -> int:
-    """Instants of the whole run within the scout's stretch."""
-    return int(np.searchsorted(whole.timeline.time, scout.timeline.time[-1], side="right"))
+def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty, dict[str, float]]:
+    """Uncertainty and score at a maximum, by the expected information of one pass."""
+    objective = Objective(likelihood, estimate.coordinates)
+    at = objective.information(estimate.z, each=True)
+    score = dict(zip(estimate.coordinates.names, at.score.tolist(), strict=True))
+    return uncertainty_by(objective, estimate, at.information, at.scores), score
 
 
-def _curvature(objective: Objective, estimate: Estimate) -> _Curvature:
-    coordinates, z = estimate.coordinates, estimate.z
-    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
-    _, score, information, scores = objective.information_and_scores(z)
-    chosen = np.ix_(inside, inside)
-    covariance = positive_inverse(information[chosen])
-    prior = np.diag(coordinates.log_prior(z)[2][inside])
-    spread = long_run_variance(
-        scores[:, inside], objective.likelihood.timeline.time, block_h(estimate.values)
-    )
-    sandwich = covariance @ (spread + prior) @ covariance
-    factor = np.maximum(1.0, np.diag(sandwich) / np.diag(covariance))
-    names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
-    by_name = dict(zip(coordinates.names, score.tolist(), strict=True))
-    return _Curvature(names, covariance, factor, by_name)
-
-
-def _occam(estimate: Estimate, found: _Curvature, further: Sequence[str], temper: float) -> float:
+def _occam(
+    estimate: Estimate, found: Uncertainty, score: Mapping[str, float], further: Sequence[str], temper: float
+) -> float:
     """Logarithm of the share of the further parameters' ranges that remains after the readings."""
     coordinates = estimate.coordinates
     width = dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
@@ -288,11 +254,11 @@ def _occam(estimate: Estimate, found: _Curvature, further: Sequence[str], temper
     total = 0.0
     if inside:
         places = [found.names.index(name) for name in inside]
-        block = temper * found.covariance[np.ix_(places, places)]
+        block = temper * found.wald[np.ix_(places, places)]
         deviations = np.diag(np.linalg.cholesky(block + 1e-12 * np.diag(np.diag(block))))
         for name, sd in zip(inside, deviations, strict=True):
             total += math.log(min(1.0, math.sqrt(2.0 * math.pi) * float(sd) / width[name]))
     for name in set(further) - set(inside):
-        steepness = abs(found.score[name]) / temper * width[name]
+        steepness = abs(score[name]) / temper * width[name]
         total -= math.log(max(1.0, steepness))
     return total

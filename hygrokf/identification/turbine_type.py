@@ -29,6 +29,7 @@ import numpy as np
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
+from hygrokf.estimation.confidence import normal_quantile, student
 from hygrokf.identification.fit import Fit, is_number
 from hygrokf.identification.verdict import verdicts
 from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
@@ -165,8 +166,6 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
     parameters with a standard error in fewer than two of the fits.  Raises TypeFault where fewer than two
     fits are given, where the same turbine is given twice, or where nothing is left.
     """
-    from hygrokf.estimation.confidence import normal_quantile
-
     faults = []
     if len(fits) < FEWEST_TURBINES:
         faults.append(
@@ -260,13 +259,6 @@ def restricted_maximum_likelihood(y: np.ndarray, v: np.ndarray) -> float:
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * top})
     return float(found.x) ** 2 if found.fun < values[0] else 0.0
-
-
-def student(level: float, freedom: float) -> float:
-    """Two-sided quantile of Student's t."""
-    from scipy.stats import t
-
-    return float(t.ppf(0.5 + 0.5 * level, freedom))
 
 
 # --- one design's parameters in another's terms ----------------------------------------------

@@ -14,6 +14,7 @@ the operation.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from threading import Lock
 from typing import Any, NoReturn
@@ -99,7 +100,7 @@ class Graph:
         value = [self.number(i) for i in index]
         constants = [v for v in value if v is not None]
         if len(constants) == len(value):
-            return self.constant(float(_compute(operation, constants)))
+            return self.constant(float(_COMPUTE[operation](*constants)))
         rule = getattr(self, "_make_" + operation, None)
         if rule is not None:
             simple = rule(arguments, value)
@@ -235,7 +236,7 @@ class Graph:
                 name = node[1]
                 result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
             else:
-                result[i] = _compute(node[0], [result[j] for j in node[1:]])
+                result[i] = _COMPUTE[node[0]](*(result[j] for j in node[1:]))
         return [result[e.index] for e in lifted]
 
     def substitute(
@@ -314,26 +315,13 @@ class Expression:
         return f"Expression({self.graph.nodes[self.index]})"
 
 
-def _compute(operation: str, v: Sequence[Value]) -> Value:
-    match operation:
-        case "add":
-            return v[0] + v[1]
-        case "sub":
-            return v[0] - v[1]
-        case "mul":
-            return v[0] * v[1]
-        case "div":
-            return v[0] / v[1]
-        case "fma":
-            return v[0] * v[1] + v[2]
-        case "neg":
-            return -v[0]
-        case "lt":
-            return np.less(np.real(v[0]), np.real(v[1]))
-        case "select":
-            return np.where(v[0], v[1], v[2])
-        case _:
-            return getattr(np, operation)(v[0])
+_COMPUTE: dict[str, Callable[..., Value]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
+    "fma": lambda a, b, c: a * b + c, "neg": operator.neg,
+    "lt": lambda a, b: np.less(np.real(a), np.real(b)), "select": np.where,
+    "exp": np.exp, "log": np.log, "sqrt": np.sqrt,
+}  # fmt: skip
+"""What the operations of the nodes do with numbers, arrays and complex numbers."""
 
 
 def arguments(node: Node) -> tuple[int, ...]:

@@ -41,8 +41,6 @@ Initial = Callable[[Space, Space], Mapping[str, Pair]]
 """(p, u) -> mean and variance of each of the mechanism's states."""
 Output = Callable[[Space, Space, Space, Space, Space], Pair]
 """(p, x, u, q, s) -> expected reading and the variance of its noise."""
-TracedOutput = Callable[[Sequence[Value], Values, Values], Pair]
-"""(x, u, p) -> expected reading and the variance of its noise."""
 
 SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
@@ -116,26 +114,6 @@ class Mechanism:
 
 
 @dataclass(frozen=True)
-class System:
-    """A continuous-time model as functions of expressions, ready to be traced.
-
-    `inputs` maps names to holds (`physics.holds`); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n)
-    intensity [1/h]; `outputs` are pairs (name, function (x, u, p) -> (prediction, noise variance)); `resets`
-    are the indices of the states that are running means of an output, set to zero where an averaging interval
-    begins; `bound` is the model's.
-    """
-
-    parameters: tuple[str, ...]
-    states: tuple[str, ...]
-    inputs: Mapping[str, str]
-    drift: Callable[[Sequence[Value], Values, Values], list[Value]]
-    noise: Callable[[Values], Matrix]
-    outputs: tuple[tuple[str, TracedOutput], ...]
-    resets: tuple[int, ...] = ()
-    bound: float = math.inf
-
-
-@dataclass(frozen=True)
 class Model:
     """States, inputs, outputs and equations, put together from mechanisms (`compose` makes a model).
 
@@ -197,12 +175,18 @@ class Model:
     def outputs(self) -> tuple[str, ...]:
         return tuple(name for m in self.mechanisms for name in m.outputs)
 
-    def mechanism(self, name: str) -> Mechanism:
-        """The mechanism with this name; raises KeyError where there is none."""
-        for m in self.mechanisms:
-            if m.name == name:
-                return m
-        raise KeyError(f"no mechanism {name!r}; the model has {[m.name for m in self.mechanisms]}")
+    @property
+    def resets(self) -> tuple[int, ...]:
+        """Places of the states that are running means, set to zero where an averaging interval begins."""
+        return tuple(self.states.index(f"mean_{name}") for name in self.averaged)
+
+    @property
+    def input_holds(self) -> dict[str, str]:
+        """The hold of every input.  Raises ValueError where one is not stated."""
+        unknown = [name for name in self.inputs if name not in self.holds]
+        if unknown:
+            raise ValueError(f"the holds of the inputs {unknown} are not stated")
+        return {name: self.holds[name] for name in self.inputs}
 
     # -- the model as functions ------------------------------------------------------------------------------
     def evaluate(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> Equations:
@@ -212,7 +196,7 @@ class Model:
         """
         return self._equations(x, u, p, lambda sums: SimpleNamespace(**sums))
 
-    def _traced(self, x: Sequence[Value], u: Values, p: Values) -> Equations:
+    def traced(self, x: Sequence[Value], u: Values, p: Values) -> Equations:
         """`evaluate`, with a check that some mechanism reads every sum that is contributed to; raises
         ValueError otherwise."""
         read: set[str] = set()
@@ -314,25 +298,6 @@ class Model:
         if missing:
             raise ValueError(f"no initial mean and variance for the states {missing}")
         return [given[n][0] for n in self.states], [given[n][1] for n in self.states]
-
-    def _traced_output(self, name: str) -> TracedOutput:
-        return lambda x, u, p: self._traced(x, u, p).outputs[name]
-
-    @cached_property
-    def system(self) -> System:
-        unknown = [name for name in self.inputs if name not in self.holds]
-        if unknown:
-            raise ValueError(f"the holds of the inputs {unknown} are not stated")
-        return System(
-            parameters=tuple(p.name for p in self.parameters),
-            states=self.states,
-            inputs={name: self.holds[name] for name in self.inputs},
-            drift=lambda x, u, p: self._traced(x, u, p).rates,
-            noise=self.noise,
-            outputs=tuple((name, self._traced_output(name)) for name in self.outputs),
-            resets=tuple(self.states.index(f"mean_{name}") for name in self.averaged),
-            bound=self.bound,
-        )
 
 
 class _Sums(SimpleNamespace):

@@ -74,20 +74,15 @@ def _log_saturation_slope(temperature: np.ndarray, coefficients: tuple[float, ..
     return -a / temperature**2 + c + 2.0 * d * temperature + e / temperature
 
 
-def _saturation(temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]) -> Number:
-    kelvin = _as_number(temperature)
-    with np.errstate(all="ignore"):
-        pressure = np.exp(_log_saturation(kelvin, coefficients))
-    return _only_within(_between(kelvin, *valid), pressure)
-
-
-def _saturation_slope(
-    temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]
+def _saturation(
+    temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float], slope: bool = False
 ) -> Number:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
-        slope = np.exp(_log_saturation(kelvin, coefficients)) * _log_saturation_slope(kelvin, coefficients)
-    return _only_within(_between(kelvin, *valid), slope)
+        found = np.exp(_log_saturation(kelvin, coefficients))
+        if slope:
+            found = found * _log_saturation_slope(kelvin, coefficients)
+    return _only_within(_between(kelvin, *valid), found)
 
 
 def saturation_pressure_water(temperature: Number) -> Number:
@@ -109,7 +104,7 @@ def saturation_pressure_water_slope(temperature: Number) -> Number:
     temperature: [K], any shape.
     Range: 173.15 K to 373.15 K, NaN outside. Derivative of `saturation_pressure_water`.
     """
-    return _saturation_slope(temperature, SATURATION_WATER, WATER_RANGE)
+    return _saturation(temperature, SATURATION_WATER, WATER_RANGE, slope=True)
 
 
 def saturation_pressure_ice(temperature: Number) -> Number:
@@ -130,7 +125,7 @@ def saturation_pressure_ice_slope(temperature: Number) -> Number:
     temperature: [K], any shape.
     Range: 173.15 K to 273.16 K, NaN outside. Derivative of `saturation_pressure_ice`.
     """
-    return _saturation_slope(temperature, SATURATION_ICE, ICE_RANGE)
+    return _saturation(temperature, SATURATION_ICE, ICE_RANGE, slope=True)
 
 
 @cache
@@ -254,18 +249,6 @@ def absolute_humidity_slope_temperature(relative_humidity: Number, temperature: 
     return absolute_humidity(relative_humidity, temperature) * relative
 
 
-def humidity_ratio(vapour_pressure: Number, pressure: Number) -> Number:
-    """Humidity ratio: vapour mass per mass of dry air, w = eps e / (p - e) [kg/kg].
-
-    vapour_pressure: [Pa], any shape. pressure: [Pa] of the moist air, any shape.
-    Range: 0 <= e < p, NaN outside.
-    """
-    vapour, total = _as_number(vapour_pressure), _as_number(pressure)
-    with np.errstate(all="ignore"):
-        ratio = MASS_RATIO * vapour / (total - vapour)
-    return _only_within((vapour.real >= 0.0) & (vapour.real < total.real), ratio)
-
-
 def vapour_pressure_from_humidity_ratio(humidity_ratio: Number, pressure: Number) -> Number:
     """Vapour pressure from humidity ratio, e = w p / (eps + w) [Pa].
 
@@ -275,19 +258,6 @@ def vapour_pressure_from_humidity_ratio(humidity_ratio: Number, pressure: Number
     with np.errstate(all="ignore"):
         vapour = ratio * _as_number(pressure) / (MASS_RATIO + ratio)
     return _only_within(ratio.real >= 0.0, vapour)
-
-
-def specific_humidity(vapour_pressure: Number, pressure: Number) -> Number:
-    """Specific humidity: vapour mass per mass of moist air, q = eps e / (p - (1 - eps) e) [kg/kg].
-
-    vapour_pressure: [Pa], any shape. pressure: [Pa] of the moist air, any shape.
-    Range: 0 <= e <= p and p > 0, NaN outside.
-    """
-    vapour, total = _as_number(vapour_pressure), _as_number(pressure)
-    with np.errstate(all="ignore"):
-        fraction = MASS_RATIO * vapour / (total - (1.0 - MASS_RATIO) * vapour)
-    inside = (vapour.real >= 0.0) & (vapour.real <= total.real) & (total.real > 0.0)
-    return _only_within(inside, fraction)
 
 
 def vapour_pressure_from_specific_humidity(specific_humidity: Number, pressure: Number) -> Number:

@@ -163,7 +163,7 @@ def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float
     """Original values of the parameters whose range the identification period cannot narrow."""
     coordinates = Coordinates(base.model.parameters)
     objective = Objective(Likelihood(base.model, early_run.timeline), coordinates)
-    information = np.diag(objective.information(coordinates.start(origin.values))[2])
+    information = np.diag(objective.information(coordinates.start(origin.values)).information)
     held = {}
     for p, known in zip(coordinates.free, information, strict=True):
         width = p.to_coordinate(p.upper) - p.to_coordinate(p.lower)

@@ -311,7 +311,6 @@ def _with_kept(baseline: Baseline, spread: Uncertainty, kept: Sequence[str]) -> 
     return replace(
         spread,
         names=(*spread.names, *kept),
-        hessian=block_diag(spread.hessian, np.linalg.pinv(old)),
         wald=block_diag(spread.wald, old),
         sandwich=block_diag(spread.sandwich, old),
         factor=np.concatenate([spread.factor, np.ones(len(kept))]),

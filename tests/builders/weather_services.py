@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, humidity_ratio, vapour_pressure
+from builders.moist_air import humidity_ratio
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, vapour_pressure
 
 OPEN_METEO = {
     # name: unit, and values over the hour of the file

@@ -22,9 +22,8 @@ from builders.linear_oracles import (
 from filterpy.kalman import ExtendedKalmanFilter
 
 from hygrokf.engine.filter_loops import filter_loop
-from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import timeline
-from hygrokf.engine.traced_filter import traced
+from hygrokf.engine.traced_filter import pack, trace_width, traced, unpack
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.physics.expression import where
 from hygrokf.physics.holds import REGIME

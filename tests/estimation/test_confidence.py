@@ -125,7 +125,7 @@ def test_wald_is_the_closed_form_of_a_normal_sample(normal: Fitted) -> None:
     spread, count = INDEPENDENT.std(), len(INDEPENDENT)
     # the score's central difference over 2 % of a standard error errs by 1e-4 of its third derivative
     expected = np.diag([count / spread**2, 2.0 * count])
-    np.testing.assert_allclose(normal.known.hessian, expected, rtol=2e-3, atol=2e-2 * count)
+    np.testing.assert_allclose(normal.known.curvature, expected, rtol=2e-3, atol=2e-2 * count)
     np.testing.assert_allclose(np.diag(normal.known.wald), [spread**2 / count, 1 / (2 * count)], rtol=2e-3)
     assert normal.known.names == ("mean", "spread") and normal.known.flat == () == normal.known.trade_offs
     assert normal.known.place("spread") == 1 and normal.known.place("nobody") is None

@@ -12,7 +12,7 @@ import pytest
 import hygrokf
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
-from hygrokf.estimation.inference import confidence_bounds, covariances, system_time_constants
+from hygrokf.estimation.inference import confidence_bounds, system_time_constants
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 from hygrokf.physics.mechanisms import linear_network
@@ -66,7 +66,7 @@ def test_a_parameter_that_is_a_time_constant_has_its_own_bounds(thermal: tuple) 
     """ln of the network's time constant is a coordinate: the delta method must give the parameter's Wald
     bounds."""
     likelihood, estimate = thermal
-    known = covariances(likelihood, estimate)
+    known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
     bounds = wald_bounds(estimate, known, "thermal_time_constant")
     constants = system_time_constants(likelihood, estimate, known=known)
     own = next(c for c in constants if next(iter(c.states)) == "converter_temperature")
@@ -82,7 +82,7 @@ def test_a_parameter_that_is_a_time_constant_has_its_own_bounds(thermal: tuple) 
 def test_oscillation_and_integral() -> None:
     """Closed form: λ = −1/τ ± iω, and 0 for the level; τ and ω are coordinates, so their errors are known."""
     likelihood, estimate = swing()
-    known = covariances(likelihood, estimate)
+    known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
     constants = system_time_constants(likelihood, estimate, 0.9, known=known)
     assert len(constants) == 2  # a pair of conjugate eigenvalues is one mode
     level, pair = constants
@@ -128,7 +128,7 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
     read = blank.trace(values).prediction[:, 0] + 0.1 * random.normal(size=4000)
     likelihood = Likelihood(model, timeline(model, time, {"ambient": ambient}, {"read": read}))
     estimate = maximise(likelihood, count=1)
-    known = covariances(likelihood, estimate)
+    known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
     slow, fast = system_time_constants(likelihood, estimate, known=known)
 
     import control
@@ -156,7 +156,7 @@ def test_a_model_that_is_not_linear_is_linearised_where_it_is_asked_to(make_case
     """Equation (4): R_D*V* of a hygric part goes with 1/T of the cabinet, and its bounds are those of k."""
     case = make_case("cascade", 0.25 * np.arange(2400), 32)
     estimate = maximise(case.likelihood, case.values, count=1)
-    known = covariances(case.likelihood, estimate)
+    known = uncertainty(Objective(case.likelihood, estimate.coordinates), estimate)
     own = wald_bounds(estimate, known, "hygric_k")
     found = {}
     for kelvin in (285.0, 305.0):

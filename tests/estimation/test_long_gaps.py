@@ -33,7 +33,7 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.cold_surface import Surface
-from hygrokf.physics.mechanisms.network import linear_network
+from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.mechanisms.wandering import (
     wandering_exchange,
     wandering_release,

@@ -93,15 +93,15 @@ def test_objective_gradient_and_information_in_coordinates() -> None:
     likelihood = sample(prior=Prior(1.0, 0.5))
     objective = Objective(likelihood, Coordinates(likelihood.model.parameters))
     z = np.array([2.0, math.log(1.3)])
-    value, gradient, information = objective.information(z)
+    at = objective.information(z)
     again, score = objective.score(z)
-    assert value == pytest.approx(again) == pytest.approx(objective.value(z))
+    assert at.loglik == pytest.approx(again) == pytest.approx(objective.value(z))
     residual = (READ - 2.0) / 1.3
     expected = [residual.sum() / 1.3 - (2.0 - 1.0) / 0.25, np.sum(residual**2) - COUNT]
-    np.testing.assert_allclose(gradient, expected, rtol=1e-10)
+    np.testing.assert_allclose(at.score, expected, rtol=1e-10)
     np.testing.assert_allclose(score, expected, rtol=1e-10)
-    np.testing.assert_allclose(information, np.diag([COUNT / 1.3**2 + 4.0, 2.0 * COUNT]), rtol=1e-10)
-    scores = objective.information_and_scores(z)[3]
+    np.testing.assert_allclose(at.information, np.diag([COUNT / 1.3**2 + 4.0, 2.0 * COUNT]), rtol=1e-10)
+    scores = objective.information(z, each=True).scores
     np.testing.assert_allclose(
         scores, np.column_stack([residual / 1.3, residual**2 - 1.0]), rtol=1e-9, atol=1e-9
     )

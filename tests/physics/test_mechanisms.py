@@ -79,8 +79,8 @@ def test_the_library_names_its_mechanisms() -> None:
 def test_every_factory_of_the_folder_stands_in_the_library() -> None:
     """A module lists its factories by group, and the package collects the groups of every module."""
     for module in pkgutil.iter_modules(mechanisms.__path__, f"{mechanisms.__name__}."):
-        if module.name.endswith((".effects", ".network")):
-            continue  # patterns and networks that take arguments
+        if module.name.endswith(".effects"):
+            continue  # patterns that take arguments
         functions = inspect.getmembers(importlib.import_module(module.name), inspect.isfunction)
         made = {
             name

@@ -81,7 +81,7 @@ def test_interval_means_are_states_that_begin_at_zero() -> None:
     mean, variance = model.initial({"store_rate": 0.5}, {"outside": 4.0})
     assert mean == [4.0, 0.0] and variance == [2.0, 0.0]
     assert model.noise({"store_rate": 0.5}) == [[0.5, 0.0], [0.0, 0.0]]
-    assert model.system.resets == (1,)
+    assert model.resets == (1,)
 
 
 def test_noise_of_several_mechanisms_on_one_state_adds() -> None:
@@ -98,9 +98,7 @@ def test_extending() -> None:
     assert larger.inputs == ("outside", "irradiance")
     assert larger.holds == {"outside": "linear", "irradiance": "mean"}
     assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
-    assert larger.mechanism("sun") is sun
-    with pytest.raises(KeyError, match=r"'moon'.*'sun'"):
-        larger.mechanism("moon")
+    assert larger.mechanisms[-1] is sun
 
 
 def test_names_and_inputs_are_gathered_once_in_order() -> None:
@@ -130,7 +128,7 @@ def test_what_does_not_fit_is_named() -> None:
     with pytest.raises(ValueError, match=r"initial mean and variance for the states \['cold'\]"):
         faulty().initial({}, {})
     with pytest.raises(ValueError, match=r"holds of the inputs \['outside'\]"):
-        _ = compose([store(), READ, SHIFT]).system
+        _ = compose([store(), READ, SHIFT]).input_holds
 
 
 def traced(*mechanisms: Mechanism) -> Recursion:
@@ -163,7 +161,7 @@ def test_a_sum_that_is_read_and_never_added_to_is_named() -> None:
         traced(reads)
     # with a term the sum is the model's own, beside those that every model has, read or not
     made = traced(reads, source("rock", 2.0, of="deep_heat"), source("rain", 1.0, of="vapour_release"))
-    assert made.system.states == ("heat", "deep")
+    assert made.model.states == ("heat", "deep")
 
 
 def test_a_model_with_regimes_only_and_one_without_inputs_run() -> None:

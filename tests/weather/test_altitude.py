@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders.moist_air import humidity_ratio
 from hypothesis import given
 from hypothesis import strategies as some
 from scipy.integrate import solve_ivp
 
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.physics.psychrometrics import humidity_ratio, saturation_pressure_water
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 from hygrokf.weather.altitude import at_altitude, pressure_ratio
 
 TIME = 3600.0 * np.arange(4)

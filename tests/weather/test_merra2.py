@@ -9,9 +9,10 @@ import builders.weather_services as made
 import numpy as np
 import pytest
 from builders.faults import faults_of
+from builders.moist_air import specific_humidity
 
 from hygrokf.data.record import Site
-from hygrokf.physics.psychrometrics import saturation_pressure_water, specific_humidity
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.reading import form_of, read_weather

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from hygrokf.physics.mechanisms import heat, hygric, moisture, sensors, thermal, wandering
-from hygrokf.physics.mechanisms.network import linear_network as linear_network
+from hygrokf.physics.mechanisms.effects import linear_network as linear_network
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
 
@@ -47,9 +47,7 @@ def _compared(mechanism: Mechanism) -> dict[str, object]:
     return {name: getattr(value, "__code__", value) for name, value in found.items()}
 
 
-def _made_again(
-    factory: Factory, settings: Mapping[str, Any], parameters: Sequence[Parameter]
-) -> Mechanism:
+def _made_again(factory: Factory, settings: Mapping[str, Any], parameters: Sequence[Parameter]) -> Mechanism:
     return replace(factory(**settings), parameters=tuple(parameters))
 
 

@@ -1,13 +1,15 @@
-"""Patterns that mechanisms share: an amplitude that scales an input, a lagged share, noise of a state."""
+"""Patterns that mechanisms share: an amplitude that scales an input, a lagged share, noise of a state, and a
+general linear network, dx = (A x + B u) dt + L dW,  y = C x + D u + v."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, TypeVar
 
 from hygrokf.physics.expression import Value
-from hygrokf.physics.model import Feature, Mechanism, Space, Values
+from hygrokf.physics.model import Initial, Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
@@ -17,6 +19,7 @@ ABOVE_MINUS_ONE = (-1.0, math.inf)
 """Physical range of a relative change."""
 Factor = str | Callable[[Space, Space, Space], Value]
 """An input's name, or a function (x, u, q) -> value."""
+Result = TypeVar("Result")
 
 
 def effect(
@@ -26,16 +29,12 @@ def effect(
     *factors: Factor,
     negative: bool = False,
     inputs: tuple[str, ...] | None = None,
-    features: Mapping[str, Feature] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    meaning: str,
-    leaves: str,
-    source: str,
+    **described: Any,
 ) -> Mechanism:
     """One amplitude a, with the null value 0, that scales inputs: target += ± a · factor · factor …
 
-    `inputs` are those that the factors read; by default the factors that are names.  `features` are those of
-    them that the mechanism brings with it.
+    `inputs` are those that the factors read; by default the factors that are names.  `described` are further
+    fields of the mechanism, such as its meaning and source.
     """
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
@@ -51,11 +50,7 @@ def effect(
         parameters=(amplitude,),
         inputs=named if inputs is None else inputs,
         contributions=contributions,
-        features=features or {},
-        settings=settings or {},
-        meaning=meaning,
-        leaves=leaves,
-        source=source,
+        **described,
     )
 
 
@@ -68,14 +63,13 @@ def lagged_share(
     time: Parameter,
     variance: float,
     amount: bool = False,
-    *,
-    meaning: str,
-    leaves: str,
+    **described: Any,
 ) -> Mechanism:
     """A share w of a signal follows it with a first-order lag θ: target += w (L − signal), dL/dt = (signal −
     L)/θ.
 
-    `variance` is that of the state L at the first instant; `amount`: L cannot be negative.
+    `variance` is that of the state L at the first instant; `amount`: L cannot be negative; `described`: as in
+    `effect`.
     """
     return Mechanism(
         name=name,
@@ -88,9 +82,8 @@ def lagged_share(
         },
         drift=lambda p, x, u, q, s: {state: (getattr(u, signal) - getattr(x, state)) / getattr(p, time.name)},
         initial=lambda p, u: {state: (getattr(u, signal), variance)},
-        meaning=meaning,
-        leaves=leaves,
         source="first-order mixing of the air in the tower",
+        **described,
     )
 
 
@@ -147,3 +140,45 @@ def ornstein_uhlenbeck(
         meaning=meaning,
         leaves=leaves,
     )  # fmt: skip
+
+
+def linear_network(
+    name: str,
+    parameters: Sequence[Parameter],
+    states: Sequence[str],
+    inputs: Sequence[str],
+    rates: Callable[[Space, Space, Space], Values],
+    outputs: Mapping[str, Callable[[Space, Space, Space], Pair]],
+    intensities: Callable[[Space], Values],
+    initial: Initial,
+) -> Mechanism:
+    """A linear network of any size, as one mechanism.
+
+    name: identifier of the mechanism.
+    parameters, states, inputs: by name, in units of the user's choice; time is in hours.
+    rates: (p, x, u) → {state: rate [unit/h]}.
+    outputs: name → (p, x, u) → (prediction, variance of the reading's noise).
+    intensities: p → {state: intensity of its white noise [unit²/h]}.
+    initial: (p, u) → {state: (mean, variance)} at the first instant.
+
+    Returns the mechanism for `compose`.  Nonlinear functions work too; for linear ones the filter is exact.
+    Raises ValueError at first use of the model where a function names an unknown state.
+    """
+
+    return Mechanism(
+        name=name,
+        parameters=tuple(parameters),
+        states=tuple(states),
+        inputs=tuple(inputs),
+        drift=partial(_of_states_and_inputs, rates),
+        diffusion=intensities,
+        initial=initial,
+        outputs={key: partial(_of_states_and_inputs, function) for key, function in outputs.items()},
+        meaning="a linear network given by the user",
+    )
+
+
+def _of_states_and_inputs(
+    function: Callable[[Space, Space, Space], Result], p: Space, x: Space, u: Space, q: Space, s: Space
+) -> Result:
+    return function(p, x, u)

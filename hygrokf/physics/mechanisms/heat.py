@@ -68,7 +68,7 @@ def _driven_heat(
         name, "heat_release",
         Parameter(parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE, meaning=meaning),
         lambda x, u, q: scale * getattr(u, flag),
-        inputs=(flag,), settings=settings, meaning=meaning, leaves=leaves, source="balance of heat",
+        inputs=(flag,), settings=settings or {}, meaning=meaning, leaves=leaves, source="balance of heat",
     )  # fmt: skip
 
 

@@ -333,7 +333,7 @@ def _exchange(
             meaning=f"relative change of the vapour exchange, {text}",
         ),
         flag,
-        settings=settings, meaning=f"vapour exchange, {text}", leaves=leaves,
+        settings=settings or {}, meaning=f"vapour exchange, {text}", leaves=leaves,
         source="resistance R_D* of equation (4) divided by the factor",
     )  # fmt: skip
 

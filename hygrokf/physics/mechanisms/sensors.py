@@ -3,15 +3,11 @@ and further errors of their readings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from hygrokf.physics.expression import Given, Value
 from hygrokf.physics.mechanisms.effects import effect
-from hygrokf.physics.mechanisms.hygric import (
-    cabinet_humidity,
-    cabinet_vapour,
-)
+from hygrokf.physics.mechanisms.hygric import cabinet_humidity, cabinet_vapour
 from hygrokf.physics.mechanisms.moisture import twice_positive
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
@@ -30,7 +26,10 @@ def _sensor(
     quantity: Callable[[Space, Space, Space], Value],
     noise: tuple[float, float, float],
     spread: tuple[float, float],
-    settings: Mapping[str, Any],
+    accuracy: float,
+    resolution: float,
+    response_h: float,
+    longest_response_h: float | None,
     meaning: str,
     inputs: tuple[str, ...] = (),
 ) -> Mechanism:
@@ -42,13 +41,10 @@ def _sensor(
     θ the sensor lags: dy/dt = (quantity − y)/θ.  θ is `response_h` [h], or a parameter with the upper bound
     `longest_response_h` where that is given.  `spread` is the initial mean and variance of y.
     """
-    accuracy, response_h, longest_h = (
-        settings[key] for key in ("accuracy", "response_h", "longest_response_h")
-    )
-    resolution = Given(settings["resolution"] ** 2 / 12.0)
+    rounding = Given(resolution**2 / 12.0)
     state, response = f"{name}_sensor", f"{name}_response"
-    estimated, biased = longest_h is not None, accuracy > 0
-    responds = estimated or response_h > 0
+    biased = accuracy > 0
+    responds = longest_response_h is not None or response_h > 0
     stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
     def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
@@ -57,10 +53,10 @@ def _sensor(
         if biased:
             value = value + getattr(p, f"{name}_bias")
         own = getattr(p, f"{name}_noise")
-        return value, own * own + resolution
+        return value, own * own + rounding
 
     def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
-        rate = 1.0 / getattr(p, response) if estimated else stated
+        rate = stated if longest_response_h is None else 1.0 / getattr(p, response)
         return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
 
     parameters = [
@@ -75,9 +71,9 @@ def _sensor(
             null=0.0, meaning="constant error of the sensor, within its stated accuracy",
         )  # fmt: skip
         parameters.insert(0, bias)
-    if estimated:
+    if longest_response_h is not None:
         time = Parameter(
-            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_h, positive=True,
+            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
             meaning="time time in which the sensor covers 63 % of a step",
         )  # fmt: skip
         parameters.append(time)
@@ -89,18 +85,12 @@ def _sensor(
         drift=drift if responds else None,
         initial=(lambda p, u: {state: spread}) if responds else None,
         outputs={name: output},
-        settings=settings,
+        settings={
+            "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
+            "longest_response_h": longest_response_h,
+        },
         meaning=meaning,
-    )
-
-
-def _settings(
-    accuracy: float, resolution: float, response_h: float, longest_response_h: float | None
-) -> dict[str, float | None]:
-    return {
-        "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
-        "longest_response_h": longest_response_h,
-    }  # fmt: skip
+    )  # fmt: skip
 
 
 def temperature_sensor(
@@ -119,7 +109,7 @@ def temperature_sensor(
         "temperature_sensor", "cabinet_temperature", "K",
         lambda x, u, q: q.cabinet_air_temperature,
         (0.1, 2e-3, 10.0), (288.15, 225.0),
-        _settings(accuracy, resolution, response_h, longest_response_h),
+        accuracy, resolution, response_h, longest_response_h,
         "the logger's temperature sensor",
     )  # fmt: skip
 
@@ -139,7 +129,7 @@ def humidity_sensor(
     return _sensor(
         "humidity_sensor", "cabinet_relative_humidity", "1", cabinet_humidity,
         (0.005, 1e-4, 0.5), (0.5, 0.09),
-        _settings(accuracy, resolution, response_h, longest_response_h),
+        accuracy, resolution, response_h, longest_response_h,
         "the logger's relative-humidity sensor", ("ambient_temperature",),
     )  # fmt: skip
 
@@ -155,7 +145,7 @@ def absolute_humidity_sensor(
     return _sensor(
         "absolute_humidity_sensor", "cabinet_absolute_humidity", "g/m3", cabinet_vapour,
         (0.1, 1e-3, 10.0), (8.0, 50.0),
-        _settings(accuracy, resolution, response_h, longest_response_h),
+        accuracy, resolution, response_h, longest_response_h,
         "a sensor or converter that gives absolute humidity", ("ambient_temperature",),
     )  # fmt: skip
 
