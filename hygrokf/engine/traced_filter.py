@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import weakref
 from collections.abc import Iterable, Sequence
 from functools import cache, cached_property
 
@@ -353,15 +352,9 @@ def pack(matrix: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(matrix[..., rows, columns])
 
 
-_filters: dict[tuple[int, bool], Recursion] = {}
-"""Filters of existing models by identity, so that each model is traced once."""
-
-
 def traced(model: Model, diffuse: bool = False) -> Recursion:
     """The filter of a model, traced at first use; with `diffuse` it carries an infinite covariance too."""
-    key = (id(model), diffuse)
-    found = _filters.get(key)
-    if found is None:
-        found = _filters.setdefault(key, Recursion(model, diffuse))
-        weakref.finalize(model, _filters.pop, key, None).atexit = False
-    return found
+    # the model keeps its filters: each of them holds the model, so that nothing else could let them go
+    filters: dict[bool, Recursion] = vars(model).setdefault("_filters", {})
+    found = filters.get(diffuse)
+    return filters.setdefault(diffuse, Recursion(model, diffuse)) if found is None else found

@@ -3,7 +3,9 @@ filter."""
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from collections.abc import Callable, Iterator
 from functools import cache
 
@@ -437,6 +439,17 @@ def test_the_extended_filter_is_as_good_as_exact(make_case: Callable) -> None:
     settled = away[24:]  # six hours
     assert np.all(np.abs(settled.mean(axis=0)) < 0.01)
     assert np.all(np.sqrt((settled**2).mean(axis=0)) < 0.05)  # single means carry the particles' noise
+
+
+def test_a_model_takes_its_filters_along_when_it_goes() -> None:
+    release = heat_release(order=0, standstill=False)
+    parts = (thermal_network(), release, thermal_diffusion(), temperature_sensor(0.3, 0.1))
+    model = compose(parts, {"ambient_temperature": "linear"})
+    kept = [weakref.ref(traced(model, diffuse)) for diffuse in (False, True)]
+    assert traced(model) is kept[0]() and traced(model, True) is kept[1]()
+    del model
+    gc.collect()
+    assert [one() for one in kept] == [None, None]
 
 
 def test_models_that_differ_in_a_records_numbers_share_their_code() -> None:
