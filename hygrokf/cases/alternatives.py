@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -229,7 +228,13 @@ def _judged(
     """The finding of a shift that wins beyond chance, or None."""
     row = shift.source, shift.more
     largest = max(shift.seasons, key=abs)
-    if abs(largest) * QUARTER_S < _least_s(record, shift.source):
+    moving = [
+        one
+        for one in record.series
+        if source_of(one) == shift.source or one.signal.startswith("cabinet_")
+    ]
+    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
+    if abs(largest) * QUARTER_S < max([LEAST_S, *(OF_STEP * step for step in steps)]):
         return None
     rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
     if shift.more:
@@ -266,13 +271,6 @@ def _standard_errors(each: np.ndarray) -> float:
     return float(each.sum()) / spread if spread > 0.0 else 0.0
 
 
-def _least_s(record: Record, source: str) -> float:
-    """The smallest shift [s] of a source that is a clock's."""
-    moving = [one for one in record.series if source_of(one) == source or one.signal.startswith("cabinet_")]
-    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
-    return max([LEAST_S, *(OF_STEP * step for step in steps)])
-
-
 def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tuple[str, ...]:
     """What prefers a shift by itself."""
     found = []
@@ -300,11 +298,7 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
         name = f"the clock of {shift.source} seems {pace(winter)}"
         line = f'state clock_correction = "{signed(winter).replace(" ", "")}" in that source'
     kind, signals = "summer_time" if shift.more else "clock", sources(record).get(shift.source, ())
-    return Alternative(kind, name, line, signals, partial(_corrected, tuple(steps)), tuple(steps))
-
-
-def _corrected(steps: Sequence[Shift], record: Record) -> Record:
-    return shifted(record, *steps)
+    return Alternative(kind, name, line, signals, lambda record: shifted(record, *steps), tuple(steps))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
@@ -321,17 +315,13 @@ def _values(record: Record) -> tuple[Finding, ...]:
         levels = usual - surprise(other)
         if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
             continue
-        lead = _told(record, other)
+        # how much more the inputs tell of the cabinet in the other reading
+        each = _information(other) - _information(record)
+        lead = _standard_errors(each[np.abs(each) > 1e-9])
         gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
         if gain >= ODDS and (best is None or gain > best.gain):
             best = Finding(row, gain, lead, ("levels",))
     return () if best is None else (best,)
-
-
-def _told(record: Record, other: Record) -> float:
-    """How much more the inputs tell of the cabinet in another reading, in standard errors by days."""
-    each = _information(other) - _information(record)
-    return _standard_errors(each[np.abs(each) > 1e-9])
 
 
 def _information(record: Record) -> np.ndarray:

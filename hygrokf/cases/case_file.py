@@ -47,7 +47,11 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     Raises CaseFault with all faults of the case file and of every source.
     """
     file = Path(path)
-    text, content = _case_text(file)
+    try:
+        text, content = read_toml(file, CaseFault, "no such case file; check the path")
+    except CaseFault as fault:
+        other = _other_than_case(file)
+        raise CaseFault(file, [other] if other else fault.faults) from None
     case, faults = stated_case(content, CasePlace(file=file.name, lines=lines_of(text)), file.stem)
 
     def table(source: StatedSource) -> Table:
@@ -234,16 +238,6 @@ def _weathers(
     return reads, warnings, faults
 
 
-def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
-    """Text and content of the case file."""
-    try:
-        return read_toml(file, CaseFault, "no such case file; check the path")
-    except CaseFault as fault:
-        other = _other_than_case(file)
-        raise CaseFault(file, [other] if other else fault.faults) from None
-
-
-_EXPECTED = "expected a case file that names it (docs/reference/case_file.md)"
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
@@ -257,7 +251,9 @@ def _other_than_case(file: Path) -> str:
         if {"design", "parameters"} <= set(held):
             return "is a result of `hygrokf fit`, expected a case file (docs/reference/case_file.md)"
         return "is JSON, expected a case file (docs/reference/case_file.md)"
-    return f"is a table, {_EXPECTED}" if file.is_file() and file.suffix.lower() in _TABLES else ""
+    if file.is_file() and file.suffix.lower() in _TABLES:
+        return "is a table, expected a case file that names it (docs/reference/case_file.md)"
+    return ""
 
 
 def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
@@ -318,7 +314,13 @@ def _source_series(
         length = source.interval_s
         if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
-                faults.append(_no_step(step, regular))
+                steps = "there is only one stamp"
+                if math.isfinite(step):
+                    steps = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
+                faults.append(
+                    f"the stamps do not show the length of the averaging interval ({steps}): "
+                    'state it, such as interval = "10min"'
+                )
                 break
             length = step
         moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
@@ -350,16 +352,6 @@ def _source_series(
             f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
     return found, warnings, faults
-
-
-def _no_step(step: float, regular: float) -> str:
-    found = "there is only one stamp"
-    if math.isfinite(step):
-        found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
-    return (
-        f"the stamps do not show the length of the averaging interval ({found}): "
-        'state it, such as interval = "10min"'
-    )
 
 
 def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:

@@ -68,7 +68,7 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
 def all_doubts(
     record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
 ) -> tuple[str, ...]:
-    """Doubts about the compared sources, followed by the `doubts` about the record.
+    """Doubts about the compared sources and about the record, one sentence each; a doubt is no fault.
 
     clocks, read: clock errors and alternative readings, if already known.
     """
@@ -76,7 +76,19 @@ def all_doubts(
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
     off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
-    return (*off, *_uncompared(record, clocks), *doubts(record, read))
+    found = alternative_readings(record) if read is None else read
+    return (
+        *off,
+        *_uncompared(record, clocks),
+        *record.doubts,
+        *(Doubt(one.sentence(), *PARTS) for one in found.findings),
+        *_doubts_of_readings(record),
+        *_doubts_of_gaps(record),
+        *_doubts_of_periods(record),
+        *_doubts_of_power(record),
+        *_doubts_of_climate(record),
+        *_doubts_of_clocks(record),
+    )
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
@@ -92,21 +104,6 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
         "source that is used"
         for file, signals in files.items()
     ]
-
-
-def doubts(record: Record, read: Readings | None = None) -> tuple[str, ...]:
-    """Doubts about a record, one sentence each; a doubt is no fault."""
-    found = alternative_readings(record) if read is None else read
-    return (
-        *record.doubts,
-        *(Doubt(one.sentence(), *PARTS) for one in found.findings),
-        *_doubts_of_readings(record),
-        *_doubts_of_gaps(record),
-        *_doubts_of_periods(record),
-        *_doubts_of_power(record),
-        *_doubts_of_climate(record),
-        *_doubts_of_clocks(record),
-    )
 
 
 def _doubts_of_readings(record: Record) -> list[str]:
@@ -243,17 +240,12 @@ def _doubts_of_power(record: Record) -> list[str]:
         said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
-            covered = _covered(record[signal], power)
+            time = record[signal].time
+            covered = np.mean((time >= power.time[0] - power.interval_s) & (time <= power.time[-1]))
             if covered < 0.5:
                 said.append(f"active power covers only {100 * covered:.0f} % of the period of {signal}")
             break
     return said
-
-
-def _covered(series: Series, other: Series) -> float:
-    """Share of the readings of a series that lie within the span of another [-]."""
-    inside = (series.time >= other.time[0] - other.interval_s) & (series.time <= other.time[-1])
-    return float(np.mean(inside))
 
 
 def _doubts_of_climate(record: Record) -> list[str]:

@@ -129,23 +129,19 @@ def surprise(record: Record) -> float:
         np.nan if one is None or not len(one.known[1]) else np.log(max(one.known[1].mean(), 1e-9))
         for one in vapours
     )
+    bands = (
+        (inside - outside, 0.0, 10.0, 2.0, 12.0),
+        (ln_inside - ln_outside, -0.3, 0.3, 0.3, 0.3),
+        (outside - ZERO_CELSIUS_K, -5.0, 25.0, 6.0, 6.0),
+        (ln_outside, np.log(2e-3), np.log(15e-3), 0.4, 0.4),
+    )
     return sum(
-        _beyond(*one)
-        for one in (
-            (inside - outside, 0.0, 10.0, 2.0, 12.0),
-            (ln_inside - ln_outside, -0.3, 0.3, 0.3, 0.3),
-            (outside - ZERO_CELSIUS_K, -5.0, 25.0, 6.0, 6.0),
-            (ln_outside, np.log(2e-3), np.log(15e-3), 0.4, 0.4),
-        )
+        0.5 * max((low - value) / below, (value - high) / above, 0.0) ** 2
+        for value, low, high, below, above in bands
+        if np.isfinite(value)
     )
 
 
 def _mean(record: Record, signal: str) -> float:
     known = record[signal].known[1] if signal in record else ()
     return float(np.mean(known)) if len(known) else np.nan
-
-
-def _beyond(value: float, low: float, high: float, below: float, above: float) -> float:
-    if not np.isfinite(value):
-        return 0.0
-    return 0.5 * max((low - value) / below, (value - high) / above, 0.0) ** 2

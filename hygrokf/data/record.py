@@ -338,11 +338,6 @@ class Site:
         if faults:
             raise ValueError("site: " + "; ".join(faults))
 
-    @property
-    def in_north_america(self) -> bool:
-        """Whether summer time follows North American dates here, roughly; they differ from Europe's."""
-        return self.latitude_deg > 0.0 and -170.0 < self.longitude_deg < -40.0
-
 
 @dataclass(frozen=True)
 class Record:

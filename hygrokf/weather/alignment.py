@@ -93,11 +93,11 @@ class Alignment:
     mean_day_change: Bounded
 
 
-def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
+def align(one: Series, other: Series, *, america: bool = False) -> Alignment | None:
     """Lag, offset and daily wave of one series against another of the same signal; None below 20 common days.
 
     one, other: of any hold, with steps of up to two hours; means are placed in the middle of their interval.
-    america: whether summer time follows North American dates. seed: of the bootstrap.
+    america: whether summer time follows North American dates.
 
     Raises ValueError for different signals.
     """
@@ -117,7 +117,7 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
     if days < FEWEST_D:
         return None
     sums = _sums(time, x, y, america)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     everything = np.ones(len(sums.days), dtype=bool)
     whole, _ = _lag(sums, everything, random)
     winter, winter_draws = _part(sums, ~sums.summer, random)
@@ -181,9 +181,10 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     reach = round(REACH_H * 3600.0 / GRID_S)
     lags = np.arange(-reach, reach + 1)
     xy, xx, yy = (np.empty((len(starts), len(lags))) for _ in range(3))
+    padded = [np.pad(each, reach) for each in (weather_y, square_y, there_y)]
     for place, lag in enumerate(lags):
         # one is late by the lag: it shows now what the other showed earlier
-        moved, square, there = (_moved(each, int(lag)) for each in (weather_y, square_y, there_y))
+        moved, square, there = (each[reach - lag : reach - lag + len(time)] for each in padded)
         xy[:, place] = np.add.reduceat(weather_x * moved, starts)
         xx[:, place] = np.add.reduceat(square_x * there, starts)
         yy[:, place] = np.add.reduceat(square * there_x, starts)
@@ -194,18 +195,6 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     return _Sums(
         GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts]
     )  # fmt: skip
-
-
-def _moved(value: np.ndarray, steps: int) -> np.ndarray:
-    """Values delayed by a number of steps; zero where that reaches beyond an end."""
-    result = np.zeros_like(value)
-    if steps > 0:
-        result[steps:] = value[:-steps]
-    elif steps < 0:
-        result[:steps] = value[-steps:]
-    else:
-        result[:] = value
-    return result
 
 
 def _without_slow(value: np.ndarray) -> np.ndarray:

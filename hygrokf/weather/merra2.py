@@ -57,7 +57,7 @@ def _content_record(one: Content, file: str, site: Site | None, digest: str) -> 
     """The record of one file."""
     if not one.kind.startswith("netcdf"):
         raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
-    points = point_fields(open_dataset(one.data, one.kind), file, site, _SHORT_NAMES.get)
+    points = point_fields(open_dataset(one.data, one.kind), file, _SHORT_NAMES.get, site)
     # a stamp is the middle of its hour; a record has ends
     order = np.argsort(points.time, kind="stable")
     weather = SiteWeather(file, points.time[order] + 30.0 * MINUTE_S, points.place)
@@ -114,7 +114,7 @@ def _add_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
         east, north = value.get(f"U{height}M"), value.get(f"V{height}M")
         if east is None or north is None:
             continue
-        weather.add_wind(east, north, f"U{height}M and V{height}M", float(height), mean=True)
+        weather.add_wind(east, north, f"U{height}M and V{height}M", height_m=float(height), mean=True)
         weather.warnings.append(
             f"wind_speed is measured at {height} m, not at hub height; speed of the hour's mean wind"
         )

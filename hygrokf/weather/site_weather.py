@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -94,21 +95,13 @@ class SiteWeather:
                 Series(signal, self.time, value, interval_s=interval_s, source=source, height_m=height_m)
             )
 
-    def add_wind(
-        self,
-        east: np.ndarray,
-        north: np.ndarray,
-        names: str,
-        height_m: float,
-        *,
-        mean: bool = False,
-        remedy: str = "",
-    ) -> None:
-        """Add speed and direction of a wind [m/s] (T,) that blows towards east and north."""
+    def add_wind(self, east: np.ndarray, north: np.ndarray, names: str, **stated: Any) -> None:
+        """Add speed and direction of a wind [m/s] (T,) that blows towards east and north; stated: as for
+        `add`."""
         # where the wind comes from, clockwise from north
         direction = np.mod(np.arctan2(-east, -north), 2.0 * math.pi)
         for signal, value in (("wind_speed", np.hypot(east, north)), ("wind_direction", direction)):
-            self.add(signal, value, names, mean=mean, height_m=height_m, remedy=remedy)
+            self.add(signal, value, names, **stated)
 
     def record(self, site: Site | None, sha256: str, lacking: str = "") -> Record:
         """The record.  Raises TableFault with every fault.
