@@ -24,8 +24,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
-from hygrokf.data.toml_form import FormFault, read_toml
-from hygrokf.data.toml_lines import lines_of
+from hygrokf.data.toml_form import FormFault, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -323,7 +322,12 @@ def _source_series(
                 )
                 break
             length = step
-        moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
+        length = length or 0.0
+        shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[source.stamp]
+        if hold == LINEAR and source.stamp != "instant":
+            # a mean that is joined by straight lines is placed in the middle of its interval
+            shift -= 0.5 * length
+        moved = own + source.clock_correction_s + shift
         settings: dict[str, Any] = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
@@ -338,7 +342,7 @@ def _source_series(
                     moved,
                     to_si(raw, one.unit, one.signal),
                     hold,
-                    length,
+                    length if hold == MEAN else 0.0,
                     clock_uncertainty_s=source.clock_uncertainty_s,
                     source=f'{source.file}, column "{one.column}"',
                     **settings,
@@ -352,15 +356,6 @@ def _source_series(
             f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
     return found, warnings, faults
-
-
-def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
-    """Times in the convention of `Series`, and the interval's length [s]."""
-    shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
-    if hold == LINEAR:
-        # a mean that is joined by straight lines is placed in the middle of its interval
-        return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
-    return time + shift, length if hold == MEAN else 0.0
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:

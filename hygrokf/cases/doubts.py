@@ -18,7 +18,7 @@ from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
 from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import signal_named, unit_mistaken
+from hygrokf.data.signals import HUMIDITIES, signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.holds import LINEAR
@@ -38,12 +38,7 @@ _MANY_LOST = 0.03
 """[1] share of readings without known inputs that is worth a doubt."""
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
-IDENTIFIABLE = (
-    "cabinet_temperature",
-    "cabinet_relative_humidity",
-    "cabinet_absolute_humidity",
-    "cabinet_dew_point_temperature",
-)
+IDENTIFIABLE = tuple(f"cabinet_{kind}" for kind in ("temperature", *HUMIDITIES))
 """Signals of the cabinet that can identify a model."""
 
 
@@ -250,14 +245,14 @@ def _doubts_of_power(record: Record) -> list[str]:
 
 def _doubts_of_climate(record: Record) -> list[str]:
     said: list[str] = []
-    humid = any(f"cabinet_{kind}" in record for kind in _HUMIDITIES)
+    humid = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
     if "cabinet_temperature" not in record and not humid:
         said.append("no cabinet signal: nothing can be identified or scored")
     elif "cabinet_temperature" not in record:
         said.append("no cabinet temperature: the thermal model cannot be identified")
     elif not humid:
         said.append("no cabinet humidity: only the thermal model can be identified")
-    if humid and not any(f"ambient_{kind}" in record for kind in _HUMIDITIES):
+    if humid and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
         said.append("no ambient humidity: the hygric model has no input")
     for signal in record.signals:
         one = record[signal]
@@ -297,9 +292,6 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 )
             )
     return said
-
-
-_HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
 
 
 def _pair(

@@ -13,8 +13,7 @@ from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, sta
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
-from hygrokf.data.toml_form import Key, Place, across, entry_name, read_form, setting
-from hygrokf.data.toml_lines import LinedPlace, line_of
+from hygrokf.data.toml_form import Key, Place, across, entry_name, line_of, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
@@ -108,7 +107,7 @@ class StatedColumn(StatedSensor):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CasePlace(LinedPlace):
+class CasePlace(Place):
     """A table of a case, whose places in messages are lines of its file, such as "case.toml, line 7".
 
     file: its name. subject: the table as the subject of "needs …".

@@ -124,12 +124,13 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
     summer, summer_draws = _part(sums, sums.summer, random)
     change = mean_day_change = UNKNOWN
     if winter is not None and summer is not None:
-        change, mean_day_change = (
-            _difference(
-                getattr(summer, name), getattr(winter, name), summer_draws[place], winter_draws[place]
-            )
-            for place, name in enumerate(("weather", "mean_day"))
-        )
+        # estimates from disjoint blocks
+        if summer.weather.known and winter.weather.known:
+            lead = summer.weather.value - winter.weather.value
+            change = _bounded(lead, summer_draws[0] - winter_draws[0])
+        if summer.mean_day.known and winter.mean_day.known:
+            lead = summer.mean_day.value - winter.mean_day.value
+            mean_day_change = _bounded(lead, summer_draws[1] - winter_draws[1])
     weights = _weights(sums.days, everything, random)
     number = weights @ sums.count
     offset = _bounded(
@@ -284,10 +285,3 @@ def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _bounded(value: float, draws: np.ndarray) -> Bounded:
     low, high = np.quantile(draws, [0.025, 0.975])
     return Bounded(value, float(low), float(high))
-
-
-def _difference(one: Bounded, other: Bounded, draws: np.ndarray, other_draws: np.ndarray) -> Bounded:
-    """Difference of two estimates from disjoint blocks."""
-    if not (one.known and other.known):
-        return UNKNOWN
-    return _bounded(one.value - other.value, draws - other_draws)

@@ -71,12 +71,12 @@ def read_weather_file(
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     record, station_m = _READERS[kind](file, site, year), altitude_m
-    if record.site is not None:
-        at = record.site.latitude_deg, record.site.longitude_deg
+    if (point := record.site) is not None:
+        at = point.latitude_deg, point.longitude_deg
         if site is not None and distance_km(*at, site) > FAR_KM:
             far = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
             record = dataclasses.replace(record, warnings=(*record.warnings, far))
-        station_m = record.site.altitude_m if altitude_m is None else altitude_m
+        station_m = point.altitude_m if altitude_m is None else altitude_m
         record = dataclasses.replace(record, site=Site(*at, station_m))
     record = mask(record, within_range=True)  # such as codes of missing values
     wanted_m = None if site is None else site.altitude_m

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import Signal, fitting_units, from_si, signal_named, to_si, unit_named
+from hygrokf.data.signals import fitting_units, from_si, signal_named, to_si, unit_named
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
 
@@ -82,10 +82,15 @@ class SiteWeather:
         value: (T,) [SI unit], NaN = missing. names: of its columns, in messages. mean: whether it is the mean
             or the sum of the hour that ends at the stamp.
         """
-        known = value[np.isfinite(value)]
+        known, row = value[np.isfinite(value)], signal_named(signal)
         if not len(known):
             self.warnings.append(f"{names}: no value at this point, {signal} is left out")
-        elif beyond := _impossible_range(known, signal_named(signal)):
+            return
+        low, high = np.quantile(known, [0.02, 0.98])
+        if not (row.low <= low and high <= row.high):
+            unit = "" if row.display == "1" else f" {row.display}"
+            low, high = from_si(np.array([low, high]), row.display, row)
+            beyond = f"{signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
             self.faults.append(f"{names}: {beyond}: {remedy or self.remedy}")
         else:
             column = names if names.startswith("column ") else f'column "{names}"'
@@ -123,16 +128,6 @@ class SiteWeather:
                 )
         origin = ((self.file, sha256),)
         return Record(self.file, tuple(self.series), site, warnings=tuple(self.warnings), provenance=origin)
-
-
-def _impossible_range(value: np.ndarray, row: Signal) -> str:
-    """A fault in words where finite readings (T,) [SI unit] leave the range of their signal, else empty."""
-    low, high = np.quantile(value, [0.02, 0.98])
-    if row.low <= low and high <= row.high:
-        return ""
-    unit = "" if row.display == "1" else f" {row.display}"
-    low, high = from_si(np.array([low, high]), row.display, row)
-    return f"{row.name} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
 
 
 def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.data.toml_lines import LinedPlace, lines_of
+from hygrokf.data.toml_form import Place, lines_of
 
 TEXT = """\
 store = "sqlite:live.db"
@@ -34,7 +34,7 @@ def test_tables_and_keys_have_their_lines() -> None:
 
 
 def test_places_name_the_line_of_the_first_key_that_is_there() -> None:
-    place = LinedPlace(lines=lines_of(TEXT))
+    place = Place(lines=lines_of(TEXT))
     assert place.at("page", "store") == "line 1" and place.at("page") == ""
     assert place.inside("turbine", 1).at("fit", "name") == "line 7, [[turbine]] 2"
     assert place.inside("turbine", 0).inside("site").at("latitude_deg") == "line 4, [[turbine]] 1 site"
