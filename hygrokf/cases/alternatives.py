@@ -352,35 +352,21 @@ def _information(record: Record) -> np.ndarray:
     return found
 
 
-@dataclass(frozen=True)
-class _Scale:
-    """A row of the table: readings of a quantity that are `words`.
-
-    called, unit: as declared, and what they are, `factor` times as many. line: the key that corrects it.
-    """
-
-    kind: str
-    words: str
-    line: str
-    quantity: str
-    called: str
-    unit: str
-    factor: float = 1.0
-
-
 _SCALES = (
-    _Scale("unit", "in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF"),
-    _Scale("unit", "in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC"),
-    _Scale("unit", "in K, called °C", 'unit = "K"', "temperature", "degC", "K"),
-    _Scale("unit", "in °C, called K", 'unit = "degC"', "temperature", "K", "degC"),
-    _Scale("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1"),
-    _Scale("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%"),
+    ("unit", "in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF", 1.0),
+    ("unit", "in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC", 1.0),
+    ("unit", "in K, called °C", 'unit = "K"', "temperature", "degC", "K", 1.0),
+    ("unit", "in °C, called K", 'unit = "degC"', "temperature", "K", "degC", 1.0),
+    ("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1", 1.0),
+    ("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%", 1.0),
     *(
-        _Scale("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
+        ("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
         for shown in (("temperature", "degC", "degC"), ("relative_humidity", "%", "%"))
         for digits in (1, 2)
     ),
 )
+"""Kind and words of a mistake, the key that corrects it; a quantity, the unit that its readings are declared
+in, the one that they are in, and how many times as many they are."""
 _PLACES = (("cabinet",), ("ambient",), ("cabinet", "ambient"))
 _EXCHANGES = (
     (("cabinet_temperature", "ambient_temperature"),),
@@ -397,11 +383,12 @@ _EXCHANGES = (
 def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
     """The rows of units, decimal marks and exchanged columns that a record has the signals for."""
     made = []
-    for scale in _SCALES:
+    for kind, mistake, line, quantity, called, unit, factor in _SCALES:
         for places in _PLACES:
-            signals = tuple(f"{place}_{scale.quantity}" for place in places)
-            words = f"{' and '.join(signals)} {'seem' if len(signals) > 1 else 'seems'} {scale.words}"
-            made.append(Alternative(scale.kind, words, scale.line, signals, partial(_scaled, signals, scale)))
+            signals = tuple(f"{place}_{quantity}" for place in places)
+            words = f"{' and '.join(signals)} {'seem' if len(signals) > 1 else 'seems'} {mistake}"
+            reading = partial(_scaled, signals, called, unit, factor)
+            made.append(Alternative(kind, words, line, signals, reading))
     for pairs in _EXCHANGES:
         words = " and ".join(f"{a} and {b}" for a, b in pairs)
         signals = tuple(name for pair in pairs for name in pair)
@@ -412,14 +399,14 @@ def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
     return tuple(one for one in made if all(name in record for name in one.signals))
 
 
-def _scaled(signals: Sequence[str], scale: _Scale, record: Record) -> Record:
+def _scaled(signals: Sequence[str], called: str, unit: str, factor: float, record: Record) -> Record:
     """Raises ValueError where readings cannot be so: a decimal mark that was lost leaves whole numbers."""
     changed = []
     for one in (record[signal] for signal in signals):
-        called = from_si(one.value, scale.called, one.signal)
-        if scale.kind == "decimal" and np.nanmax(np.abs(called - np.round(called)), initial=0.0) > 1e-6:
+        shown = from_si(one.value, called, one.signal)
+        if factor != 1.0 and np.nanmax(np.abs(shown - np.round(shown)), initial=0.0) > 1e-6:
             raise ValueError(f"{one.signal} has fractions")
-        changed.append(replace(one, value=to_si(scale.factor * called, scale.unit, one.signal)))
+        changed.append(replace(one, value=to_si(factor * shown, unit, one.signal)))
     return record.replace_series(*changed)
 
 

@@ -89,11 +89,10 @@ def all_doubts(
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     """Files for comparison that share too little time with the sources that are used."""
     done = {one.signal for error in clocks for one in error.alignments}
-    apart = [one for one in record.compared if one.signal in record and one.signal not in done]
-    apart = [one for one in apart if one.signal not in NOT_COMPARED]
     files: dict[str, list[str]] = {}
-    for one in apart:
-        files.setdefault(one.file, []).append(one.signal)
+    for one in record.compared:
+        if one.signal in record and one.signal not in (*done, *NOT_COMPARED):
+            files.setdefault(one.file, []).append(one.signal)
     return [
         f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
         "source that is used"

@@ -31,16 +31,13 @@ def mask(record: Record, within_range: bool = False) -> Record:
     treatments = (mask_out_of_range,) if within_range else (mask_out_of_range, mask_gated, mask_saturated)
     warnings: list[str] = []
 
-    def masked(group: tuple[Series, ...]) -> tuple[Series, ...]:
-        result = []
-        for series in group:
-            for treat in treatments:
-                series, said = treat(series)
-                warnings.extend(said)
-            result.append(series)
-        return tuple(result)
+    def masked(series: Series) -> Series:
+        for treat in treatments:
+            series, said = treat(series)
+            warnings.extend(said)
+        return series
 
-    series, compared = masked(record.series), masked(record.compared)
+    series, compared = (tuple(map(masked, group)) for group in (record.series, record.compared))
     said = record.warnings + tuple(dict.fromkeys(warnings))
     return dataclasses.replace(record, series=series, compared=compared, warnings=said)
 

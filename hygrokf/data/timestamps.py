@@ -46,14 +46,19 @@ FORMATS = (
 """strptime formats of exports, besides ISO 8601."""
 _EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
-_CLOCK_CHANGES = (
-    "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
-    'such as timezone = "Europe/Berlin"'
-)
-_CLOCK_DOES_NOT_CHANGE = (
-    "the stamps carry summer-time offsets although the clock has no summer time: ignore them "
-    "(ignore_offset = true, timezone = the clock's own fixed offset)"
-)
+_CAUSES = {
+    (
+        "spring",
+        "autumn",
+    ): "the clock follows summer time although its stamps are read at a fixed offset: state "
+    'its zone, such as timezone = "Europe/Berlin"',
+    (
+        "autumn",
+        "spring",
+    ): "the stamps carry summer-time offsets although the clock has no summer time: ignore "
+    "them (ignore_offset = true, timezone = the clock's own fixed offset)",
+}
+"""Why a clock lacks an hour in one season and has it twice in the other one."""
 
 
 def duration(text: str) -> float:
@@ -449,17 +454,12 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         return ()
     steps = np.diff(time)
     gaps = np.flatnonzero(np.abs(steps - (HOUR_S + step)) < 0.01 * step)
-    gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
-    other = 0
-    for index in gaps:
-        day, season = change_date(time[index] + step)
-        if season:
-            gap_days[season].append(day)
-        else:
-            other += 1
+    seen = [change_date(time[index] + step) for index in gaps]
+    other = sum(not season for _, season in seen)
     dates = np.arange(time[0], time[-1], DAY_S)
     if other * sum(bool(change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
-        gap_days = {"spring": [], "autumn": []}
+        seen = []
+    gap_days = {name: [day for day, season in seen if season == name] for name in ("spring", "autumn")}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / DAY_S)):
@@ -476,10 +476,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         )
     for days in (gap_days["spring"], double_days["spring"]):
         days[:] = [day for day in days if day not in moved]
-    for gap, double, reason in (
-        ("spring", "autumn", _CLOCK_CHANGES),
-        ("autumn", "spring", _CLOCK_DOES_NOT_CHANGE),
-    ):
+    for (gap, double), reason in _CAUSES.items():
         facts = []
         if gap_days[gap]:
             facts.append(f"one hour is missing on {_days(gap_days[gap])}")

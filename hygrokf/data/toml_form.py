@@ -17,12 +17,12 @@ import dataclasses
 import math
 import numbers
 import os
-import pathlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from hygrokf.data.structured import shown
@@ -31,7 +31,7 @@ from hygrokf.errors import HygrokfError, suggestion
 T = TypeVar("T")
 BLANKS: Mapping[Any, Any] = {str: "", float: math.nan}
 """Placeholder for a missing or faulty value without a default; None for other types."""
-Path = tuple[str | int, ...]
+TablePath = tuple[str | int, ...]
 """Names of tables and keys from the outside in; a number counts the tables of one [[name]] from 0."""
 _NAME = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
 _NAMES = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
@@ -151,11 +151,11 @@ def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
 # --- places in messages ----------------------------------------------------------------------
 
 
-def lines_of(text: str) -> dict[Path, int]:
+def lines_of(text: str) -> dict[TablePath, int]:
     """The line of each table and key of a TOML text, counted from 1; keys of inline tables are left out."""
-    found: dict[Path, int] = {}
-    counts: dict[Path, int] = {}
-    table: Path = ()
+    found: dict[TablePath, int] = {}
+    counts: dict[TablePath, int] = {}
+    table: TablePath = ()
     for number, line in enumerate(text.splitlines(), 1):
         head, key = _HEAD.match(line), _KEY.match(line)
         if head is not None:
@@ -168,7 +168,7 @@ def lines_of(text: str) -> dict[Path, int]:
     return found
 
 
-def line_of(lines: Mapping[Path, int], table: Path, keys: Sequence[str]) -> int | None:
+def line_of(lines: Mapping[TablePath, int], table: TablePath, keys: Sequence[str]) -> int | None:
     """The line of the first of these keys of a table that is found, else of the table or of one around it."""
     around = (table[:length] for length in range(len(table), 0, -1))
     # a key of an inline table stands on the line of that table
@@ -179,9 +179,9 @@ def _split(names: str) -> list[str]:
     return [one.strip("\"'") for one in re.findall(_NAME, names)]
 
 
-def _numbered(names: list[str], counts: dict[Path, int], begins: bool) -> Path:
+def _numbered(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
     """The path of a table's head: of several [[name]] the newest is meant, or with `begins` a new one."""
-    path: Path = ()
+    path: TablePath = ()
     for place, name in enumerate(names, 1):
         path = (*path, name)
         if begins and place == len(names):
@@ -202,8 +202,8 @@ class Place:
     name: str = ""
     of: str = ""
     faults: list[str] = field(default_factory=list, repr=False, compare=False)
-    lines: Mapping[Path, int] = field(default_factory=dict, repr=False, compare=False)
-    path: Path = ()
+    lines: Mapping[TablePath, int] = field(default_factory=dict, repr=False, compare=False)
+    path: TablePath = ()
 
     def at(self, *keys: str) -> str:
         """The place of the first of these keys that is found, or of the table."""
@@ -247,7 +247,7 @@ def read_toml(
 
     missing: message for a file that does not exist.
     """
-    file = pathlib.Path(path)
+    file = Path(path)
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:

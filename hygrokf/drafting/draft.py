@@ -21,7 +21,7 @@ from hygrokf.drafting.behaviour import rated_power
 from hygrokf.drafting.layout import Export, read_export
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
-from hygrokf.drafting.stamps import noon_of, sun_remark
+from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError
 from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.archive import contents
@@ -156,7 +156,10 @@ def draft_case(
     if faults:
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
-    return _written(sources, found, left, weather, out, site)
+    name = next((one.turbine for one in sources if one.turbine), None)
+    name = name or (sources[0].export.file.name.split(".")[0] if sources else out.stem)
+    power = _power(sources, found)
+    return _written(Contents(name, tuple(sources), tuple(found), left, tuple(weather), *power, site), out)
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
@@ -167,41 +170,29 @@ def _is_typical_year(file: Path, form: str) -> bool:
     return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
-def _written(
-    sources: list[Source],
-    found: list[Assigned],
-    left: dict[tuple[int, str], str],
-    weather: list[Weather],
-    out: Path,
-    site: tuple[float, float] | None,
-) -> Draft:
+def _written(case: Contents, out: Path) -> Draft:
     """The draft, after its case file and the copies of tables are written."""
     copies: list[Path] = []
     placed: list[Source] = []
-    for number, source in enumerate(sources):
-        path = source.export.file
-        export = source.export
+    for number, source in enumerate(case.sources):
+        export, path = source.export, source.export.file
         if export.changes:
             path = _copy_name(path, out, copies)
             copies.append(path)
             export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
             text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
             write_text_whole(path, text)
-        said = (*source.said, *_zone_doubt(source, sources))
+        said = (*source.said, *_zone_doubt(source, case.sources))
         if source.clock.timezone is None:  # its offsets may contradict its stamps
             time = source.clock.time
             said = (*source.said, *summer_time_holes(np.sort(time[np.isfinite(time)])))
         sun = None
-        for one in (one.best for one in found if one.best.source == number):
+        for one in (one.best for one in case.found if one.best.source == number):
             if one.signal == "global_horizontal_irradiance":
-                noon = noon_of(source.clock.time, source.values[one.column])
-                sun = sun_remark(noon, None if site is None else site[1])
+                sun = sun_remark(source.clock.time, source.values[one.column], case.site and case.site[1])
                 break
         placed.append(replace(source, export=export, path=_relative(path, out), said=said, sun=sun))
-    rated, largest = _power(sources, found)
-    name = next((one.turbine for one in sources if one.turbine), None)
-    name = name or (sources[0].export.file.name.split(".")[0] if sources else out.stem)
-    case = Contents(name, tuple(placed), tuple(found), left, tuple(weather), rated, largest, site)
+    case = replace(case, sources=tuple(placed))
     write_text_whole(out, "\n".join((*_lines(case), "")))
     return Draft(
         str(out),
@@ -217,9 +208,9 @@ def _written(
                 one.compare,
                 one.doubts,
             )
-            for one in found
+            for one in case.found
         ),
-        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in left.items()),
+        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in case.left.items()),
         tuple(
             f"{one.path}: {doubt}"
             for one in placed
@@ -236,7 +227,7 @@ def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
     return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
-def _zone_doubt(source: Source, sources: list[Source]) -> tuple[str, ...]:
+def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
     """A doubt of an assumed zone where other exports state theirs."""
     stated = {
         one.clock.timezone: one.export.file.name

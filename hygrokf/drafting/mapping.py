@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field, replace
 
@@ -20,7 +21,6 @@ from hygrokf.drafting.behaviour import (
     like_ambient,
     like_cabinet,
     unit_by_values,
-    warmer_share,
 )
 from hygrokf.drafting.layout import Export
 from hygrokf.drafting.stamps import Clock, clock_of
@@ -370,7 +370,8 @@ def _settled(
             doubts.append(f"next: {', '.join(shown)}")
         if one.signal == "cabinet_temperature" and outside is not None:
             air = sources[outside.source].hourly(outside.column)
-            share = warmer_share(sources[one.source].hourly(one.column), air)
+            inside, beside = sources[one.source].hourly(one.column).beside(air)
+            share = np.mean(inside > beside) if len(inside) >= 24 else math.nan
             if share < 0.5:
                 doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
         needed = one.signal == "ambient_temperature" or one.signal.startswith("cabinet_")

@@ -160,9 +160,7 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     fresh = np.append(True, np.diff(time) > 0.0)
     weather = SiteWeather(points.file, time[fresh], points.place, warnings=list(points.warnings))
     if not fresh.all():
-        weather.warnings.append(
-            f"{int((~fresh).sum())} stamps occur more than once; the first of each kept"
-        )
+        weather.warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
     value = _values(weather, given, order[fresh])
     _add_fields(weather, given, value)
     if temperature and "d2m" not in value:
