@@ -1,8 +1,9 @@
 """Alternative readings of a record's files, and those that the record prefers to what is declared.
 
 Clocks are scored by the lag models of the cabinet (`lag_model`), every shift of every source at once; units,
-columns and decimal marks by `levels`, and by the lag models where these tell.  A row is named where it beats
-the declaration beyond chance.
+columns and decimal marks by levels, and by the lag models where these tell.  A linear model is the same in
+another unit, but levels are not: an enclosure is as warm as outside or some kelvins warmer, and holds about
+as much vapour.  A row is named where it beats the declaration beyond chance.
 
 The models know one lag.  Where a cabinet seems to follow its surroundings too late, a chain of lags explains
 it as well as a clock does, so a second witness is needed: power, whose steps are sharp, vapour, which has a
@@ -12,16 +13,17 @@ lag of its own, or the sun.  Where a cabinet seems to lead its surroundings, non
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from hygrokf.cases.levels import Alternative, surprise, value_alternatives
+from hygrokf.data.ambient import place_absolute_humidity
 from hygrokf.data.clocks import Shift, in_america, shifted, source_of, sources
 from hygrokf.data.input_paths import centred
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS, from_si, to_si
 from hygrokf.data.timestamps import DAY_S, modal_step, summer_time
 from hygrokf.estimation.lag_model import (
     LAGS_H,
@@ -34,6 +36,7 @@ from hygrokf.estimation.lag_model import (
     relations,
     shift_logliks,
 )
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, signed
 
 LEAST_S = 2700.0
@@ -55,6 +58,23 @@ SYSTEMATIC = 6.0
 FEWEST_D = 14
 """Days to which a shift must apply; it must win in each quarter of them."""
 NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another reading of a record's files.
+
+    kind: "clock", "summer_time", "unit", "columns" or "decimal". name: what would be wrong, in words. line:
+    what corrects it in the case file. signals: those that it changes. reading: the record read so. shifts: of
+    the stamps, for a clock.
+    """
+
+    kind: str
+    name: str
+    line: str
+    signals: tuple[str, ...]
+    reading: Callable[[Record], Record]
+    shifts: tuple[Shift, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -229,7 +249,10 @@ def _judged(
     """The finding of a shift that wins beyond chance, or None."""
     row = shift.source, shift.more
     largest = max(shift.seasons, key=abs)
-    if abs(largest) * QUARTER_S < _least_s(record, shift.source):
+    own = shift.source
+    moving = [one for one in record.series if source_of(one) == own or one.signal.startswith("cabinet_")]
+    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
+    if abs(largest) * QUARTER_S < max([LEAST_S, *(OF_STEP * step for step in steps)]):
         return None
     rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
     if shift.more:
@@ -266,13 +289,6 @@ def _standard_errors(each: np.ndarray) -> float:
     return float(each.sum()) / spread if spread > 0.0 else 0.0
 
 
-def _least_s(record: Record, source: str) -> float:
-    """The smallest shift [s] of a source that is a clock's."""
-    moving = [one for one in record.series if source_of(one) == source or one.signal.startswith("cabinet_")]
-    steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
-    return max([LEAST_S, *(OF_STEP * step for step in steps)])
-
-
 def _witnesses(scans: Sequence[_Scan], shift: _Shift, sun_s: float | None) -> tuple[str, ...]:
     """What prefers a shift by itself."""
     found = []
@@ -300,11 +316,7 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
         name = f"the clock of {shift.source} seems {pace(winter)}"
         line = f'state clock_correction = "{signed(winter).replace(" ", "")}" in that source'
     kind, signals = "summer_time" if shift.more else "clock", sources(record).get(shift.source, ())
-    return Alternative(kind, name, line, signals, partial(_corrected, tuple(steps)), tuple(steps))
-
-
-def _corrected(steps: Sequence[Shift], record: Record) -> Record:
-    return shifted(record, *steps)
+    return Alternative(kind, name, line, signals, lambda record: shifted(record, *steps), tuple(steps))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
@@ -312,26 +324,22 @@ def _values(record: Record) -> tuple[Finding, ...]:
     """The reading of other units, columns or decimal marks that is likelier by far, if any."""
     if not {"cabinet_temperature", "ambient_temperature"} <= set(record.signals):
         return ()
-    usual, best = surprise(record), None
-    for row in value_alternatives(record):
+    usual, best = _surprise(record), None
+    for row in _value_alternatives(record):
         try:
             other = row.reading(record)
         except ValueError:  # readings that no such signal can have
             continue
-        levels = usual - surprise(other)
+        levels = usual - _surprise(other)
         if levels <= max(ODDS - SYSTEMATIC, 0.0 if best is None else best.gain - SYSTEMATIC):
             continue
-        lead = _told(record, other)
+        # how much more the inputs tell of the cabinet in the other reading
+        each = _information(other) - _information(record)
+        lead = _standard_errors(each[np.abs(each) > 1e-9])
         gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
         if gain >= ODDS and (best is None or gain > best.gain):
             best = Finding(row, gain, lead, ("levels",))
     return () if best is None else (best,)
-
-
-def _told(record: Record, other: Record) -> float:
-    """How much more the inputs tell of the cabinet in another reading, in standard errors by days."""
-    each = _information(other) - _information(record)
-    return _standard_errors(each[np.abs(each) > 1e-9])
 
 
 def _information(record: Record) -> np.ndarray:
@@ -342,6 +350,104 @@ def _information(record: Record) -> np.ndarray:
         days = (relation.time // DAY_S - record.start_s // DAY_S).astype(int)
         found += np.bincount(days, told, minlength=len(found))
     return found
+
+
+_SCALES = (
+    ("unit", "in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF", 1.0),
+    ("unit", "in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC", 1.0),
+    ("unit", "in K, called °C", 'unit = "K"', "temperature", "degC", "K", 1.0),
+    ("unit", "in °C, called K", 'unit = "degC"', "temperature", "K", "degC", 1.0),
+    ("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1", 1.0),
+    ("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%", 1.0),
+    *(
+        ("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
+        for shown in (("temperature", "degC", "degC"), ("relative_humidity", "%", "%"))
+        for digits in (1, 2)
+    ),
+)
+"""Kind and words of a mistake, the key that corrects it; a quantity, the unit that its readings are declared
+in, the one that they are in, and how many times as many they are."""
+_PLACES = (("cabinet",), ("ambient",), ("cabinet", "ambient"))
+_EXCHANGES = (
+    (("cabinet_temperature", "ambient_temperature"),),
+    (("cabinet_relative_humidity", "ambient_relative_humidity"),),
+    (
+        ("cabinet_temperature", "ambient_temperature"),
+        ("cabinet_relative_humidity", "ambient_relative_humidity"),
+    ),
+    (("cabinet_temperature", "cabinet_relative_humidity"),),
+    (("ambient_temperature", "ambient_relative_humidity"),),
+)
+
+
+def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
+    """The rows of units, decimal marks and exchanged columns that a record has the signals for."""
+    made = []
+    for kind, mistake, line, quantity, called, unit, factor in _SCALES:
+        for places in _PLACES:
+            signals = tuple(f"{place}_{quantity}" for place in places)
+            words = f"{' and '.join(signals)} {'seem' if len(signals) > 1 else 'seems'} {mistake}"
+            reading = partial(_scaled, signals, called, unit, factor)
+            made.append(Alternative(kind, words, line, signals, reading))
+    for pairs in _EXCHANGES:
+        words = " and ".join(f"{a} and {b}" for a, b in pairs)
+        signals = tuple(name for pair in pairs for name in pair)
+        line = "exchange their columns"
+        made.append(
+            Alternative("columns", f"{words} seem exchanged", line, signals, partial(_exchanged, pairs))
+        )
+    return tuple(one for one in made if all(name in record for name in one.signals))
+
+
+def _scaled(signals: Sequence[str], called: str, unit: str, factor: float, record: Record) -> Record:
+    """Raises ValueError where readings cannot be so: a decimal mark that was lost leaves whole numbers."""
+    changed = []
+    for one in (record[signal] for signal in signals):
+        shown = from_si(one.value, called, one.signal)
+        if factor != 1.0 and np.nanmax(np.abs(shown - np.round(shown)), initial=0.0) > 1e-6:
+            raise ValueError(f"{one.signal} has fractions")
+        changed.append(replace(one, value=to_si(factor * shown, unit, one.signal)))
+    return record.replace_series(*changed)
+
+
+def _exchanged(pairs: Sequence[tuple[str, str]], record: Record) -> Record:
+    def taken(signal: str, other: str) -> Series:
+        numbers = from_si(record[other].value, SIGNALS[other].display, other)
+        return replace(record[other], signal=signal, value=to_si(numbers, SIGNALS[signal].display, signal))
+
+    both = (one for pair in pairs for one in (pair, pair[::-1]))
+    return record.replace_series(*(taken(*one) for one in both))
+
+
+def _surprise(record: Record) -> float:
+    """How unusual the levels of a record are: half the sum of squares of their distances from usual bands.
+
+    Bands and scales are those of attics, greenhouses, rooms, boxes outdoors and turbines: a cabinet 0 … 10 K
+    warmer than outside (12 K above, 2 K below), vapour within a factor of 1.35 of that outside (as much
+    again), outside −5 … 25 °C (6 K) and 2 … 15 g/m³ (a factor of 1.5).
+    """
+    inside, outside = (_mean(record, f"{place}_temperature") for place in ("cabinet", "ambient"))
+    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
+    ln_inside, ln_outside = (
+        np.nan if one is None or not len(one.known[1]) else np.log(max(one.known[1].mean(), 1e-9))
+        for one in vapours
+    )
+    bands = (
+        (inside - outside, 0.0, 10.0, 2.0, 12.0),
+        (ln_inside - ln_outside, -0.3, 0.3, 0.3, 0.3),
+        (outside - ZERO_CELSIUS_K, -5.0, 25.0, 6.0, 6.0),
+        (ln_outside, np.log(2e-3), np.log(15e-3), 0.4, 0.4),
+    )
+    return sum(
+        0.5 * max((low - value) / below, (value - high) / above, 0.0) ** 2
+        for value, low, high, below, above in bands
+        if np.isfinite(value)
+    )
+
+
+def _mean(record: Record, signal: str) -> float:
+    known = record[signal].known[1] if signal in record else ()
+    return float(np.mean(known)) if len(known) else np.nan
 
 
 # -- the sun -------------------------------------------------------------------------------------------------

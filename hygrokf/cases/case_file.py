@@ -24,8 +24,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
-from hygrokf.data.toml_form import FormFault, read_toml
-from hygrokf.data.toml_lines import lines_of
+from hygrokf.data.toml_form import FormFault, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -47,7 +46,11 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     Raises CaseFault with all faults of the case file and of every source.
     """
     file = Path(path)
-    text, content = _case_text(file)
+    try:
+        text, content = read_toml(file, CaseFault, "no such case file; check the path")
+    except CaseFault as fault:
+        other = _other_than_case(file)
+        raise CaseFault(file, [other] if other else fault.faults) from None
     case, faults = stated_case(content, CasePlace(file=file.name, lines=lines_of(text)), file.stem)
 
     def table(source: StatedSource) -> Table:
@@ -234,16 +237,6 @@ def _weathers(
     return reads, warnings, faults
 
 
-def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
-    """Text and content of the case file."""
-    try:
-        return read_toml(file, CaseFault, "no such case file; check the path")
-    except CaseFault as fault:
-        other = _other_than_case(file)
-        raise CaseFault(file, [other] if other else fault.faults) from None
-
-
-_EXPECTED = "expected a case file that names it (docs/reference/case_file.md)"
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
@@ -257,7 +250,9 @@ def _other_than_case(file: Path) -> str:
         if {"design", "parameters"} <= set(held):
             return "is a result of `hygrokf fit`, expected a case file (docs/reference/case_file.md)"
         return "is JSON, expected a case file (docs/reference/case_file.md)"
-    return f"is a table, {_EXPECTED}" if file.is_file() and file.suffix.lower() in _TABLES else ""
+    if file.is_file() and file.suffix.lower() in _TABLES:
+        return "is a table, expected a case file that names it (docs/reference/case_file.md)"
+    return ""
 
 
 def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
@@ -318,10 +313,21 @@ def _source_series(
         length = source.interval_s
         if length is None and (source.stamp != "instant" or hold == MEAN):
             if not regular >= 0.5:
-                faults.append(_no_step(step, regular))
+                steps = "there is only one stamp"
+                if math.isfinite(step):
+                    steps = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
+                faults.append(
+                    f"the stamps do not show the length of the averaging interval ({steps}): "
+                    'state it, such as interval = "10min"'
+                )
                 break
             length = step
-        moved, length = _end_of_interval(own + source.clock_correction_s, length or 0.0, source.stamp, hold)
+        length = length or 0.0
+        shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[source.stamp]
+        if hold == LINEAR and source.stamp != "instant":
+            # a mean that is joined by straight lines is placed in the middle of its interval
+            shift -= 0.5 * length
+        moved = own + source.clock_correction_s + shift
         settings: dict[str, Any] = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
@@ -336,7 +342,7 @@ def _source_series(
                     moved,
                     to_si(raw, one.unit, one.signal),
                     hold,
-                    length,
+                    length if hold == MEAN else 0.0,
                     clock_uncertainty_s=source.clock_uncertainty_s,
                     source=f'{source.file}, column "{one.column}"',
                     **settings,
@@ -350,25 +356,6 @@ def _source_series(
             f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
     return found, warnings, faults
-
-
-def _no_step(step: float, regular: float) -> str:
-    found = "there is only one stamp"
-    if math.isfinite(step):
-        found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
-    return (
-        f"the stamps do not show the length of the averaging interval ({found}): "
-        'state it, such as interval = "10min"'
-    )
-
-
-def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
-    """Times in the convention of `Series`, and the interval's length [s]."""
-    shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
-    if hold == LINEAR:
-        # a mean that is joined by straight lines is placed in the middle of its interval
-        return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
-    return time + shift, length if hold == MEAN else 0.0
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:

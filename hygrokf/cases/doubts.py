@@ -18,7 +18,7 @@ from hygrokf.data.input_paths import ON_CHANGE, centred, on_change
 from hygrokf.data.probes import copies
 from hygrokf.data.readings import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
-from hygrokf.data.signals import signal_named, unit_mistaken
+from hygrokf.data.signals import HUMIDITIES, signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.holds import LINEAR
@@ -38,12 +38,7 @@ _MANY_LOST = 0.03
 """[1] share of readings without known inputs that is worth a doubt."""
 _OLDEST_S = 10 * 365.25 * DAY_S
 """[s] earliest plausible reading: no turbine of the seventies had a logger."""
-IDENTIFIABLE = (
-    "cabinet_temperature",
-    "cabinet_relative_humidity",
-    "cabinet_absolute_humidity",
-    "cabinet_dew_point_temperature",
-)
+IDENTIFIABLE = tuple(f"cabinet_{kind}" for kind in ("temperature", *HUMIDITIES))
 """Signals of the cabinet that can identify a model."""
 
 
@@ -68,7 +63,7 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
 def all_doubts(
     record: Record, clocks: Sequence[ClockError] | None = None, read: Readings | None = None
 ) -> tuple[str, ...]:
-    """Doubts about the compared sources, followed by the `doubts` about the record.
+    """Doubts about the compared sources and about the record, one sentence each; a doubt is no fault.
 
     clocks, read: clock errors and alternative readings, if already known.
     """
@@ -76,28 +71,10 @@ def all_doubts(
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
     off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
-    return (*off, *_uncompared(record, clocks), *doubts(record, read))
-
-
-def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
-    """Files for comparison that share too little time with the sources that are used."""
-    done = {one.signal for error in clocks for one in error.alignments}
-    apart = [one for one in record.compared if one.signal in record and one.signal not in done]
-    apart = [one for one in apart if one.signal not in NOT_COMPARED]
-    files: dict[str, list[str]] = {}
-    for one in apart:
-        files.setdefault(one.file, []).append(one.signal)
-    return [
-        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
-        "source that is used"
-        for file, signals in files.items()
-    ]
-
-
-def doubts(record: Record, read: Readings | None = None) -> tuple[str, ...]:
-    """Doubts about a record, one sentence each; a doubt is no fault."""
     found = alternative_readings(record) if read is None else read
     return (
+        *off,
+        *_uncompared(record, clocks),
         *record.doubts,
         *(Doubt(one.sentence(), *PARTS) for one in found.findings),
         *_doubts_of_readings(record),
@@ -107,6 +84,20 @@ def doubts(record: Record, read: Readings | None = None) -> tuple[str, ...]:
         *_doubts_of_climate(record),
         *_doubts_of_clocks(record),
     )
+
+
+def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
+    """Files for comparison that share too little time with the sources that are used."""
+    done = {one.signal for error in clocks for one in error.alignments}
+    files: dict[str, list[str]] = {}
+    for one in record.compared:
+        if one.signal in record and one.signal not in (*done, *NOT_COMPARED):
+            files.setdefault(one.file, []).append(one.signal)
+    return [
+        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
+        "source that is used"
+        for file, signals in files.items()
+    ]
 
 
 def _doubts_of_readings(record: Record) -> list[str]:
@@ -243,29 +234,24 @@ def _doubts_of_power(record: Record) -> list[str]:
         said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
-            covered = _covered(record[signal], power)
+            time = record[signal].time
+            covered = np.mean((time >= power.time[0] - power.interval_s) & (time <= power.time[-1]))
             if covered < 0.5:
                 said.append(f"active power covers only {100 * covered:.0f} % of the period of {signal}")
             break
     return said
 
 
-def _covered(series: Series, other: Series) -> float:
-    """Share of the readings of a series that lie within the span of another [-]."""
-    inside = (series.time >= other.time[0] - other.interval_s) & (series.time <= other.time[-1])
-    return float(np.mean(inside))
-
-
 def _doubts_of_climate(record: Record) -> list[str]:
     said: list[str] = []
-    humid = any(f"cabinet_{kind}" in record for kind in _HUMIDITIES)
+    humid = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
     if "cabinet_temperature" not in record and not humid:
         said.append("no cabinet signal: nothing can be identified or scored")
     elif "cabinet_temperature" not in record:
         said.append("no cabinet temperature: the thermal model cannot be identified")
     elif not humid:
         said.append("no cabinet humidity: only the thermal model can be identified")
-    if humid and not any(f"ambient_{kind}" in record for kind in _HUMIDITIES):
+    if humid and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
         said.append("no ambient humidity: the hygric model has no input")
     for signal in record.signals:
         one = record[signal]
@@ -305,9 +291,6 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 )
             )
     return said
-
-
-_HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
 
 
 def _pair(

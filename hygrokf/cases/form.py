@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from hygrokf.data.columns import Notation
@@ -13,8 +13,7 @@ from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, sta
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
-from hygrokf.data.toml_form import Key, Place, across, entry_name, read_form, setting
-from hygrokf.data.toml_lines import Path, line_of
+from hygrokf.data.toml_form import Key, Place, across, entry_name, line_of, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
@@ -111,13 +110,10 @@ class StatedColumn(StatedSensor):
 class CasePlace(Place):
     """A table of a case, whose places in messages are lines of its file, such as "case.toml, line 7".
 
-    file: its name. path: of the table. lines: of its tables and keys. subject: the table as the subject of
-    "needs …".
+    file: its name. subject: the table as the subject of "needs …".
     """
 
     file: str
-    path: Path = ()
-    lines: Mapping[Path, int] = field(default_factory=dict, repr=False, compare=False)
     subject: str = ""
 
     def needs(self, key: str, stated: Key) -> str:

@@ -118,14 +118,6 @@ def read_frames(
     )
 
 
-def _own_units(frame: pandas.DataFrame) -> dict[str, str]:
-    """Column -> the unit that the frame itself states: in `attrs["units"]`, or in the type of pint."""
-    stated = frame.attrs.get("units")
-    own = {str(label): str(unit) for label, unit in stated.items()} if isinstance(stated, Mapping) else {}
-    units = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
-    return own | {label: f"{unit:~P}" or "1" for label, unit in units.items() if unit is not None}
-
-
 def _instead(key: str) -> str:
     """The replacement for an unknown option, as a phrase of its message."""
     for table, form in (("identification", StatedPeriod), ("site", Site)):
@@ -321,7 +313,12 @@ def _entries(
                     f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
                     f'say which signal it holds, such as signals={{"{label}": "cabinet_temperature"}}'
                 )
-    for label, unit in _own_units(frame).items():
+    # what the frame itself states, in `attrs["units"]` or in the type of pint
+    stated = frame.attrs.get("units")
+    own = {str(label): str(unit) for label, unit in stated.items()} if isinstance(stated, Mapping) else {}
+    kinds = {str(label): getattr(kind, "units", None) for label, kind in frame.dtypes.items()}
+    own |= {label: f"{unit:~P}" or "1" for label, unit in kinds.items() if unit is not None}
+    for label, unit in own.items():
         if label in used:
             said = entries[used[label]].setdefault("unit", unit_named(unit) or unit)
             if (unit_named(str(said)) or said) != (unit_named(unit) or unit):

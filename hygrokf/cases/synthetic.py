@@ -133,15 +133,6 @@ class SyntheticTurbine:
     truth: SyntheticTruth = field(repr=False)
 
 
-@dataclass(frozen=True)
-class _Weather:
-    temperature: np.ndarray
-    absolute_humidity: np.ndarray
-    irradiance: np.ndarray
-    rain: np.ndarray
-    wind_speed: np.ndarray
-
-
 def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
     """x[0] = start, x[n + 1] = gain x[n] + drive[n]; one entry more than `drive`."""
     from scipy.signal import lfilter  # takes longer to load than most commands need
@@ -161,22 +152,7 @@ def _low_pass(drive: np.ndarray, lag_h: float) -> np.ndarray:
     return _recursion(gain, (1.0 - gain) * drive[1:], float(drive[0]))
 
 
-def _logistic(value: np.ndarray) -> np.ndarray:
-    return 1.0 / (1.0 + np.exp(-value))
-
-
-def _sun_height(time: np.ndarray) -> np.ndarray:
-    """Sine of the sun's elevation, negative at night."""
-    day = (time - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
-    declination = np.radians(-23.44) * np.cos(2.0 * np.pi * (day + 10.0) / 365.25)
-    hour_angle = 2.0 * np.pi * (day % 1.0 - 0.5) + math.radians(LONGITUDE_DEG)
-    latitude = math.radians(LATITUDE_DEG)
-    return np.sin(latitude) * np.sin(declination) + np.cos(latitude) * np.cos(declination) * np.cos(
-        hour_angle
-    )
-
-
-def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
+def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> dict[str, np.ndarray]:
     """Weather of an English site each minute: seasons, days, fronts, clouds, rain, wind."""
     random, gusts = (np.random.default_rng(child) for child in seed.spawn(2))
 
@@ -187,8 +163,13 @@ def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     day = (time - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
     winter = np.cos(2.0 * np.pi * (day - 20.0) / 365.25)
     front = wander(70.0)
-    cloud = _logistic(1.8 * wander(18.0) + 0.9)
-    height = np.maximum(_sun_height(time), 0.0)
+    cloud = 1.0 / (1.0 + np.exp(-(1.8 * wander(18.0) + 0.9)))
+    declination = np.radians(-23.44) * np.cos(2.0 * np.pi * (day + 10.0) / 365.25)
+    hour_angle = 2.0 * np.pi * (day % 1.0 - 0.5) + math.radians(LONGITUDE_DEG)
+    latitude = math.radians(LATITUDE_DEG)
+    # sine of the sun's elevation
+    height = np.sin(latitude) * np.sin(declination)
+    height = np.maximum(height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle), 0.0)
     irradiance = 1050.0 * height**1.15 * (1.0 - 0.75 * cloud**3) * (1.0 + 0.05 * wander(0.3))
     sunshine = _low_pass(irradiance, 3.0)
     clear_night = _low_pass((1.0 - cloud) * (height <= 0.0), 4.0)
@@ -205,13 +186,13 @@ def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     speed = (8.2 + 0.7 * winter) * np.logaddexp(0.0, 1.702 * strength) ** (1.0 / 2.1)
     gust = _ornstein_uhlenbeck(gusts, time.size, 4.0 / 60.0)
     temperature, dew_point = celsius + ZERO_CELSIUS_K, dew + ZERO_CELSIUS_K
-    return _Weather(
-        temperature=temperature,
-        absolute_humidity=absolute_humidity_from_dew_point(dew_point, temperature),
-        irradiance=irradiance,
-        rain=rain,
-        wind_speed=speed * np.maximum(1.0 + 0.09 * gust, 0.2),
-    )
+    return {
+        "temperature": temperature,
+        "absolute_humidity": absolute_humidity_from_dew_point(dew_point, temperature),
+        "irradiance": irradiance,
+        "rain": rain,
+        "wind_speed": speed * np.maximum(1.0 + 0.09 * gust, 0.2),
+    }
 
 
 def _operation(
@@ -279,11 +260,14 @@ def _cabinet_temperature(
 
 
 def _cabinet_humidity(
-    seed: np.random.SeedSequence, parameters: SyntheticParameters, weather: _Weather, cabinet_K: np.ndarray
+    seed: np.random.SeedSequence,
+    parameters: SyntheticParameters,
+    weather: dict[str, np.ndarray],
+    cabinet_K: np.ndarray,
 ) -> tuple[np.ndarray, float]:
     """c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the means."""
     coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
-    ambient_K = weather.temperature
+    ambient_K = weather["temperature"]
     mean_speed = cabinet_K.mean() * ambient_K.mean() ** 0.8
     constant_h = parameters.hygric_time_constant_h * mean_speed / 273.0**1.8
     rate = cabinet_K * ambient_K**0.8 / (constant_h * 273.0**1.8)
@@ -293,7 +277,7 @@ def _cabinet_humidity(
     )
     # The disturbance is a vapour flow: per volume it does not grow with the exchange rate.
     flow = 0.5 * (disturbance[:-1] + disturbance[1:]) / parameters.hygric_time_constant_h
-    outside = weather.absolute_humidity
+    outside = weather["absolute_humidity"]
     gain, drive = _step_with_ramp(rate, outside[:-1] + flow / rate, outside[1:] + flow / rate)
     kicks = math.sqrt(MINUTE_H) * parameters.humidity_diffusion_kg_m3
     drive = drive + kicks * white.standard_normal(drive.size)
@@ -301,23 +285,6 @@ def _cabinet_humidity(
     pairs = zip(gain.tolist(), drive.tolist(), strict=True)
     states = accumulate(pairs, lambda state, step: step[0] * state + step[1], initial=start)
     return np.array(list(states)), constant_h * 3600.0
-
-
-class _Sensor:
-    """Turns true values into readings of one logger column: bias, noise, resolution."""
-
-    def __init__(self, random: np.random.Generator) -> None:
-        self.random = random
-        self.biases: list[tuple[str, float]] = []
-
-    def read(
-        self, column: str, true: np.ndarray, accuracy: float, noise: float, resolution: float
-    ) -> np.ndarray:
-        # the stated accuracy is a 95 % bound; no sensor in the demo lies outside it
-        bias = float(np.clip(0.5 * accuracy * self.random.standard_normal(), -accuracy, accuracy))
-        self.biases.append((column, bias))
-        reading = true + bias + noise * self.random.standard_normal(true.size)
-        return np.round(reading / resolution) * resolution
 
 
 def _stops(random: np.random.Generator, time: np.ndarray, lengths_h: Sequence[float]) -> np.ndarray:
@@ -336,10 +303,10 @@ def _blank(values: np.ndarray, time: np.ndarray, place: float, days: float) -> n
 
 
 def _tables(
-    seed: np.random.SeedSequence, weather: _Weather, truth_arrays: dict[str, np.ndarray]
+    seed: np.random.SeedSequence, weather: dict[str, np.ndarray], truth_arrays: dict[str, np.ndarray]
 ) -> tuple[SyntheticTable, SyntheticTable, SyntheticTable, tuple[tuple[str, float], ...]]:
     sensing, failing = (np.random.default_rng(child) for child in seed.spawn(2))
-    sensor = _Sensor(sensing)
+    biases: list[tuple[str, float]] = []
     minutes = truth_arrays["time"]
     span = float(minutes[-1] - minutes[0])
     scale = min(1.0, span / (60.0 * DAY_S))
@@ -347,17 +314,22 @@ def _tables(
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.interp(time, minutes, values)
 
-    def humidity_percent(time: np.ndarray, kelvin: str, concentration: str) -> np.ndarray:
-        return 100.0 * relative_humidity(
-            at(time, truth_arrays[concentration]), at(time, truth_arrays[kelvin])
-        )
+    def read(column: str, true: np.ndarray, accuracy: float, noise: float, resolution: float) -> np.ndarray:
+        # the stated accuracy is a 95 % bound; no sensor in the demo lies outside it
+        bias = float(np.clip(0.5 * accuracy * sensing.standard_normal(), -accuracy, accuracy))
+        biases.append((column, bias))
+        reading = true + bias + noise * sensing.standard_normal(true.size)
+        return np.round(reading / resolution) * resolution
+
+    def climate(time: np.ndarray, place: str, short: str) -> tuple[np.ndarray, np.ndarray]:
+        kelvin = at(time, truth_arrays[f"{place}_temperature"])
+        celsius = read(f"{place}.T_{short}_degC", kelvin - ZERO_CELSIUS_K, 0.3, 0.03, 0.1)
+        percent = 100.0 * relative_humidity(at(time, truth_arrays[f"{place}_absolute_humidity"]), kelvin)
+        return celsius, np.clip(read(f"{place}.RH_{short}_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)
 
     # Cabinet logger: instants every 15 minutes, its clock 3 min 20 s past the quarter.
     time = np.arange(minutes[0] + 200.0, minutes[-1], 900.0)
-    celsius = at(time, truth_arrays["cabinet_temperature"]) - ZERO_CELSIUS_K
-    celsius = sensor.read("cabinet.T_cab_degC", celsius, 0.3, 0.03, 0.1)
-    percent = humidity_percent(time, "cabinet_temperature", "cabinet_absolute_humidity")
-    percent = np.clip(sensor.read("cabinet.RH_cab_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)
+    celsius, percent = climate(time, "cabinet", "cab")
     percent = _blank(percent, time, 0.70, scale * 3.7)
     kept = _stops(failing, time, (scale * 31.0, 5.5, 1.6, 0.8))
     cabinet = SyntheticTable(
@@ -366,11 +338,8 @@ def _tables(
 
     # Ambient logger: instants every 10 minutes, 6 min 40 s past its own tens.
     time = np.arange(minutes[0] + 400.0, minutes[-1], 600.0)
-    celsius = at(time, truth_arrays["ambient_temperature"]) - ZERO_CELSIUS_K
-    celsius = sensor.read("ambient.T_amb_degC", celsius, 0.3, 0.03, 0.1)
-    percent = humidity_percent(time, "ambient_temperature", "ambient_absolute_humidity")
-    percent = np.clip(sensor.read("ambient.RH_amb_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)
-    irradiance = np.maximum(np.round(at(time, weather.irradiance)), 0.0)
+    celsius, percent = climate(time, "ambient", "amb")
+    irradiance = np.maximum(np.round(at(time, weather["irradiance"])), 0.0)
     kept = _stops(failing, time, (2.4, 1.2, 0.7))
     ambient = SyntheticTable(
         "ambient.csv",
@@ -379,7 +348,7 @@ def _tables(
             ("T_amb_degC", celsius[kept], 1),
             ("RH_amb_pct", percent[kept], 1),
             ("GHI_W_m2", irradiance[kept], 0),
-            ("rain", np.round(at(time, weather.rain))[kept], 0),
+            ("rain", np.round(at(time, weather["rain"]))[kept], 0),
         ),
     )
 
@@ -399,11 +368,11 @@ def _tables(
         time[kept],
         (
             ("P_kW", kilowatts[kept], 1),
-            ("wind_speed_m_s", np.round(mean(weather.wind_speed), 2)[kept], 2),
+            ("wind_speed_m_s", np.round(mean(weather["wind_speed"]), 2)[kept], 2),
             ("preheating", mean(truth_arrays["preheating"])[kept], 1),
         ),
     )
-    return cabinet, ambient, scada, tuple(sensor.biases)
+    return cabinet, ambient, scada, tuple(biases)
 
 
 def synthetic_turbine(
@@ -430,19 +399,19 @@ def synthetic_turbine(
     first = float(np.datetime64(start, "s").astype(np.int64))
     time = first + MINUTE_S * np.arange(round(days * DAY_S / MINUTE_S) + 1, dtype=float)
     weather = _weather(seeds[0], time)
-    power, preheating = _operation(seeds[1], time, weather.wind_speed, parameters.rated_power_W)
+    power, preheating = _operation(seeds[1], time, weather["wind_speed"], parameters.rated_power_W)
     converter, cabinet_K, release = _cabinet_temperature(
-        seeds[2], parameters, weather.temperature, power, preheating
+        seeds[2], parameters, weather["temperature"], power, preheating
     )
     equivalent, constant_s = _cabinet_humidity(seeds[3], parameters, weather, cabinet_K)
     arrays = {
         "time": time,
         "converter_temperature": converter,
         "cabinet_temperature": cabinet_K,
-        "ambient_temperature": weather.temperature,
+        "ambient_temperature": weather["temperature"],
         "equivalent_humidity": equivalent,
-        "cabinet_absolute_humidity": equivalent * weather.temperature / cabinet_K,
-        "ambient_absolute_humidity": weather.absolute_humidity,
+        "cabinet_absolute_humidity": equivalent * weather["temperature"] / cabinet_K,
+        "ambient_absolute_humidity": weather["absolute_humidity"],
         "active_power": power,
         "preheating": preheating,
         "heat_release": release,
@@ -461,7 +430,7 @@ def synthetic_turbine(
             parameters=parameters,
             hygric_constant_s=constant_s,
             reference_cabinet_K=float(cabinet_K.mean()),
-            reference_ambient_K=float(weather.temperature.mean()),
+            reference_ambient_K=float(weather["temperature"].mean()),
             sensor_bias=biases,
             **arrays,
         ),

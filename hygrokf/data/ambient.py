@@ -113,17 +113,10 @@ def place_absolute_humidity(record: Record, place: str) -> Series | None:
             series = without_response(record[f"{place}_{kind}"])
             outside = centred(without_response(record[f"{place}_temperature"]))
             temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
-            return Series(
-                signal=name,
-                time=series.time,
-                value=np.minimum(convert(series.value, temperature), MOST_VAPOUR),
-                hold=series.hold,
-                interval_s=series.interval_s,
-                longest_hold_s=series.longest_hold_s,
-                lost=series.lost,
-                clock_uncertainty_s=series.clock_uncertainty_s,
-                source=series.source,
-            )
+            value = np.minimum(convert(series.value, temperature), MOST_VAPOUR)
+            # what is stated of the sensor does not hold for what is derived
+            series = replace(series, resolution=0.0, accuracy=None, response_time_s=None, saturated=0)
+            return replace(series, signal=name, value=value)
     return None
 
 

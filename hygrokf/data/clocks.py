@@ -52,8 +52,7 @@ def _moved(series: Series, record: Record, shift: Shift) -> Series:
 
 
 def in_america(record: Record) -> bool:
-    """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is
-    stated."""
-    return record.site is not None and record.site.in_north_america
-
-
+    """Whether the site's summer time is North America's, roughly; Europe's counts elsewhere and where no site
+    is stated."""
+    site = record.site
+    return site is not None and site.latitude_deg > 0.0 and -170.0 < site.longitude_deg < -40.0

@@ -141,7 +141,12 @@ def table_of(
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
-    zone = _zone(notation.timezone, faults)
+    zone = None
+    try:
+        zone = None if notation.timezone is None else zone_named(notation.timezone)
+    except ValueError as unknown:
+        faults.append(str(unknown))
+        zone = UTC  # with which further faults are found
     values = {}
     judged = {
         name: notation.quality.judged(name, of, frame[of])
@@ -184,15 +189,6 @@ def table_of(
         raise TableFault("expected readings, found no row with a stamp that can be used")
     kept = {name: array[keep] for name, array in values.items()}
     return Table(time[keep], kept, tuple(warnings), sha256, tuple(frame.attrs.get(HEADER, ())), judged)
-
-
-def _zone(timezone: str | None, faults: list[str]) -> tzinfo | None:
-    """The zone of stamps; for one that is unknown a fault, and UTC, with which further faults are found."""
-    try:
-        return None if timezone is None else zone_named(timezone)
-    except ValueError as unknown:
-        faults.append(str(unknown))
-        return UTC
 
 
 def _two_readings(name: str, column: pandas.Series, places: Places) -> str:

@@ -81,7 +81,12 @@ def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         with suppress(OSError):
             temporary.unlink()
         raise
-    _force_directory(target.parent)
+    with suppress(OSError):  # the renaming survives a power cut, on systems that support it
+        descriptor = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
@@ -101,13 +106,3 @@ def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:
     path, errors: as for `write_bytes_whole`.
     """
     return write_bytes_whole(path, text.encode("utf-8"))
-
-
-def _force_directory(directory: Path) -> None:
-    """Make the renaming survive a power cut, on systems that support it."""
-    with suppress(OSError):
-        descriptor = os.open(directory, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

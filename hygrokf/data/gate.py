@@ -122,7 +122,14 @@ def judge(
     settled_s = known_until_s
     if len(value):
         settled_s = _judge_departures(time, value, scale, known_until_s, verdict)
-        _judge_frozen(signal, time, value, scale, in_hindsight, verdict)
+    still = scale.still_s / scale.step_s + 1e-6
+    if len(value) > still:
+        # a tracker has forgotten what was long before a gap
+        starts, lengths = runs_of(value, False if in_hindsight else gaps(time, scale.step_s))
+        place = np.arange(len(value)) - np.repeat(starts, lengths)
+        repeats = np.repeat(lengths, lengths) if in_hindsight else place + 1
+        late = (repeats > still) & (place > 0) & ~resting(signal, value, scale.top)
+        verdict[late & (verdict == ACCEPTED)] = FROZEN
     return Judgement(verdict, settled_s)
 
 
@@ -187,9 +194,16 @@ def _departures(time: np.ndarray, value: np.ndarray, reach_s: float) -> np.ndarr
     count = len(value)
     start = np.arange(count) + 1
     end = np.searchsorted(time, time + reach_s, side="right")
-    end = np.minimum(np.maximum(end, start + 1), count)
+    low, high = _extremes(value, start, np.minimum(np.maximum(end, start + 1), count))
+    rise = np.diff(value, prepend=value[:1])
+    back = np.where(rise > 0.0, value - low, high - value)
+    return np.nan_to_num(np.maximum(np.minimum(np.abs(rise), back), 0.0))
+
+
+def _extremes(value: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest values (N,) of windows from `start` to before `end` (N,); NaN for empty ones."""
     length = end - start
-    low, high = np.full(count, np.nan), np.full(count, np.nan)
+    low, high = np.full(len(start), np.nan), np.full(len(start), np.nan)
     least = most = value
     width = 1
     while width <= length.max(initial=0):  # extremes of windows from those of two halves that may overlap
@@ -197,31 +211,14 @@ def _departures(time: np.ndarray, value: np.ndarray, reach_s: float) -> np.ndarr
         first, second = start[here], end[here] - width
         low[here] = np.minimum(least[first], least[second])
         high[here] = np.maximum(most[first], most[second])
-        if 2 * width > count:
+        if 2 * width > len(value):
             break
         least, most = np.minimum(least[:-width], least[width:]), np.maximum(most[:-width], most[width:])
         width *= 2
-    rise = np.diff(value, prepend=value[:1])
-    back = np.where(rise > 0.0, value - low, high - value)
-    return np.nan_to_num(np.maximum(np.minimum(np.abs(rise), back), 0.0))
+    return low, high
 
 
 # -- frozen readings -----------------------------------------------------------------------------------------
-def _judge_frozen(
-    signal: str, time: np.ndarray, value: np.ndarray, scale: Scale, in_hindsight: bool, verdict: np.ndarray
-) -> None:
-    """Mark the readings that repeat a value for longer than the signal ever stays still."""
-    still = scale.still_s / scale.step_s + 1e-6
-    if len(value) <= still:
-        return
-    # a tracker has forgotten what was long before a gap
-    starts, lengths = runs_of(value, False if in_hindsight else gaps(time, scale.step_s))
-    place = np.arange(len(value)) - np.repeat(starts, lengths)
-    repeats = np.repeat(lengths, lengths) if in_hindsight else place + 1
-    late = (repeats > still) & (place > 0) & ~resting(signal, value, scale.top)
-    verdict[late & (verdict == ACCEPTED)] = FROZEN
-
-
 def gaps(time: np.ndarray, step_s: float) -> np.ndarray:
     """True (T,) where a reading comes after a gap, and for the first one."""
     return np.append(True, np.diff(time) > max(REACH_S, REACH_STEPS * step_s))
@@ -284,15 +281,7 @@ def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray
     count = len(value) - length + 1
     if count <= 0:
         return False
-    high = low = value
-    width = 1
-    while 2 * width <= length:
-        high = np.maximum(high[:-width], high[width:])
-        low = np.minimum(low[:-width], low[width:])
-        width *= 2
-    rest = length - width
-    high = np.maximum(high[:count], high[rest : rest + count])
-    low = np.minimum(low[:count], low[rest : rest + count])
+    low, high = _extremes(value, np.arange(count), np.arange(count) + length)
     total = np.append(0, np.cumsum(cut))
     uncut = total[length : length + count] == total[:count]
     spread = high - low

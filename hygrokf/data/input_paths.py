@@ -153,22 +153,15 @@ def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
     return _weights(before + 1 + after, 0.0, before, noise_share)
 
 
-def _covariance(count: int) -> np.ndarray:
-    """Covariance (n, n) of the means over adjacent unit intervals of a Brownian path that starts at 0 with q
-    = 1."""
-    place = np.arange(count)
-    result = np.minimum.outer(place, place) + 0.5
-    np.fill_diagonal(result, place + 1.0 / 3.0)
-    return result
-
-
 def _weights(count: int, edge: float, block: int | None, noise_share: float) -> np.ndarray:
     """Weights of means over adjacent unit intervals in the value at an edge, or in one interval's own mean.
 
     The start of the path is unknown, so the weights sum to 1 (ordinary kriging).
     """
     place = np.arange(count)
-    known = _covariance(count)
+    # covariance (n, n) of the means of a Brownian path that starts at 0 with q = 1
+    known = np.minimum.outer(place, place) + 0.5
+    np.fill_diagonal(known, place + 1.0 / 3.0)
     wanted = known[block] if block is not None else np.minimum(place + 0.5, edge)
     system = np.ones((count + 1, count + 1))
     system[:count, :count] = known + noise_share * np.eye(count)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from hygrokf.data.record import Series
+from hygrokf.data.signals import HUMIDITIES
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 FEWEST_IN_COMMON = 20
@@ -47,21 +48,27 @@ def temperatures_of(probe: str, columns: Iterable[str]) -> list[str]:
 def copies(series: Sequence[Series]) -> Iterator[tuple[Series, str]]:
     """Series of the ambient that are the cabinet's own, and a sentence that names the columns."""
     of = {one.signal: one for one in series}
-    for kind in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
+    for kind in ("temperature", *HUMIDITIES):
         inside, outside = of.get(f"cabinet_{kind}"), of.get(f"ambient_{kind}")
         if inside is not None and outside is not None and _same_readings(inside, outside):
-            yield outside, (
-                f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
-                f"{outside.source}): one of the two columns is wrong"
+            yield (
+                outside,
+                (
+                    f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
+                    f"{outside.source}): one of the two columns is wrong"
+                ),
             )
     warm, moist = of.get("cabinet_temperature"), of.get("cabinet_relative_humidity")
     for kind in ("absolute_humidity", "dew_point_temperature"):
         outside = of.get(f"ambient_{kind}")
         if warm is not None and moist is not None and outside is not None and _derived(warm, moist, outside):
-            yield outside, (
-                f"{outside.signal} ({outside.source}) is computed from the cabinet's own readings "
-                f"({warm.source}; {moist.source}): name the source of the air outside, or call it "
-                f"cabinet_{kind}"
+            yield (
+                outside,
+                (
+                    f"{outside.signal} ({outside.source}) is computed from the cabinet's own readings "
+                    f"({warm.source}; {moist.source}): name the source of the air outside, or call it "
+                    f"cabinet_{kind}"
+                ),
             )
 
 

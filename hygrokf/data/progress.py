@@ -23,7 +23,7 @@ def reporting(progress: Progress | bool | None, name: str) -> Iterator[Progress]
     if callable(progress) or not progress:
         yield progress if callable(progress) else lambda text: None
         return
-    show, begin = _notebook() or _Stderr(), time.monotonic()
+    show, begin = _notebook() or _on_stderr, time.monotonic()
 
     def say(text: str, last: bool = False) -> None:
         show(f"{name}: {text} ({time.monotonic() - begin:.0f} s)", last)
@@ -51,13 +51,11 @@ def _notebook() -> Line | None:
     return lambda text, last: handle.update({"text/plain": text}, raw=True)
 
 
-class _Stderr:
+def _on_stderr(text: str, last: bool) -> None:
     """A line on standard error: overwritten on a terminal, else a line for each step."""
-
-    def __call__(self, text: str, last: bool) -> None:
-        if sys.stderr is None:
-            return
-        if sys.stderr.isatty():
-            print(f"\r{text}\x1b[K", end="\n" if last else "", file=sys.stderr, flush=True)
-        else:
-            print(text, file=sys.stderr, flush=True)
+    if sys.stderr is None:
+        return
+    if sys.stderr.isatty():
+        print(f"\r{text}\x1b[K", end="\n" if last else "", file=sys.stderr, flush=True)
+    else:
+        print(text, file=sys.stderr, flush=True)

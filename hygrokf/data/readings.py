@@ -13,6 +13,8 @@ from hygrokf.data.timestamps import duration_text, modal_step, period_text, stam
 
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
+SHOWN = 5
+"""Number of departed readings that a warning names."""
 PILED = 5
 """Ratio of readings at the ceiling to readings below it from which they pile up."""
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
@@ -29,16 +31,13 @@ def mask(record: Record, within_range: bool = False) -> Record:
     treatments = (mask_out_of_range,) if within_range else (mask_out_of_range, mask_gated, mask_saturated)
     warnings: list[str] = []
 
-    def masked(group: tuple[Series, ...]) -> tuple[Series, ...]:
-        result = []
-        for series in group:
-            for treat in treatments:
-                series, said = treat(series)
-                warnings.extend(said)
-            result.append(series)
-        return tuple(result)
+    def masked(series: Series) -> Series:
+        for treat in treatments:
+            series, said = treat(series)
+            warnings.extend(said)
+        return series
 
-    series, compared = masked(record.series), masked(record.compared)
+    series, compared = (tuple(map(masked, group)) for group in (record.series, record.compared))
     said = record.warnings + tuple(dict.fromkeys(warnings))
     return dataclasses.replace(record, series=series, compared=compared, warnings=said)
 
@@ -237,7 +236,16 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
     masked = np.zeros(len(series), dtype=bool)
     if (departed := verdict == DEPARTED).any():
         masked[present[departed]] = True
-        said.append(f"{_label(series)}: {departed_sentence(series, masked)}")
+        places = present[departed]
+        named = ", ".join(
+            f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in places[:SHOWN]
+        )
+        more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
+        leave = "leaves its course and returns" if len(places) == 1 else "leave their course and return"
+        said.append(
+            f"{_label(series)}: {_readings(departed)} that {leave} within {duration_text(REACH_S)} masked: "
+            f"{named}{more}"
+        )
     if (frozen := verdict == FROZEN).any():
         runs = _frozen_sentence(series, time, value, frozen)
         if frozen.sum() > 0.5 * len(value):
@@ -247,22 +255,6 @@ def mask_gated(series: Series) -> tuple[Series, tuple[str, ...]]:
             masked[present[frozen]] = True
             said.append(f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked")
     return (_masked(series, masked) if masked.any() else series), tuple(said)
-
-
-SHOWN = 5
-"""Number of departed readings that a warning names."""
-
-
-def departed_sentence(series: Series, departed: np.ndarray) -> str:
-    """The departed readings, with values and times."""
-    row = signal_named(series.signal)
-    places = np.flatnonzero(departed)
-    named = ", ".join(
-        f"{in_words(series.value[i], row)} at {stamp_text(series.time[i])}" for i in places[:SHOWN]
-    )
-    more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-    leave = "leaves its course and returns" if len(places) == 1 else "leave their course and return"
-    return f"{_readings(departed)} that {leave} within {duration_text(REACH_S)} masked: {named}{more}"
 
 
 def _frozen_sentence(series: Series, time: np.ndarray, value: np.ndarray, frozen: np.ndarray) -> str:

@@ -93,14 +93,11 @@ class Series:
         edges = [edge for span in self.lost for edge in span]
         if any(not before < after for before, after in pairwise(edges)):
             faults.append(f"lost must be spans (start, end) in order, found {self.lost}")
-        for name in ("interval_s", "resolution"):
+        for name in ("interval_s", "resolution", "accuracy", "clock_uncertainty_s", "response_time_s"):
             number = getattr(self, name)
-            if not (math.isfinite(number) and number >= 0.0):
-                faults.append(f"{name} must be a finite number ≥ 0, found {number}")
-        for name in ("accuracy", "clock_uncertainty_s", "response_time_s"):
-            number = getattr(self, name)
-            if number is not None and not (math.isfinite(number) and number >= 0.0):
-                faults.append(f"{name} must be a finite number ≥ 0 or None, found {number}")
+            optional = " or None" if name not in ("interval_s", "resolution") else ""
+            if not (number is None and optional) and not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0{optional}, found {number}")
         if self.height_m is not None and not (math.isfinite(self.height_m) and self.height_m > 0):
             faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:
@@ -225,7 +222,8 @@ def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> 
             f"time and value must be arrays of one dimension and one length, "
             f"found shapes {time.shape} and {value.shape}"
         )
-    elif not _increases(time):
+    elif not (np.isfinite([*time[:1], *time[-1:]]).all() and (time[1:] > time[:-1]).all()):
+        # all between finite ends that increase are finite
         if not np.isfinite(time).all():
             faults.append("every time must be a finite number of seconds")
         else:
@@ -308,14 +306,6 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
     )
 
 
-def _increases(time: np.ndarray) -> bool:
-    """Whether times (T,) are finite and increase strictly."""
-    if not len(time):
-        return True
-    ends = math.isfinite(time[0]) and math.isfinite(time[-1])  # then all between increasing times are finite
-    return ends and bool((time[1:] > time[:-1]).all())
-
-
 @dataclass(frozen=True)
 class Site:
     """Location of the enclosure.  Raises ValueError outside of the ranges below."""
@@ -337,11 +327,6 @@ class Site:
         ]
         if faults:
             raise ValueError("site: " + "; ".join(faults))
-
-    @property
-    def in_north_america(self) -> bool:
-        """Whether summer time follows North American dates here, roughly; they differ from Europe's."""
-        return self.latitude_deg > 0.0 and -170.0 < self.longitude_deg < -40.0
 
 
 @dataclass(frozen=True)

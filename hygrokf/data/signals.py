@@ -76,6 +76,8 @@ _OTHER_SPELLINGS = {
 """Other spellings found in exports -> the name that a case file takes; used only for suggestions."""
 
 
+HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
+"""Quantities of which each tells the vapour of a place, besides its temperature."""
 SWITCHED = (
     "preheating", "heater_power", "heater_duty", "fan_duty", "pump_duty", "dehumidifier_duty", "door_open",
 )  # fmt: skip

@@ -99,7 +99,7 @@ def _number(value: object, _: object = None) -> float:
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise ValueError(f"expected a number, found {_shown(value)}")
+        raise ValueError(f"expected a number, found {shown(value, 60)}")
     return float(value)
 
 
@@ -107,25 +107,25 @@ def _whole(value: object, _: object = None) -> int:
     if isinstance(value, bool) or not (
         isinstance(value, (int, np.integer)) or (isinstance(value, float) and value.is_integer())
     ):
-        raise ValueError(f"expected a whole number, found {_shown(value)}")
+        raise ValueError(f"expected a whole number, found {shown(value, 60)}")
     return int(value)
 
 
 def _text(value: object, _: object = None) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"expected a text, found {_shown(value)}")
+        raise ValueError(f"expected a text, found {shown(value, 60)}")
     return value
 
 
 def _flag(value: object, _: object = None) -> bool:
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"expected true or false, found {_shown(value)}")
+        raise ValueError(f"expected true or false, found {shown(value, 60)}")
     return bool(value)
 
 
 def _array(value: object, _: object = None) -> np.ndarray:
     if not isinstance(value, (list, tuple, np.ndarray)):
-        raise ValueError(f"expected a list of numbers, found {_shown(value)}")
+        raise ValueError(f"expected a list of numbers, found {shown(value, 60)}")
     rows = [_array(v) if isinstance(v, (list, tuple)) else _number(v) for v in value]
     try:
         return np.array(rows, dtype=float)
@@ -133,13 +133,10 @@ def _array(value: object, _: object = None) -> np.ndarray:
         raise ValueError("expected rows of equal length, found others") from None
 
 
-def _number_or_array(value: object, _: object = None) -> float | np.ndarray:
-    return _array(value) if isinstance(value, (list, tuple, np.ndarray)) else _number(value)
-
-
-def _shown(value: object) -> str:
+def shown(value: object, most: int = 200) -> str:
+    """A value in a message, cut to a number of characters."""
     text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return text if len(text) <= most else f"{text[: most - 3]}…"
 
 
 def _listed(value: np.ndarray) -> Any:
@@ -165,7 +162,7 @@ def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
         if isinstance(data, kind):
             return data
         if not isinstance(data, dict):
-            raise ValueError(f"expected an object ({name}), found {_shown(data)}")
+            raise ValueError(f"expected an object ({name}), found {shown(data, 60)}")
         return made(data, kind)
 
     return read
@@ -207,7 +204,9 @@ def _converter() -> Converter:
     made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
     for kind, read in ((float, _number), (int, _whole), (str, _text), (bool, _flag), (np.ndarray, _array)):
         made.register_structure_hook(kind, read)
-    made.register_structure_hook(float | np.ndarray, _number_or_array)
+    made.register_structure_hook(
+        float | np.ndarray, lambda v, _: (_array if isinstance(v, list | tuple | np.ndarray) else _number)(v)
+    )
     made.register_structure_hook(Cell, _cell)
     made.register_unstructure_hook(float, _finite)
     made.register_unstructure_hook(np.ndarray, _listed)

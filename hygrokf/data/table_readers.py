@@ -13,7 +13,6 @@ import warnings as python_warnings
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,14 +38,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".csv", ".csv.gz", ".txt", ".tsv", ".parquet")
 _HEADER_WITHIN = 200
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where the cells of a CSV file are."""
-
-    header_line: int
-    names: tuple[str, ...]
 
 
 def read_table(
@@ -79,7 +70,7 @@ def table_in(
     else:
         source = _CsvSource(content, notation)
         frame, beside = source.frame(wanted, time_column, faults)
-        frame.attrs[HEADER] = source.layout.names if len(frame) else ()
+        frame.attrs[HEADER] = source.names if len(frame) else ()
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
@@ -129,7 +120,7 @@ class _CsvSource:
         self.content, self.encoding = decodable(content)
         self.separator, self.marks, self.comment = notation.separator, notation.marks, notation.comment
         self.missing, self.quality = notation.missing, notation.quality
-        self.layout = _Layout(0, ())
+        self.header_line, self.names = 0, tuple[str, ...]()
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         """Line number (of the row's last line) and cells of every row that is not blank."""
@@ -145,11 +136,11 @@ class _CsvSource:
         except csv.Error as broken:
             raise TableFault(f"line {reader.line_num}: {broken}") from None
 
-    def _layout(self, time_column: str, faults: list[str]) -> _Layout | None:
-        """The header: the first line that names the time column."""
+    def _find_header(self, time_column: str, faults: list[str]) -> bool:
+        """Find the header, the first line that names the time column; False where no column can be read."""
         text = io.TextIOWrapper(io.BytesIO(self.content), self.encoding, newline="")
         reader = csv.reader(text, delimiter=self.separator)
-        first: _Layout | None = None
+        first: tuple[int, tuple[str, ...]] | None = None
         mark = self.comment or "#"
         while reader.line_num < _HEADER_WITHIN:
             try:
@@ -160,26 +151,27 @@ class _CsvSource:
             bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
             for candidate in (names, bare):
                 if time_column in candidate:
-                    return _Layout(reader.line_num, tuple(candidate))
+                    self.header_line, self.names = reader.line_num, tuple(candidate)
+                    return True
             comment = bool(names) and names[0].startswith(mark)
             if first is None and any(names) and not comment:
-                first = _Layout(reader.line_num, tuple(names))
+                first = reader.line_num, tuple(names)
         if first is None:
             faults.append("expected a header line, found only blank lines or comments")
-            return None
+            return False
+        self.header_line, self.names = first
         other = self._other_separator(time_column)
         if other is not None:
             shown = "\\t" if other == "\t" else other
             comma = ' and, if numbers are written as 1,5, decimal = ","'
             faults.append(
-                f'line {first.header_line}: the columns are separated by "{shown}", not by '
+                f'line {self.header_line}: the columns are separated by "{shown}", not by '
                 f'"{self.separator}": state separator = "{shown}"{comma if other != "," else ""} '
                 "in this source"
             )
-            return None
-        holder = f"line {first.header_line} has"
-        faults.append(column_fault(time_column, first.names, holder))
-        return first
+            return False
+        faults.append(column_fault(time_column, self.names, f"line {self.header_line} has"))
+        return True
 
     def _other_separator(self, time_column: str) -> str | None:
         for other in (";", "\t", ",", "|"):
@@ -198,25 +190,22 @@ class _CsvSource:
         """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
         import pandas as pd
 
-        layout = self._layout(time_column, faults)
-        if layout is None:
+        if not self._find_header(time_column, faults):
             return pd.DataFrame(), {}
-        self.layout = layout
         positions = {}
-        beside = self.quality.beside(layout.names, wanted)
+        beside = self.quality.beside(self.names, wanted)
         marks = dict.fromkeys(beside.values())
         for name in dict.fromkeys([time_column, *wanted, *marks]):
-            count = layout.names.count(name)
+            count = self.names.count(name)
             if count == 1:
-                positions[name] = layout.names.index(name)
+                positions[name] = self.names.index(name)
             elif count > 1:
-                faults.append(f'line {layout.header_line}: column "{name}" occurs {count} times')
+                faults.append(f'line {self.header_line}: column "{name}" occurs {count} times')
             elif name != time_column:
-                holder = f"line {layout.header_line} has"
-                faults.append(column_fault(name, layout.names, holder))
+                faults.append(column_fault(name, self.names, f"line {self.header_line} has"))
         if not positions:
             return pd.DataFrame(), beside
-        faults += self._width_faults(len(layout.names))
+        faults += self._width_faults()
         order = sorted(positions, key=positions.__getitem__)
         try:
             texts = [time_column, *marks]
@@ -230,7 +219,7 @@ class _CsvSource:
                         decimal=(self.marks or POINT).decimal,
                         comment=self.comment if self.comment and len(self.comment) == 1 else None,
                         header=None,
-                        skiprows=layout.header_line,
+                        skiprows=self.header_line,
                         usecols=[positions[name] for name in order],
                         names=order,
                         index_col=False,
@@ -257,18 +246,19 @@ class _CsvSource:
                 faults.append(f"cannot be read as CSV: {broken}")
             return pd.DataFrame(), beside
 
-    def _width_faults(self, width: int) -> list[str]:
+    def _width_faults(self) -> list[str]:
         """Fault of rows with more cells than the header, whose values would otherwise shift silently."""
+        width = len(self.names)
         if b'"' not in self.content:
             data = np.frombuffer(self.content, dtype=np.uint8)
             ends = np.flatnonzero(data == 10)
             marks = np.flatnonzero(data == ord(self.separator))
             counts = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
-            if not np.any(counts[self.layout.header_line :] > width):
+            if not np.any(counts[self.header_line :] > width):
                 return []
         wide, example = [], ""
         for number, cells in self._rows():
-            if number <= self.layout.header_line or len(cells) <= width:
+            if number <= self.header_line or len(cells) <= width:
                 continue
             if any(cell.strip() for cell in cells[width:]):
                 wide.append(number)
@@ -278,12 +268,12 @@ class _CsvSource:
         remedy = ""
         if self.separator == "," and re.search(r"\d,\d+(,|$)", example):
             remedy = "; numbers with a decimal comma need another separator or quotes: export again"
-        header = f"expected {width} cells as in the header (line {self.layout.header_line})"
+        header = f"expected {width} cells as in the header (line {self.header_line})"
         return [f'{numbered("line", wide, len(wide))}: {header}, found more: "{example[:80]}"{remedy}']
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""
-        numbers = (number for number, _ in self._rows() if number > self.layout.header_line)
+        numbers = (number for number, _ in self._rows() if number > self.header_line)
         first = list(itertools.islice(numbers, int(max(rows, default=-1)) + 1))
         return [first[int(row)] for row in rows if row < len(first)]
 

@@ -46,14 +46,19 @@ FORMATS = (
 """strptime formats of exports, besides ISO 8601."""
 _EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
-_CLOCK_CHANGES = (
-    "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
-    'such as timezone = "Europe/Berlin"'
-)
-_CLOCK_DOES_NOT_CHANGE = (
-    "the stamps carry summer-time offsets although the clock has no summer time: ignore them "
-    "(ignore_offset = true, timezone = the clock's own fixed offset)"
-)
+_CAUSES = {
+    (
+        "spring",
+        "autumn",
+    ): "the clock follows summer time although its stamps are read at a fixed offset: state "
+    'its zone, such as timezone = "Europe/Berlin"',
+    (
+        "autumn",
+        "spring",
+    ): "the stamps carry summer-time offsets although the clock has no summer time: ignore "
+    "them (ignore_offset = true, timezone = the clock's own fixed offset)",
+}
+"""Why a clock lacks an hour in one season and has it twice in the other one."""
 
 
 def duration(text: str) -> float:
@@ -241,7 +246,9 @@ def read_stamps(
         text = column.astype(object)
         missing = text.isna().to_numpy()
         if ignore_offset:
-            text = _without_offset(text)
+            text = text.map(
+                lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one, na_action="ignore"
+            )
         parsed, naive = _parse(text, time_format)
     empty = parsed.isna().to_numpy()
     unreadable = empty & ~missing
@@ -287,7 +294,7 @@ def _parse(text: pandas.Series, form: str | None) -> tuple[pandas.Series, np.nda
         if repaired.notna().any():
             repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
             if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
-                parsed, repaired = _as_utc(parsed), _as_utc(repaired)
+                parsed, repaired = (pd.to_datetime(one, utc=True) for one in (parsed, repaired))
             parsed = parsed.astype(repaired.dtype)
             parsed[failed] = repaired
             naive[failed] = repaired_naive
@@ -330,16 +337,6 @@ def _has_offset(text: str) -> bool:
     return _DATE_ALONE.match(text.strip()) is None and _ENDS_IN_OFFSET.search(text) is not None
 
 
-def _without_offset(text: pandas.Series) -> pandas.Series:
-    return text.map(lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one, na_action="ignore")
-
-
-def _as_utc(parsed: pandas.Series) -> pandas.Series:
-    if parsed.dt.tz is None:
-        return parsed.dt.tz_localize("UTC")
-    return parsed.dt.tz_convert("UTC")
-
-
 def _seconds(naive: pandas.Series) -> np.ndarray:
     """Seconds since 1970-01-01T00:00 of datetimes without zone [s]; NaN for NaT."""
     microseconds = naive.to_numpy(dtype="datetime64[us]")
@@ -348,9 +345,7 @@ def _seconds(naive: pandas.Series) -> np.ndarray:
     return seconds
 
 
-def _from_local(
-    local: np.ndarray, zone: tzinfo, repeated: np.ndarray
-) -> tuple[np.ndarray, tuple[str, ...]]:
+def _from_local(local: np.ndarray, zone: tzinfo, repeated: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """UTC seconds of local wall-clock seconds, and warnings [s]."""
     if not isinstance(zone, ZoneInfo):
         offset = zone.utcoffset(None)
@@ -374,7 +369,9 @@ def _from_local(
     earlier = np.where(ends, as_end, first_s)
     utc = second_s.copy()
     told_apart, left_out = [], []
-    for group in _groups(local, np.flatnonzero(np.isfinite(first_s) & (earlier != second_s))):
+    doubtful = np.flatnonzero(np.isfinite(first_s) & (earlier != second_s))
+    dates = np.flatnonzero(np.abs(np.diff(local[doubtful])) > DAY_S) + 1
+    for group in np.split(doubtful, dates) if len(doubtful) else []:
         second, ambiguous = _passes(local, group, repeated), group[~ends[group]]
         if second is not None:
             utc[group[~second]] = earlier[group[~second]]
@@ -405,14 +402,6 @@ def _localised(local: np.ndarray, zone: ZoneInfo, summer: bool) -> np.ndarray:
     index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
     found = index.tz_localize(zone, ambiguous=np.full(len(local), summer), nonexistent="NaT")
     return _seconds(found.tz_convert("UTC").tz_localize(None).to_series())
-
-
-def _groups(local: np.ndarray, doubtful: np.ndarray) -> list[np.ndarray]:
-    """Indices of doubtful stamps, one array for each change date."""
-    if not len(doubtful):
-        return []
-    breaks = np.flatnonzero(np.abs(np.diff(local[doubtful])) > DAY_S) + 1
-    return np.split(doubtful, breaks)
 
 
 def _passes(local: np.ndarray, group: np.ndarray, repeated: np.ndarray) -> np.ndarray | None:
@@ -465,17 +454,12 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         return ()
     steps = np.diff(time)
     gaps = np.flatnonzero(np.abs(steps - (HOUR_S + step)) < 0.01 * step)
-    gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
-    other = 0
-    for index in gaps:
-        day, season = change_date(time[index] + step)
-        if season:
-            gap_days[season].append(day)
-        else:
-            other += 1
+    seen = [change_date(time[index] + step) for index in gaps]
+    other = sum(not season for _, season in seen)
     dates = np.arange(time[0], time[-1], DAY_S)
     if other * sum(bool(change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
-        gap_days = {"spring": [], "autumn": []}
+        seen = []
+    gap_days = {name: [day for day, season in seen if season == name] for name in ("spring", "autumn")}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / DAY_S)):
@@ -492,10 +476,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         )
     for days in (gap_days["spring"], double_days["spring"]):
         days[:] = [day for day in days if day not in moved]
-    for gap, double, reason in (
-        ("spring", "autumn", _CLOCK_CHANGES),
-        ("autumn", "spring", _CLOCK_DOES_NOT_CHANGE),
-    ):
+    for (gap, double), reason in _CAUSES.items():
         facts = []
         if gap_days[gap]:
             facts.append(f"one hour is missing on {_days(gap_days[gap])}")
@@ -539,14 +520,11 @@ def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _turns(year: int, america: bool) -> tuple[float, float]:
     """Beginning and end of summer time [s]."""
-    if america:
-        return _sunday(year, 3, 1) + 8.0 * HOUR_S, _sunday(year, 11, 0) + 7.0 * HOUR_S
-    return _sunday(year, 3, -1) + HOUR_S, _sunday(year, 10, -1) + HOUR_S
-
-
-def _sunday(year: int, month: int, which: int) -> float:
-    """Midnight UTC of a Sunday of a month [s]; `which` counts from 0, or from the end with −1."""
-    this = np.datetime64(f"{year}-{month:02d}", "M")
-    days = np.arange(this, this + 1, dtype="datetime64[D]")
-    sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
-    return float(sundays[which].astype("datetime64[s]").astype(int))
+    turns = ((3, 1, 8.0), (11, 0, 7.0)) if america else ((4, -1, 1.0), (11, -1, 1.0))
+    # a Sunday of a month, counted from 0 on, or the last one of the month before
+    begin, end = (
+        np.busday_offset(f"{year}-{month:02d}-01", which, roll="forward", weekmask="Sun").astype(int) * DAY_S
+        + hour * HOUR_S
+        for month, which, hour in turns
+    )
+    return float(begin), float(end)

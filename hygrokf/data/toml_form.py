@@ -19,17 +19,24 @@ import numbers
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
+from hygrokf.data.structured import shown
 from hygrokf.errors import HygrokfError, suggestion
 
 T = TypeVar("T")
 BLANKS: Mapping[Any, Any] = {str: "", float: math.nan}
 """Placeholder for a missing or faulty value without a default; None for other types."""
+TablePath = tuple[str | int, ...]
+"""Names of tables and keys from the outside in; a number counts the tables of one [[name]] from 0."""
+_NAME = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_NAMES = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
+_HEAD = re.compile(rf"\s*(\[\[?)\s*({_NAMES})\s*\]")
+_KEY = re.compile(rf"\s*({_NAMES})\s*=")
 STATED, OF_ENTRY = "stated", "of entry"
 Check = Callable[[Any], str | Iterable[str] | None]
 """A method of a form that returns its faults: one, several or none."""
@@ -144,21 +151,64 @@ def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
 # --- places in messages ----------------------------------------------------------------------
 
 
+def lines_of(text: str) -> dict[TablePath, int]:
+    """The line of each table and key of a TOML text, counted from 1; keys of inline tables are left out."""
+    found: dict[TablePath, int] = {}
+    counts: dict[TablePath, int] = {}
+    table: TablePath = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        head, key = _HEAD.match(line), _KEY.match(line)
+        if head is not None:
+            table = _numbered(_split(head[2]), counts, head[1] == "[[")
+            found.setdefault(table, number)
+        elif key is not None:
+            names = _split(key[1])
+            for length in range(len(names)):
+                found.setdefault((*table, *names[: length + 1]), number)
+    return found
+
+
+def line_of(lines: Mapping[TablePath, int], table: TablePath, keys: Sequence[str]) -> int | None:
+    """The line of the first of these keys of a table that is found, else of the table or of one around it."""
+    around = (table[:length] for length in range(len(table), 0, -1))
+    # a key of an inline table stands on the line of that table
+    return next((lines[one] for one in (*((*table, key) for key in keys), *around) if one in lines), None)
+
+
+def _split(names: str) -> list[str]:
+    return [one.strip("\"'") for one in re.findall(_NAME, names)]
+
+
+def _numbered(names: list[str], counts: dict[TablePath, int], begins: bool) -> TablePath:
+    """The path of a table's head: of several [[name]] the newest is meant, or with `begins` a new one."""
+    path: TablePath = ()
+    for place, name in enumerate(names, 1):
+        path = (*path, name)
+        if begins and place == len(names):
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path = (*path, counts[path])
+    return path
+
+
 @dataclass(frozen=True)
 class Place:
-    """A table in messages, such as "[test]" or "[[turbine]] 2", and the faults found so far.
+    """A table in messages, such as "[test]" or "line 7, [[turbine]] 2", and the faults found so far.
 
     name: of the table; empty for the file itself. of: the table as the end of "unknown key …". faults: of the
-    whole file.
+    whole file. lines: of the file's tables and keys, where they are named. path: of the table.
     """
 
     name: str = ""
     of: str = ""
     faults: list[str] = field(default_factory=list, repr=False, compare=False)
+    lines: Mapping[TablePath, int] = field(default_factory=dict, repr=False, compare=False)
+    path: TablePath = ()
 
     def at(self, *keys: str) -> str:
         """The place of the first of these keys that is found, or of the table."""
-        return self.name
+        line = line_of(self.lines, self.path, keys)
+        return ", ".join(([] if line is None else [f"line {line}"]) + ([self.name] if self.name else []))
 
     def fault(self, text: str, *keys: str) -> None:
         """Add a fault with the place of the first of these keys that is found."""
@@ -176,10 +226,13 @@ class Place:
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
         """The table under a key; `number` counts several [[key]] from 0; `entry` names a table inside it."""
+        name = f"{self.name} {key}" if self.name else f"[{key}]"
         if number is not None:
-            return dataclasses.replace(self, name=f"[[{key}]] {number + 1}")
-        head = f"{self.name} {key}" if self.name else f"[{key}]"
-        return dataclasses.replace(self, name=head if entry is None else f"{head}.{entry}")
+            name = f"[[{key}]] {number + 1}"
+        elif entry is not None:
+            name = f"{name}.{entry}"
+        within = (one for one in (number, entry) if one is not None)
+        return dataclasses.replace(self, name=name, path=(*self.path, key, *within))
 
 
 # --- reading ---------------------------------------------------------------------------------
@@ -200,12 +253,10 @@ def read_toml(
     except FileNotFoundError:
         near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
         raise fault_class(file, [missing + suggestion(file.name, near)]) from None
-    except IsADirectoryError as fault:
-        raise fault_class(file, [f"cannot be read: {fault.strerror}; name a file in it"]) from None
-    except PermissionError as fault:
-        raise fault_class(file, [f"cannot be read: {fault.strerror}; check its rights"]) from None
     except OSError as fault:
-        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}; check path and disk"]) from None
+        remedies = {IsADirectoryError: "name a file in it", PermissionError: "check its rights"}
+        remedy = remedies.get(type(fault), "check path and disk")
+        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}; {remedy}"]) from None
     except UnicodeDecodeError:
         raise fault_class(file, ["expected TOML text in UTF-8, found other bytes"]) from None
     try:
@@ -306,7 +357,7 @@ def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
     except (TypeError, OverflowError):
         pass
     near = suggestion(value, stated.choices) if isinstance(value, str) else ""
-    found = f'"{value}"' if stated.choices and isinstance(value, str) else _shown(value)
+    found = f'"{value}"' if stated.choices and isinstance(value, str) else shown(value)
     remedy = f"; {stated.remedy}" if stated.remedy else ""
     raise ValueError(f"{name} must be {_words(kind, stated)}, found {found}{near}{remedy}")
 
@@ -344,7 +395,7 @@ def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
         if isinstance(table, Mapping):
             found[entry] = read_form(form, table, inside, **named)
         else:
-            inside.fault(f"{shape}, found {_shown(table)}")
+            inside.fault(f"{shape}, found {shown(table)}")
     return found
 
 
@@ -383,8 +434,3 @@ def _words(kind: Any, stated: Key) -> str:
     return {str: "text in quotes", bool: "true or false"}.get(kind) or (
         f"a {'whole ' * (kind is int)}number{stated.limits}"
     )
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 200 else f"{text[:197]}…"

@@ -146,12 +146,6 @@ def daily_share(column: Hourly) -> float:
     return min(float(np.var(course[clock])) / total, 1.0) if total > 0.0 else 0.0
 
 
-def warmer_share(column: Hourly, other: Hourly) -> float:
-    """Share of the common hours in which a column is above another one; NaN below a day of them."""
-    mine, its = column.beside(other)
-    return float(np.mean(mine > its)) if len(mine) >= 24 else math.nan
-
-
 def rated_power(values: np.ndarray, unit: str) -> float | None:
     """Rated power by the plateau at which the power stops [kW]; None where there is no plateau.
 

@@ -1,27 +1,33 @@
-"""A case file drafted from exports."""
+"""A case file drafted from exports: what was found, its doubts as comments, all columns that are left."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
-from hygrokf.data.files import write_text_whole
-from hygrokf.data.signals import to_si
-from hygrokf.data.timestamps import summer_time_holes
+from hygrokf.data.files import DRAFT_DOUBT, write_text_whole
+from hygrokf.data.input_paths import ON_CHANGE, on_change
+from hygrokf.data.readings import detect_resolution
+from hygrokf.data.signals import SIGNALS, to_si
+from hygrokf.data.timestamps import duration_text, stamp_text, summer_time_holes
 from hygrokf.drafting.behaviour import rated_power
-from hygrokf.drafting.case_text import Contents, Weather, case_text, lacking
 from hygrokf.drafting.layout import Export, read_export
 from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
-from hygrokf.drafting.stamps import noon_of, sun_remark
+from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError
+from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.archive import contents
 from hygrokf.weather.reading import weather_form
+
+_WIDTH = 100
 
 
 class DraftFault(HygrokfError):
@@ -72,6 +78,34 @@ class Draft:
     lacks: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Weather:
+    """A weather file: its path in the case, its `format`, and whether it is a typical year."""
+
+    file: str
+    format: str
+    typical: bool = False
+
+
+@dataclass(frozen=True)
+class Contents:
+    """All that a drafted case says.
+
+    name: of the enclosure. rated_kW: by the plateau of the power [kW], None where there is none.
+    power_kW: its largest readings [kW], None where no power was found.
+    site: latitude and longitude [deg], or None.
+    """
+
+    name: str
+    sources: tuple[Source, ...]
+    found: tuple[Assigned, ...]
+    left: dict[tuple[int, str], str]
+    weather: tuple[Weather, ...]
+    rated_kW: float | None
+    power_kW: float | None
+    site: tuple[float, float] | None
+
+
 def draft_case(
     exports: Sequence[Path],
     out: Path,
@@ -87,7 +121,14 @@ def draft_case(
 
     Raises DraftFault with the faults of all exports.
     """
-    faults = _copies_among(exports, out)
+    # the copies of this draft would replace exports that are copies of an earlier one
+    faults = [
+        f"{one}: expected an export, found the name of the copy of {other.name} for {out.name}; "
+        "leave it out, or remove it"
+        for one in exports
+        for other in exports
+        if one.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
+    ]
     tables: list[Export] = []
     weather: list[Weather] = []
     for file in exports:
@@ -115,7 +156,10 @@ def draft_case(
     if faults:
         raise DraftFault("\n".join(faults))
     found, left = assigned(sources)
-    return _written(sources, found, left, weather, out, site)
+    name = next((one.turbine for one in sources if one.turbine), None)
+    name = name or (sources[0].export.file.name.split(".")[0] if sources else out.stem)
+    power = _power(sources, found)
+    return _written(Contents(name, tuple(sources), tuple(found), left, tuple(weather), *power, site), out)
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
@@ -126,46 +170,30 @@ def _is_typical_year(file: Path, form: str) -> bool:
     return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
-def _copies_among(exports: Sequence[Path], out: Path) -> list[str]:
-    """Faults of exports that the copies of this draft would replace: they are those of an earlier draft."""
-    return [
-        f"{one}: expected an export, found the name of the copy of {other.name} for {out.name}; "
-        "leave it out, or remove it"
-        for one in exports
-        for other in exports
-        if one.resolve() == (out.parent / f"{out.stem}_{other.name.split('.')[0]}.csv").resolve()
-    ]
-
-
-def _written(
-    sources: list[Source],
-    found: list[Assigned],
-    left: dict[tuple[int, str], str],
-    weather: list[Weather],
-    out: Path,
-    site: tuple[float, float] | None,
-) -> Draft:
+def _written(case: Contents, out: Path) -> Draft:
     """The draft, after its case file and the copies of tables are written."""
     copies: list[Path] = []
     placed: list[Source] = []
-    for number, source in enumerate(sources):
-        path = source.export.file
-        export = source.export
+    for number, source in enumerate(case.sources):
+        export, path = source.export, source.export.file
         if export.changes:
             path = _copy_name(path, out, copies)
             copies.append(path)
             export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
             text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
             write_text_whole(path, text)
-        said = (*source.said, *_offset_doubt(source), *_zone_doubt(source, sources))
-        sun = _sun(number, source, found, site)
+        said = (*source.said, *_zone_doubt(source, case.sources))
+        if source.clock.timezone is None:  # its offsets may contradict its stamps
+            time = source.clock.time
+            said = (*source.said, *summer_time_holes(np.sort(time[np.isfinite(time)])))
+        sun = None
+        for one in (one.best for one in case.found if one.best.source == number):
+            if one.signal == "global_horizontal_irradiance":
+                sun = sun_remark(source.clock.time, source.values[one.column], case.site and case.site[1])
+                break
         placed.append(replace(source, export=export, path=_relative(path, out), said=said, sun=sun))
-    rated, largest = _power(sources, found)
-    name = next((one.turbine for one in sources if one.turbine), None) or _name(sources, out)
-    contents = Contents(
-        name, tuple(placed), tuple(found), left, tuple(weather), rated, largest, site
-    )
-    write_text_whole(out, case_text(contents))
+    case = replace(case, sources=tuple(placed))
+    write_text_whole(out, "\n".join((*_lines(case), "")))
     return Draft(
         str(out),
         tuple(map(str, copies)),
@@ -180,15 +208,15 @@ def _written(
                 one.compare,
                 one.doubts,
             )
-            for one in found
+            for one in case.found
         ),
-        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in left.items()),
+        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in case.left.items()),
         tuple(
             f"{one.path}: {doubt}"
             for one in placed
             for doubt in (*one.clock.doubts, *one.said, *one.quality_doubts)
         ),
-        lacking(contents),
+        _lacking(case),
     )
 
 
@@ -199,15 +227,7 @@ def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
     return next(path for path in (out.parent / name for name in names) if path not in copies)
 
 
-def _offset_doubt(source: Source) -> tuple[str, ...]:
-    """Doubts of a clock whose offsets contradict its stamps."""
-    if source.clock.timezone is not None:
-        return ()
-    time = source.clock.time
-    return summer_time_holes(np.sort(time[np.isfinite(time)]))
-
-
-def _zone_doubt(source: Source, sources: list[Source]) -> tuple[str, ...]:
+def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
     """A doubt of an assumed zone where other exports state theirs."""
     stated = {
         one.clock.timezone: one.export.file.name
@@ -230,18 +250,155 @@ def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, 
     return None, None
 
 
-def _sun(number: int, source: Source, found: list[Assigned], site: tuple[float, float] | None) -> str | None:
-    for one in found:
-        if one.best.source == number and one.best.signal == "global_horizontal_irradiance":
-            noon = noon_of(source.clock.time, source.values[one.best.column])
-            return sun_remark(noon, None if site is None else site[1])
-    return None
-
-
-def _name(sources: list[Source], out: Path) -> str:
-    return sources[0].export.file.name.split(".")[0] if sources else out.stem
-
-
 def _relative(file: Path, out: Path) -> str:
     """Path of a file as the case names it."""
     return Path(os.path.relpath(file.absolute(), out.absolute().parent)).as_posix()
+
+
+# --- the text of the case --------------------------------------------------------------------
+
+
+def _lacking(case: Contents) -> tuple[str, ...]:
+    """What a fit needs or would miss, and no active signal of the draft holds."""
+    signals = {one.best.signal for one in case.found if one.active and not one.compare}
+    lacks = []
+    if not case.weather and "ambient_temperature" not in signals:
+        lacks.append("no ambient temperature was found, and every model needs it: add its export")
+    if not any(one.startswith("cabinet_") for one in signals):
+        lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
+    humid = {one.partition("_")[0] for one in signals if "humidity" in one or "dew_point" in one}
+    if "cabinet" in humid and "ambient" not in humid and not case.weather:
+        lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
+    if "active_power" not in signals:
+        lacks.append(
+            "no active power was found: the whole record would count as standstill; add its export, "
+            "or name its column"
+        )
+    return tuple(lacks)
+
+
+def _lines(case: Contents) -> Iterator[str]:
+    yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
+    yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
+    yield f"name = {_text(case.name)}"
+    if case.rated_kW is not None:
+        yield f"rated_power_kW = {case.rated_kW:g}  # where the power stops rising; see the type plate"
+    elif case.power_kW is not None:
+        yield from _doubt(f"the power shows no plateau; its largest readings are {case.power_kW:.4g} kW")
+        yield "# rated_power_kW = "
+    yield ""
+    if case.site is None:
+        yield "# [site]  # gives the height of the sun, and the pressure of the air by altitude_m"
+        yield "# latitude_deg = "
+        yield "# longitude_deg = "
+    else:
+        yield "[site]"
+        yield f"latitude_deg = {case.site[0]:g}"
+        yield f"longitude_deg = {case.site[1]:g}"
+    for lack in _lacking(case):
+        yield from ("", *_doubt(lack))
+    for number in range(len(case.sources)):
+        for compare in (False, True):
+            lines = [one for one in case.found if one.best.source == number and one.compare is compare]
+            if any(one.active for one in lines):
+                yield from ("", *_source(case, number, lines, compare))
+            elif not compare:
+                yield from ("", f"# {case.sources[number].path}: no signal was recognised; its columns:")
+                yield from _left(case, number)
+    for weather in case.weather:
+        yield from ("", "[[source]]", f"file = {_text(weather.file)}", f'format = "{weather.format}"')
+        if weather.typical:
+            yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
+            # the calendar year in the middle of the exports
+            times = [float(np.nanmedian(one.clock.time)) for one in case.sources]
+            yield f"year = {stamp_text(times[0])[:4] if times else 2019}"
+    if case.sources:
+        known = [one.clock.time[np.isfinite(one.clock.time)] for one in case.sources]
+        start, end = float(min(map(np.min, known))), float(max(map(np.max, known)))
+        yield from ("", "# [identification]  # the readings after `until` are kept to validate the model")
+        yield f'# until = "{stamp_text(86400.0 * round((start + 0.7 * (end - start)) / 86400.0))}"'
+
+
+def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -> Iterator[str]:
+    source = case.sources[number]
+    clock, export = source.clock, source.export
+    finite = clock.time[np.isfinite(clock.time)]
+    gone = 1.0 - len(np.unique(finite)) / max(1.0, np.ptp(finite) / clock.step_s + 1.0)
+    zone = "" if clock.timezone is None else " by its own clock"
+    span = f"{stamp_text(finite.min()).rstrip('Z')} to {stamp_text(finite.max()).rstrip('Z')}{zone}"
+    yield f"# {len(finite)} rows, {span}, step {duration_text(clock.step_s)}" + (
+        f", {100 * gone:.0f} % of the rows missing" if gone > 0.01 else ""
+    )
+    yield "[[source]]"
+    if export.changes:
+        yield from _comment(
+            f"# a copy of {export.file.name}, in a form that a case can name: {'; '.join(export.changes)}"
+        )
+    yield f"file = {_text(source.path)}"
+    yield f"time = {_text(clock.column)}"
+    if clock.time_format is not None:
+        yield f"time_format = {_text(clock.time_format)}"
+    for remark in filter(None, (*clock.remarks, source.sun)):
+        yield from _comment(f"# {remark}")
+    for doubt in () if compare else (*clock.doubts, *source.said):
+        yield from _doubt(doubt)
+    if clock.timezone is not None:
+        yield f"timezone = {_text(clock.timezone)}"
+    if clock.stamp != "instant":
+        yield f"stamp = {_text(clock.stamp)}"
+    usual = {"separator": ",", "decimal": ".", "thousands": "", "comment": None}
+    stated = {name: getattr(export, name) for name in usual}
+    yield from (f"{name} = {_text(one)}" for name, one in stated.items() if one != usual[name])
+    texts = set().union(*(export.read(one.best.column)[1] for one in lines))
+    if len(texts) > 8:
+        yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
+    if export.missing or texts:
+        yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
+    for doubt in () if compare else source.quality_doubts:
+        yield from _doubt(doubt)
+    if source.vocabulary.name and any(one.best.column in source.quality for one in lines):
+        yield f"vocabulary = {_text(source.vocabulary.name)}"
+    if compare:
+        yield "compare = true  # only compared with the source above that has the same signal"
+    for one in lines:
+        yield from _signal(source, one)
+    if not compare:
+        yield from _left(case, number)
+
+
+def _signal(source: Source, one: Assigned) -> Iterator[str]:
+    best = one.best
+    for doubt in one.doubts:
+        yield from _doubt(doubt)
+    values = source.values[best.column]
+    resolution = detect_resolution(values)
+    lines = source.clock.stamp == "instant" and SIGNALS[best.signal].hold_of_instants == LINEAR
+    if lines and resolution and on_change(source.clock.time, values, resolution):
+        yield from _doubt(f"{best.signal} {ON_CHANGE}")
+    note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
+    quality = f", quality = {_text(source.quality.get(best.column, ''))}" * (best.column in source.quality)
+    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
+    yield f"{'' if one.active else '# '}{entry}  # {note}"
+
+
+def _left(case: Contents, number: int) -> Iterator[str]:
+    rest = [f"{column} ({why})" for (source, column), why in case.left.items() if source == number]
+    if rest:
+        yield from _comment("# not used: " + ", ".join(rest))
+
+
+def _text(text: str) -> str:
+    """A TOML string."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _doubt(text: str) -> list[str]:
+    return _comment(f"{DRAFT_DOUBT}{text}")
+
+
+def _comment(text: str) -> list[str]:
+    """Lines of a comment; no text of a file can end it."""
+    plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return textwrap.wrap(
+        plain, _WIDTH, subsequent_indent="#   ", break_long_words=False, break_on_hyphens=False
+    )

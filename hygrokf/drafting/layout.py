@@ -79,7 +79,9 @@ def read_export(file: Path) -> Export:
     """
     content = unpacked(file_bytes(file))
     if content[:4] == b"PAR1":
-        return _framed(file, parquet_frame(content).apply(lambda column: column.map(_cell_text)), ())
+        frame = parquet_frame(content).apply(lambda column: column.map(_cell_text))
+        names = tuple(map(str, frame.columns))
+        return _with_marks(Export(file, frame, names, ("",) * len(names)))
     if content[:4] == b"PK\x03\x04":
         rows = _excel_rows(content)
         return _laid_out(file, rows, ",", ("an Excel file",))
@@ -194,8 +196,12 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for row in body]
     frame = pd.DataFrame(data, columns=_unique(names), dtype=object)
     words = {cell for row in above[1:] for cell in row if cell and cell not in MISSING}
-    export = _framed(file, frame, changes, tuple(names), tuple(units), separator, comment, words)
-    return replace(export, preamble="\n".join(" ".join(row) for row in rows[: first - len(above)]))
+    preamble = "\n".join(" ".join(row) for row in rows[: first - len(above)])
+    export = Export(
+        file, frame, tuple(names), tuple(units), separator, comment=comment, missing=tuple(sorted(words)),
+        changes=changes, preamble=preamble,
+    )  # fmt: skip
+    return _with_marks(export)
 
 
 def _is_title(row: list[str], below: list[str]) -> bool:
@@ -206,33 +212,22 @@ def _is_title(row: list[str], below: list[str]) -> bool:
     return sum(map(bool, row)) < 0.7 * filled and units <= 0.6 * filled
 
 
-def _framed(
-    file: Path,
-    frame: pandas.DataFrame,
-    changes: tuple[str, ...],
-    names: tuple[str, ...] = (),
-    units: tuple[str, ...] = (),
-    separator: str = ",",
-    comment: str | None = None,
-    words: set[str] = frozenset(),  # type: ignore[assignment]
-) -> Export:
-    """An export with its decimal mark."""
-    names = names or tuple(map(str, frame.columns))
-    if len(names) < 2:
+def _with_marks(export: Export) -> Export:
+    """An export with None in its empty cells, its units by cells too, and its decimal mark."""
+    if len(export.names) < 2:
         raise TableFault("expected a time and at least one column of readings, found one column alone")
-    if len(frame) < 2:
-        raise TableFault(f"expected readings, found {len(frame)} rows below the header")
+    if len(export.cells) < 2:
+        raise TableFault(f"expected readings, found {len(export.cells)} rows below the header")
     absent = {*MISSING, None}
-    cells = frame.apply(lambda column: [None if one in absent else one for one in column]).astype(object)
+    cells = export.cells.apply(lambda column: [None if one in absent else one for one in column])
+    cells = cells.astype(object)
     marks, doubts = _marks(cells)
-    given = units or ("",) * len(names)
     units = tuple(
         one if one.strip("[](){} -") else unit_among(cells.iloc[:, number])
-        for number, one in enumerate(given)
+        for number, one in enumerate(export.units)
     )
-    missing = tuple(sorted(words))
-    found = Export(file, cells, names, units, separator, marks.decimal, comment, missing, changes)
-    return replace(found, thousands=marks.thousands, doubts=doubts)
+    decimal, thousands = marks
+    return replace(export, cells=cells, units=units, decimal=decimal, thousands=thousands, doubts=doubts)
 
 
 def _marks(cells: pandas.DataFrame) -> tuple[Marks, tuple[str, ...]]:

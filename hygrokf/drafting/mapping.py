@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from hygrokf.data.numbers import POLES, flag_word
 from hygrokf.data.probes import copies, probe_of, temperatures_of
 from hygrokf.data.quality import BAD, UNSTATED, QualityVocabulary, drafted
 from hygrokf.data.record import Series
-from hygrokf.data.signals import SIGNALS, to_si
+from hygrokf.data.signals import HUMIDITIES, SIGNALS, to_si
 from hygrokf.drafting.behaviour import (
     Hourly,
     follows_rather,
@@ -21,7 +21,6 @@ from hygrokf.drafting.behaviour import (
     like_ambient,
     like_cabinet,
     unit_by_values,
-    warmer_share,
 )
 from hygrokf.drafting.layout import Export
 from hygrokf.drafting.stamps import Clock, clock_of
@@ -37,11 +36,7 @@ USED = 0.7
 """Score from which a signal that no model needs is read without an edit."""
 _FILLERS = (-99.0, -99.9, -999.0, -999.9, -9999.0, -99999.0, 9999.0, 99999.0)
 _NO_UNIT_HERE = re.compile(r" (mm hg|mmhg|inhg|in hg|torr|psi|knots|kt|mph|km h|ft) ")
-COPIED = tuple(
-    f"{place}_{one}"
-    for place in ("cabinet", "ambient")
-    for one in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature")
-)
+COPIED = tuple(f"{place}_{one}" for place in ("cabinet", "ambient") for one in ("temperature", *HUMIDITIES))
 """Signals of which one column may pass for the cabinet's and for the air outside."""
 
 
@@ -102,46 +97,40 @@ class Source:
         return hourly(self.clock.time, self.values[column])
 
 
-def numbers_of(export: Export, time: str) -> dict[str, np.ndarray]:
-    """Columns of numbers: column -> readings (N,), NaN where a cell is no number."""
-    found = {}
-    for name in export.cells:
-        given = export.cells[name].notna().sum()
-        if name == time or given < 2:
-            continue
-        values, _ = export.read(name)
-        if np.isfinite(values).sum() > 0.5 * given:
-            found[name] = values
-    return found
-
-
 def source_of(export: Export, column: str) -> Source:
     """An export with its clock, its numbers and what its names say; column: of the stamps.
 
     Means over intervals are told by their names, or by what they are of.
     """
-    values = numbers_of(export, column)
-    marks = {name: list(export.cells[name].dropna().unique()) for name in export.cells}
+    cells, values = export.cells, dict[str, np.ndarray]()
+    given = {name: cells[name].notna().sum() for name in cells}
+    for name in (one for one in cells if one != column and given[one] >= 2):
+        numbers, _ = export.read(name)
+        if np.isfinite(numbers).sum() > 0.5 * given[name]:
+            values[name] = numbers
+    marks = {name: list(cells[name].dropna().unique()) for name in cells}
     quality, vocabulary, doubts = drafted(marks, values)
     values = {name: one for name, one in values.items() if name not in quality.values()}
     for name, of in quality.items():
-        bad = export.cells[of].map(vocabulary.judge) == BAD
+        bad = cells[of].map(vocabulary.judge) == BAD
         values[name] = np.where(bad, np.nan, values[name])
-    several = {
-        name
-        for name, header in zip(export.cells, export.names, strict=False)
-        if export.names.count(header) > 1
+    headers = zip(cells, export.names, strict=False)
+    several = {name for name, header in headers if export.names.count(header) > 1}
+    # nothing but one number that stands for no reading
+    known = {name: one[np.isfinite(one)] for name, one in values.items()}
+    empty = {name for name, one in known.items() if len(one) and np.ptp(one) == 0.0 and one[0] in _FILLERS}
+    empty |= {name for name in cells if not given[name]}
+    values = {
+        name: one
+        for name, one in values.items()
+        if name not in empty and (name not in several or export.changes)
     }
-    filled = {name: one for name, one in values.items() if not _is_filler(one)}
-    empty = values.keys() - filled.keys()
-    values = {name: one for name, one in filled.items() if name not in several or export.changes}
-    units = dict(zip(export.cells.columns, export.units, strict=True))
+    units = dict(zip(cells.columns, export.units, strict=True))
     named = {name: _said(export, name, units[name]) for name in values}
     left = {
-        name: "several columns have this name" if name in several else _no_numbers(export, name, empty)
-        for name in export.cells
-        if name not in values and name != column
+        name: "no readings" if name in empty else "text" for name in cells if name not in (*values, column)
     }
+    left |= {name: "several columns have this name" for name in left if name in several}
     left |= {of: f'quality of "{name}"' for name, of in quality.items()}
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
@@ -155,19 +144,6 @@ def _said(export: Export, name: str, unit: str) -> NamedColumn:
     bare = name.replace(export.label, "", 1)
     said, word = name_says(bare, unit), flag_word(export.cells[name])
     return name_says(f"{bare} {word}", unit) if word and not said.signal else said
-
-
-def _is_filler(values: np.ndarray) -> bool:
-    """Whether a column holds nothing but one number that stands for no reading."""
-    known = values[np.isfinite(values)]
-    return bool(len(known)) and known[0] in _FILLERS and bool(np.all(known == known[0]))
-
-
-def _no_numbers(export: Export, name: str, empty: Set[str]) -> str:
-    """Why a column without numbers holds no signal."""
-    if name in empty or export.cells[name].isna().all():
-        return "no readings"
-    return "text"
 
 
 def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
@@ -370,13 +346,6 @@ def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candida
     return checked
 
 
-def _runner_up(candidate: Candidate, best: Candidate, sources: list[Source]) -> str:
-    """A next best column, with its file where that is another one."""
-    file = sources[candidate.source].export.file
-    where = "" if candidate.source == best.source else f" of {file.parent.name}/{file.name}"
-    return f'"{candidate.column}"{where} ({candidate.score:.2f})'
-
-
 def _settled(
     sources: list[Source], candidates: list[Candidate]
 ) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
@@ -393,10 +362,16 @@ def _settled(
         if one.score < SURE:
             doubts.insert(0, f"{one.why}, score {one.score:.2f}")
         if near:
-            doubts.append("next: " + ", ".join(_runner_up(c, one, sources) for c in near[:4]))
+            shown = []
+            for c in near[:4]:
+                file = sources[c.source].export.file
+                where = "" if c.source == one.source else f" of {file.parent.name}/{file.name}"
+                shown.append(f'"{c.column}"{where} ({c.score:.2f})')
+            doubts.append(f"next: {', '.join(shown)}")
         if one.signal == "cabinet_temperature" and outside is not None:
             air = sources[outside.source].hourly(outside.column)
-            share = warmer_share(sources[one.source].hourly(one.column), air)
+            inside, beside = sources[one.source].hourly(one.column).beside(air)
+            share = np.mean(inside > beside) if len(inside) >= 24 else math.nan
             if share < 0.5:
                 doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
         needed = one.signal == "ambient_temperature" or one.signal.startswith("cabinet_")

@@ -88,20 +88,17 @@ def same_layout(exports: list[Export]) -> list[str]:
     """
     faults = []
     for number, export in enumerate(exports):
+        said = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
+        readings = [one for one in said if one.quantity or one.signal]
+        power = any("power" in one.signal for one in readings)
+        logger = len(readings) <= _LOGGER_QUANTITIES and not power
         for before in exports[:number]:
-            if before.names == export.names and not _of_a_logger(export):
+            if before.names == export.names and not logger:
                 faults.append(
                     f"{export.file}: expected one turbine, found the columns and stamps of "
                     f"{before.file} again; draft one case for each turbine"
                 )
     return faults
-
-
-def _of_a_logger(export: Export) -> bool:
-    """Whether an export reads no more quantities than a logger: temperature, humidity and dew point."""
-    said = [name_says(name, unit) for name, unit in zip(export.names, export.units, strict=True)]
-    readings = [one for one in said if one.quantity or one.signal]
-    return len(readings) <= _LOGGER_QUANTITIES and not any("power" in one.signal for one in readings)
 
 
 def _continues(before: Export, export: Export) -> bool:

@@ -301,24 +301,19 @@ def _position(
     return "start"
 
 
-def noon_of(time: np.ndarray, irradiance: np.ndarray) -> float:
-    """Mean time of day of the sun's energy by a clock [h]; NaN below five days of sun.
+def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | None) -> str | None:
+    """What the sun says about an unstated offset of a clock; None below five days of sun.
 
-    time: [s] (N,) by the clock. irradiance: [any unit] (N,).  The first harmonic of the day, weighted by the
-    irradiance; the equation of time averages out over a year and is at most 0.3 h.
+    time: [s] (N,) by the clock. irradiance: [any unit] (N,).  Noon is the mean time of day of the sun's
+    energy, by the first harmonic of the day, weighted by the irradiance; the equation of time averages out
+    over a year and is at most 0.3 h.
     """
     good = np.isfinite(time) & np.isfinite(irradiance) & (irradiance > 0.0)
     if good.sum() < 50 or np.ptp(time[good]) < 5.0 * DAY_S:
-        return math.nan
+        return None
     turn = 2.0 * math.pi * time[good] / DAY_S
     angle = math.atan2(float(irradiance[good] @ np.sin(turn)), float(irradiance[good] @ np.cos(turn)))
-    return (angle / (2.0 * math.pi) * 24.0) % 24.0
-
-
-def sun_remark(noon_h: float, longitude_deg: float | None) -> str | None:
-    """What the sun says about an unstated offset of a clock."""
-    if not math.isfinite(noon_h):
-        return None
+    noon_h = (angle / (2.0 * math.pi) * 24.0) % 24.0
     ahead = noon_h - 12.0
     if longitude_deg is not None:
         offset = ahead + longitude_deg / 15.0

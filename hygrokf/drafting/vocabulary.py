@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from hygrokf.data.signals import UNITS, fitting_units
+from hygrokf.data.signals import SIGNALS, UNITS, fitting_units
 from hygrokf.drafting.layout import unit_in_export
 
 OWN_NAMES: tuple[tuple[str, str, str], ...] = (
@@ -143,9 +143,7 @@ _SUFFIX = re.compile(
 )
 _LOGICAL_NODE = re.compile(r"^(?:.*[./$])?(W[A-Z]{3})\d*(?:[./$](?:MX|ST))?(?=[./$])")
 _DATA_ATTRIBUTE = re.compile(r"[./$](?:(?:inst)?mag|cval|instcval)(?:[./$][fi])?(?![A-Za-z])", re.IGNORECASE)
-_WRITTEN_OUT = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"}
-)
+_WRITTEN_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 
 
@@ -189,7 +187,8 @@ def name_says(name: str, unit: str = "") -> NamedColumn:
         if with_unit or (own == bare and (known is None or known in fitting_units(signal))):
             of_make = replace(unknown, signal=signal, score=1.0, why=f"a name of {make}")
             return replace(of_make, unit=None, stated="") if with_unit else of_make
-    quantity = _quantity(words) or _quantity_by_unit(known, stated, words)
+    quantity = next((one for one, pattern in QUANTITIES if re.search(pattern, words)), "")
+    quantity = quantity or _quantity_by_unit(known, stated, words)
     if re.search(NOT_MEANT, words) or not quantity:
         return unknown
     place, score = place_of(words)
@@ -233,10 +232,6 @@ def _cabinet_score(words: str) -> float:
     return 0.9 if re.search(r"control|ctl", words) else 0.94
 
 
-def _quantity(words: str) -> str:
-    return next((quantity for quantity, pattern in QUANTITIES if re.search(pattern, words)), "")
-
-
 def _quantity_by_unit(unit: str | None, stated: str, words: str) -> str:
     """The quantity of a unit, where the words name none."""
     if unit == "m/s":
@@ -264,12 +259,7 @@ def _signal(quantity: str, place: str, words: str) -> str:
     if quantity in ("temperature", "relative_humidity", "absolute_humidity", "dew_point_temperature"):
         if place == "cabinet" and re.search(r" wall |wand", words):
             place = "cabinet_wall"
-        named = f"{place}_{quantity}"
-        try:
-            fitting_units(named)
-        except KeyError:
-            return ""
-        return named
+        return named if (named := f"{place}_{quantity}") in SIGNALS else ""
     return quantity
 
 

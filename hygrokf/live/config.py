@@ -12,8 +12,7 @@ from typing import Any
 from hygrokf.data.record import Site
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.timestamps import duration
-from hygrokf.data.toml_form import FormFault, Place, across, read_form, read_toml, setting
-from hygrokf.data.toml_lines import LinedPlace, lines_of
+from hygrokf.data.toml_form import FormFault, Place, across, lines_of, read_form, read_toml, setting
 from hygrokf.errors import suggestion
 from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.verdict import inherited
@@ -158,7 +157,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault."""
     file = Path(path)
     text, stated = read_toml(file, ConfigFault)
-    place = LinedPlace(lines=lines_of(text))
+    place = Place(lines=lines_of(text))
     form = read_form(TrackForm, stated, place)
     mappings = source_mappings(form.mapping, stated.get("mapping"), form.source, place)
     turbines, names = _turbines(form, file.parent, source_forms(mappings, form.source, place), place)

@@ -93,11 +93,11 @@ class Alignment:
     mean_day_change: Bounded
 
 
-def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
+def align(one: Series, other: Series, *, america: bool = False) -> Alignment | None:
     """Lag, offset and daily wave of one series against another of the same signal; None below 20 common days.
 
     one, other: of any hold, with steps of up to two hours; means are placed in the middle of their interval.
-    america: whether summer time follows North American dates. seed: of the bootstrap.
+    america: whether summer time follows North American dates.
 
     Raises ValueError for different signals.
     """
@@ -117,19 +117,20 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
     if days < FEWEST_D:
         return None
     sums = _sums(time, x, y, america)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     everything = np.ones(len(sums.days), dtype=bool)
     whole, _ = _lag(sums, everything, random)
     winter, winter_draws = _part(sums, ~sums.summer, random)
     summer, summer_draws = _part(sums, sums.summer, random)
     change = mean_day_change = UNKNOWN
     if winter is not None and summer is not None:
-        change, mean_day_change = (
-            _difference(
-                getattr(summer, name), getattr(winter, name), summer_draws[place], winter_draws[place]
-            )
-            for place, name in enumerate(("weather", "mean_day"))
-        )
+        # estimates from disjoint blocks
+        if summer.weather.known and winter.weather.known:
+            lead = summer.weather.value - winter.weather.value
+            change = _bounded(lead, summer_draws[0] - winter_draws[0])
+        if summer.mean_day.known and winter.mean_day.known:
+            lead = summer.mean_day.value - winter.mean_day.value
+            mean_day_change = _bounded(lead, summer_draws[1] - winter_draws[1])
     weights = _weights(sums.days, everything, random)
     number = weights @ sums.count
     offset = _bounded(
@@ -181,9 +182,10 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     reach = round(REACH_H * 3600.0 / GRID_S)
     lags = np.arange(-reach, reach + 1)
     xy, xx, yy = (np.empty((len(starts), len(lags))) for _ in range(3))
+    padded = [np.pad(each, reach) for each in (weather_y, square_y, there_y)]
     for place, lag in enumerate(lags):
         # one is late by the lag: it shows now what the other showed earlier
-        moved, square, there = (_moved(each, int(lag)) for each in (weather_y, square_y, there_y))
+        moved, square, there = (each[reach - lag : reach - lag + len(time)] for each in padded)
         xy[:, place] = np.add.reduceat(weather_x * moved, starts)
         xx[:, place] = np.add.reduceat(square_x * there, starts)
         yy[:, place] = np.add.reduceat(square * there_x, starts)
@@ -194,18 +196,6 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     return _Sums(
         GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts]
     )  # fmt: skip
-
-
-def _moved(value: np.ndarray, steps: int) -> np.ndarray:
-    """Values delayed by a number of steps; zero where that reaches beyond an end."""
-    result = np.zeros_like(value)
-    if steps > 0:
-        result[steps:] = value[:-steps]
-    elif steps < 0:
-        result[:steps] = value[-steps:]
-    else:
-        result[:] = value
-    return result
 
 
 def _without_slow(value: np.ndarray) -> np.ndarray:
@@ -295,10 +285,3 @@ def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _bounded(value: float, draws: np.ndarray) -> Bounded:
     low, high = np.quantile(draws, [0.025, 0.975])
     return Bounded(value, float(low), float(high))
-
-
-def _difference(one: Bounded, other: Bounded, draws: np.ndarray, other_draws: np.ndarray) -> Bounded:
-    """Difference of two estimates from disjoint blocks."""
-    if not (one.known and other.known):
-        return UNKNOWN
-    return _bounded(one.value - other.value, draws - other_draws)

@@ -61,17 +61,19 @@ def at_altitude(
     site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
     moved, warnings = [], []
     for one in record.series:
+        value = one.value
         if one.signal == "ambient_temperature":
-            moved.append(dataclasses.replace(one, value=one.value - lapse_rate * rise))
-        elif one.signal == "ambient_pressure":
-            moved.append(
-                dataclasses.replace(one, value=one.value * _ratio_at(record, one.time, rise, lapse_rate))
-            )
+            value = value - lapse_rate * rise
+        elif one.signal in ("ambient_pressure", "ambient_dew_point_temperature"):
+            known = record["ambient_temperature"].known
+            before = np.interp(one.time, *known) if len(known[0]) else np.full(len(one), np.nan)
+            ratio = pressure_ratio(before, rise, lapse_rate)
+        if one.signal == "ambient_pressure":
+            value = value * ratio
         elif one.signal == "ambient_dew_point_temperature":
-            vapour = saturation_pressure_water(one.value) * _ratio_at(record, one.time, rise, lapse_rate)
-            before = _temperature_at(record, one.time)
+            vapour = saturation_pressure_water(value) * ratio
             # supersaturation in the source, by rounding or packing, is no condensation on the way
-            limit = before - lapse_rate * rise + np.fmax(one.value - before, 0.0)
+            limit = before - lapse_rate * rise + np.fmax(value - before, 0.0)
             condensed = dew_point(vapour) > limit
             value = np.where(condensed, limit, dew_point(vapour))
             if condensed.any():
@@ -79,9 +81,7 @@ def at_altitude(
                     f"during the conversion to {altitude_m:g} m the air became saturated in "
                     f"{100 * np.mean(condensed):.1f} % of the hours"
                 )
-            moved.append(dataclasses.replace(one, value=value))
-        else:
-            moved.append(one)
+        moved.append(dataclasses.replace(one, value=value))
     warnings.insert(
         0,
         f"converted from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
@@ -89,13 +89,3 @@ def at_altitude(
         "mixing ratio kept",
     )
     return dataclasses.replace(record, series=tuple(moved), site=site, warnings=(*record.warnings, *warnings))
-
-
-def _temperature_at(record: Record, time: np.ndarray) -> np.ndarray:
-    """Ambient temperature [K] at times (T,) [s], along straight lines."""
-    known, value = record["ambient_temperature"].known
-    return np.interp(time, known, value) if len(known) else np.full(len(time), np.nan)
-
-
-def _ratio_at(record: Record, time: np.ndarray, rise_m: float, lapse_rate: float) -> np.ndarray:
-    return pressure_ratio(_temperature_at(record, time), rise_m, lapse_rate)

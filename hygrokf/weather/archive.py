@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import IO, TypeVar
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.table_readers import file_bytes
@@ -57,7 +57,13 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
     digest = hashlib.sha256(packed).hexdigest()
     if packed[:4] in (b"PK\x03\x04", b"PK\x05\x06"):
         return _members(packed), digest
-    data = _gunzipped(packed) if packed[:2] == b"\x1f\x8b" else packed
+    data = packed
+    if packed[:2] == b"\x1f\x8b":
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
+                data = _bounded(stream, len(packed), MOST_BYTES)
+        except (OSError, EOFError, zlib.error) as broken:
+            raise TableFault(f"cannot be unpacked: {broken}; fetch it again") from None
     return (Content("", kind_of(data), data),), digest
 
 
@@ -113,16 +119,13 @@ def kind_of(data: bytes) -> str:
     if head.lstrip()[:1] in (b"{", b"[") and b'"hourly' in data:
         return "json"
     if head.lstrip()[:1] in (b"<", b"{"):
+        begin = " ".join(head[:200].decode("utf-8", "replace").split())[:60]
         raise TableFault(
-            f"expected weather data, found {_shown(head)}: an error page saved in place of the file?"
+            f'expected weather data, found "{begin}…": an error page saved in place of the file?'
         )
     if b"\x00" in head:
         raise TableFault("expected NetCDF, CSV, EPW or a ZIP archive of these, found other bytes")
     return "epw" if head.lstrip()[:9].upper() == b"LOCATION," else "csv"
-
-
-def _shown(head: bytes) -> str:
-    return f'"{" ".join(head[:200].decode("utf-8", "replace").split())[:60]}…"'
 
 
 def _packed(path: Path) -> bytes:
@@ -135,24 +138,16 @@ def _too_large(what: str) -> str:
     return f"{what} more than {MOST_BYTES / 2**30:g} GiB: request a smaller area, or one file per year"
 
 
-def _gunzipped(packed: bytes) -> bytes:
-    try:
-        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
-            return _bounded(stream, len(packed), "it", MOST_BYTES)
-    except (OSError, EOFError, zlib.error) as broken:
-        raise TableFault(f"cannot be unpacked: {broken}; fetch it again") from None
-
-
-def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int) -> bytes:
+def _bounded(stream: IO[bytes] | gzip.GzipFile, packed: int, most: int) -> bytes:
     """All bytes unpacked from `packed` bytes.  Raises TableFault above `most` bytes or the ratio."""
     pieces, size = [], 0
     while piece := stream.read(_PIECE):
         size += len(piece)
         if size > most:
-            raise TableFault(_too_large(f"{what} unpacks to"))
+            raise TableFault(_too_large("it unpacks to"))
         if size > RATIO_FROM and size > MOST_RATIO * max(packed, 1):
             raise TableFault(
-                f"{what} unpacks to more than {MOST_RATIO:g} times its size: this is not a weather file"
+                f"it unpacks to more than {MOST_RATIO:g} times its size: this is not a weather file"
             )
         pieces.append(piece)
     return b"".join(pieces)
@@ -188,10 +183,9 @@ def _members(packed: bytes) -> tuple[Content, ...]:
 def _member(archive: zipfile.ZipFile, one: zipfile.ZipInfo, most: int) -> bytes:
     if one.flag_bits & 1:
         raise TableFault("is encrypted; unpack it first")
-    open_member: Callable[[zipfile.ZipInfo], BinaryIO] = archive.open  # type: ignore[assignment]
     try:
-        with open_member(one) as stream:
-            return _bounded(stream, one.compress_size, "it", most)
+        with archive.open(one) as stream:
+            return _bounded(stream, one.compress_size, most)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as broken:
         raise TableFault(f"is damaged ({broken}); fetch the archive again") from None
     except (NotImplementedError, RuntimeError) as unknown:

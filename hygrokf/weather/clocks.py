@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hygrokf.data.clocks import in_america
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, MINUTE_S, modal_step
 from hygrokf.weather.alignment import UNKNOWN, Alignment, Bounded, Lag, align
@@ -66,7 +67,6 @@ def alignments(record: Record) -> tuple[Alignment, ...]:
     The reference, `other` of an alignment, is the series with the longer step, such as a reanalysis; with
     equal steps it is the compared one.
     """
-    america = record.site is not None and record.site.in_north_america
     found = []
     for other in record.compared:
         if other.signal not in record or other.signal in NOT_COMPARED:
@@ -74,7 +74,7 @@ def alignments(record: Record) -> tuple[Alignment, ...]:
         first, second = record[other.signal], other
         if modal_step(first.time)[0] > modal_step(second.time)[0]:
             first, second = second, first
-        made = align(first, second, america=america)
+        made = align(first, second, america=in_america(record))
         if made is not None:
             found.append(made)
     return tuple(found)
@@ -95,13 +95,15 @@ def clock_errors(found: Sequence[Alignment]) -> tuple[ClockError, ...]:
 
 
 def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockError:
-    weather = {name: _weather(found, name) for name in ("whole", "winter", "summer")}
-    day = {name: _mean_day(found, name) for name in ("whole", "winter", "summer")}
+    weather, day = dict[str, Bounded](), dict[str, Bounded]()
+    judges = [each for each in found if each.signal in JUDGES]
+    for name in ("whole", "winter", "summer"):
+        lags: list[Lag | None] = [getattr(each, name) for each in found]
+        weather[name] = _combined([lag.weather for lag in lags if lag is not None])
+        lags = [getattr(each, name) for each in judges]
+        day[name] = next((lag.mean_day for lag in lags if lag is not None and lag.mean_day.known), UNKNOWN)
     change = _combined([each.change for each in found])
-    day_change = next(
-        (each.mean_day_change for each in found if each.signal in JUDGES and each.mean_day_change.known),
-        UNKNOWN,
-    )
+    day_change = next((each.mean_day_change for each in judges if each.mean_day_change.known), UNKNOWN)
     if not weather["whole"].known and not (weather["winter"].known and weather["summer"].known):
         return ClockError(one, other, "unclear", UNKNOWN, UNKNOWN, found)
     seasonal = _beyond(change) and (
@@ -113,19 +115,6 @@ def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockErr
     constant = not seasonal and _off(weather["whole"], day["whole"])
     kind = "constant" if constant else "unclear" if _beyond(weather["whole"]) or seasonal else "right"
     return ClockError(one, other, kind, weather["whole"], weather["whole"], found)
-
-
-def _weather(found: Sequence[Alignment], name: str) -> Bounded:
-    lags: list[Lag | None] = [getattr(each, name) for each in found]
-    return _combined([lag.weather for lag in lags if lag is not None])
-
-
-def _mean_day(found: Sequence[Alignment], name: str) -> Bounded:
-    for each in sorted(found, key=lambda one: one.signal not in JUDGES):
-        lag = getattr(each, name)
-        if each.signal in JUDGES and lag is not None and lag.mean_day.known:
-            return lag.mean_day
-    return UNKNOWN
 
 
 def _combined(estimates: Sequence[Bounded]) -> Bounded:

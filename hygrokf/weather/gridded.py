@@ -10,24 +10,63 @@ from __future__ import annotations
 import io
 import math
 import warnings as python_warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
+from hygrokf.weather.altitude import GRAVITY
 from hygrokf.weather.archive import MOST_BYTES
-from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
 from hygrokf.weather.site_weather import place_text
 
 if TYPE_CHECKING:
     import xarray
 
 _TIMES = ("valid_time", "time", "datetime", "date")
-_LATITUDES = ("latitude", "lat")
-_LONGITUDES = ("longitude", "lon")
+_AXES_OF_PLACE = (("latitude", "lat"), ("longitude", "lon"))
 _PRELIMINARY = ("5", "0005")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field at one point: values (T,) and the unit that the file states, or None."""
+
+    value: np.ndarray
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class PointFields:
+    """Fields of a reanalysis at one point, as in the file.
+
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the
+        file -> field.
+    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] height of its ground, or None.
+    place: the point in words. warnings: choices and omissions of the reader.
+    """
+
+    file: str
+    time: np.ndarray
+    fields: Mapping[str, Field]
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
+    place: str = ""
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def site(self) -> Site | None:
+        """The point as a site; None where the file does not state it.  Raises TableFault."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        east = (self.longitude_deg + 180.0) % 360.0 - 180.0
+        try:
+            return Site(self.latitude_deg, east, self.altitude_m)
+        except ValueError as outside:
+            raise TableFault(f"the file's point is impossible: {outside}") from None
 
 
 def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
@@ -64,18 +103,16 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
 
 
 def point_fields(
-    dataset: xarray.Dataset,
-    file: str,
-    site: Site | None = None,
-    known: Callable[[str], str | None] = short_name,
+    dataset: xarray.Dataset, file: str, known: Callable[[str], str | None], site: Site | None = None
 ) -> PointFields:
     """Fields of a data set at the site.
 
     dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
         other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
         (2m_temperature).
-    file: name for messages. site: the nearest grid cell with data is used; may be None for a single cell.
-    known: the short name of a field, such as "t2m", "z"; None for one that is not used.
+    file: name for messages. known: the short name of a field, such as "t2m", "z"; None for one that is not
+        used.
+    site: the nearest grid cell with data is used; may be None for a single cell.
 
     Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
     ensemble members, levels.
@@ -86,7 +123,9 @@ def point_fields(
         listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
         raise TableFault(f"no field of weather that is known here; found {listed}")
     dataset = dataset[list(used)]
-    latitude, longitude = _axis_name(dataset, _LATITUDES), _axis_name(dataset, _LONGITUDES)
+    latitude, longitude = (
+        next((name for name in names if name in dataset.variables), None) for names in _AXES_OF_PLACE
+    )
     if time_name not in dataset.dims and dataset[time_name].ndim == 0:
         dataset = dataset.expand_dims(time_name)
     dataset, preliminary = _merged_versions(dataset, time_name)
@@ -107,11 +146,20 @@ def point_fields(
         one = dataset[name]
         unit = one.attrs.get("units")
         if short == "z":
-            altitude_m = altitude_of(one.values, unit)
+            altitude_m = _altitude(one.values, unit)
         elif one.dims == (time_name,):
             fields[name] = Field(one.values.astype(float), None if unit is None else str(unit))
     north, east = at or (None, None)
     return PointFields(file, stamps, fields, north, east, altitude_m, place, tuple(warnings))
+
+
+def _altitude(value: np.ndarray, unit: str | None) -> float | None:
+    """Height of the reanalysis' ground [m] from its geopotential, or None."""
+    finite = np.asarray(value, dtype=float).ravel()
+    finite = finite[np.isfinite(finite)]
+    known = {None: 1 / GRAVITY, "m**2 s**-2": 1 / GRAVITY, "m2 s-2": 1 / GRAVITY, "m": 1.0}
+    height = known.get(unit, math.nan) * float(np.median(finite)) if len(finite) else math.nan
+    return height if -500.0 <= height <= 9000.0 else None
 
 
 def _time_name(dataset: xarray.Dataset) -> str:
@@ -144,10 +192,6 @@ def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
     if lost:
         raise TableFault(f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again")
     return values.astype(np.int64) / 1e6
-
-
-def _axis_name(dataset: xarray.Dataset, names: tuple[str, ...]) -> str | None:
-    return next((name for name in names if name in dataset.variables), None)
 
 
 def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:

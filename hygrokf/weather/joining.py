@@ -65,14 +65,9 @@ def follows(one: Record, other: Record) -> bool:
     if one.site is not None and other.site is not None and _apart_deg(one.site, other.site) > SAME_PLACE_DEG:
         return False
     pairs = [(one[signal], other[signal]) for signal in one.signals if signal in other]
-    pairs = [(a, b) for a, b in pairs if len(a) and len(b)]
-    return bool(pairs) and all(_common_share(a, b) < 0.5 for a, b in pairs)
-
-
-def _common_share(one: Series, other: Series) -> float:
-    """Share of the shorter series' readings that lie within the span of the other [-]."""
-    short, long = sorted((one, other), key=len)
-    return float(np.mean((short.time >= long.time[0]) & (short.time <= long.time[-1])))
+    ordered = [sorted(pair, key=len) for pair in pairs if all(map(len, pair))]
+    inside = [(short.time >= long.time[0]) & (short.time <= long.time[-1]) for short, long in ordered]
+    return bool(inside) and all(np.mean(one) < 0.5 for one in inside)
 
 
 def _apart_deg(one: Site, other: Site) -> float:
@@ -89,8 +84,7 @@ def _one_place(records: Sequence[Record], faults: list[str]) -> Site | None:
                 f"{first.longitude_deg:g} and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files "
                 "of one place"
             )
-    with_altitude = [site for _, site in sites if site.altitude_m is not None]
-    return next((site for site in (*with_altitude, *(site for _, site in sites))), None)
+    return min((site for _, site in sites), key=lambda site: site.altitude_m is None, default=None)
 
 
 def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:

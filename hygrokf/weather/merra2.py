@@ -57,7 +57,7 @@ def _content_record(one: Content, file: str, site: Site | None, digest: str) -> 
     """The record of one file."""
     if not one.kind.startswith("netcdf"):
         raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
-    points = point_fields(open_dataset(one.data, one.kind), file, site, _SHORT_NAMES.get)
+    points = point_fields(open_dataset(one.data, one.kind), file, _SHORT_NAMES.get, site)
     # a stamp is the middle of its hour; a record has ends
     order = np.argsort(points.time, kind="stable")
     weather = SiteWeather(file, points.time[order] + 30.0 * MINUTE_S, points.place)
@@ -94,12 +94,11 @@ def _time_faults(time: np.ndarray) -> list[str]:
 
 def _add_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
     """Add the series, means over the hour, from values (T,) of the fields in SI units."""
-    names: dict[str, np.ndarray] = {}
     if "QV2M" in value and "PS" in value:
         vapour = vapour_pressure_from_specific_humidity(value["QV2M"], value["PS"])
         weather.add("ambient_dew_point_temperature", np.asarray(dew_point(vapour)), "QV2M and PS", mean=True)
     elif "T2MDEW" in value:
-        names["T2MDEW"] = value["T2MDEW"]
+        weather.add("ambient_dew_point_temperature", value["T2MDEW"], "T2MDEW", mean=True)
     elif "QV2M" in value:
         weather.faults.append("QV2M is a humidity by mass and needs the pressure PS: ask for it too")
     elif "T2M" in value:
@@ -107,14 +106,13 @@ def _add_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
     rain = next((name for name in ("PRECTOTCORR", "PRECTOT") if name in value), "")
     for name in ("T2M", "PS", "SWGDN", "CLDTOT", rain):
         if name in value:
-            names[name] = np.maximum(value[name], 0.0) if name in ("SWGDN", rain) else value[name]
-    for name, number in names.items():
-        weather.add(_FIELDS[name][0], number, name, mean=True)
+            number = np.maximum(value[name], 0.0) if name in ("SWGDN", rain) else value[name]
+            weather.add(_FIELDS[name][0], number, name, mean=True)
     for height in WIND_HEIGHTS_M:
         east, north = value.get(f"U{height}M"), value.get(f"V{height}M")
         if east is None or north is None:
             continue
-        weather.add_wind(east, north, f"U{height}M and V{height}M", float(height), mean=True)
+        weather.add_wind(east, north, f"U{height}M and V{height}M", height_m=float(height), mean=True)
         weather.warnings.append(
             f"wind_speed is measured at {height} m, not at hub height; speed of the hour's mean wind"
         )

@@ -44,15 +44,13 @@ PREFERRED_WIND_M = 100.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What the service answered for one place.
+    """What the service answered for one site.
 
     table: of the columns that are used, its time by the clock of the file. offset_s: [s] of that clock.
     unit: name -> its unit, that of "time" included.
     """
 
-    latitude_deg: float
-    longitude_deg: float
-    elevation_m: float | None
+    site: Site
     offset_s: float
     table: Table
     unit: Mapping[str, str]
@@ -77,11 +75,10 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     answer = _json_answer(one.data) if one.kind == "json" else _csv_answer(one.data)
     warnings = list(answer.table.warnings)
     time = _time(answer, warnings)
-    place = place_text(answer.latitude_deg, answer.longitude_deg)
+    place = place_text(answer.site.latitude_deg, answer.site.longitude_deg)
     weather = SiteWeather(file.name, time, place, warnings=warnings)
     _add_columns(weather, answer)
-    site = Site(answer.latitude_deg, answer.longitude_deg, answer.elevation_m)
-    return weather.record(site, digest, "no temperature_2m: ask for it in hourly=…")
+    return weather.record(answer.site, digest, "no temperature_2m: ask for it in hourly=…")
 
 
 # --- layouts ---------------------------------------------------------------------------------
@@ -151,7 +148,7 @@ def _answer(
     try:
         latitude, longitude, offset = (float(meta[place]) for place in (0, 1, 3))  # type: ignore[arg-type]
         elevation = float(meta[2]) if meta[2] is not None else math.nan
-        Site(latitude, longitude)
+        site = Site(latitude, longitude, elevation if math.isfinite(elevation) else None)
     except (TypeError, ValueError) as broken:
         raise TableFault(
             "expected latitude, longitude, elevation and utc_offset_seconds as numbers, found "
@@ -159,23 +156,21 @@ def _answer(
         ) from None
     if not -14.0 * HOUR_S <= offset <= 14.0 * HOUR_S:
         raise TableFault(f"utc_offset_seconds: expected -50400 … 50400, found {offset:g}")
-    height = elevation if math.isfinite(elevation) else None
     stamps = pd.Series(columns.get("time", []), dtype=object)
     if not len(stamps):
         raise TableFault("has no hour in it: fetch it again")
     unix = pd.to_numeric(stamps, errors="coerce")
     if unix.notna().all():
         stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
-    used = [name for name in columns if _used(name)]
+    used = [
+        name
+        for name in columns
+        if (own := _FORMER.get(name, name)) in {*_PLAIN, "relative_humidity_2m"} or _WIND.fullmatch(own)
+    ]
     frame = pd.DataFrame({name: columns[name] for name in used})
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     table = table_of(frame, used, stamps, "time", places, Notation(timezone="UTC", decimal="."), {})
-    return Answer(latitude, longitude, height, offset, table, unit)
-
-
-def _used(name: str) -> bool:
-    own = _FORMER.get(name, name)
-    return own in _PLAIN or own == "relative_humidity_2m" or _WIND.fullmatch(own) is not None
+    return Answer(site, offset, table, unit)
 
 
 # --- values ----------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import gzip
 import os
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,14 @@ from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reference_year import is_try, read_try
 from hygrokf.weather.site_weather import distance_km, place_text
 
-FORMATS = ("era5", "epw", "merra2", "open_meteo", "try")
+_READERS: Mapping[str, Callable[[Path, Site | None, int | None], Record]] = {
+    "era5": lambda file, site, year: read_era5(file, site),
+    "epw": lambda file, site, year: read_epw(file, year),
+    "merra2": lambda file, site, year: read_merra2(file, site),
+    "open_meteo": lambda file, site, year: read_open_meteo(file),
+    "try": lambda file, site, year: read_try(file, year),
+}
+FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
 """Formats of typical years, whose hours are assigned to a calendar year."""
 NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
@@ -63,13 +70,15 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    # such as codes of missing values
-    record = mask(_warned_of_distance(_read(file, kind, site, year), site), within_range=True)
-    if altitude_m is not None and record.site is not None:
-        record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
-    station_m = altitude_m
-    if station_m is None and record.site is not None:
-        station_m = record.site.altitude_m
+    record, station_m = _READERS[kind](file, site, year), altitude_m
+    if (point := record.site) is not None:
+        at = point.latitude_deg, point.longitude_deg
+        if site is not None and distance_km(*at, site) > FAR_KM:
+            far = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
+            record = dataclasses.replace(record, warnings=(*record.warnings, far))
+        station_m = point.altitude_m if altitude_m is None else altitude_m
+        record = dataclasses.replace(record, site=Site(*at, station_m))
+    record = mask(record, within_range=True)  # such as codes of missing values
     wanted_m = None if site is None else site.altitude_m
     if to_site_altitude:
         faults = []
@@ -93,20 +102,6 @@ def read_weather_file(
         )
         record = dataclasses.replace(record, warnings=(*record.warnings, said))
     return record
-
-
-def _read(file: Path, kind: str, site: Site | None, year: int | None) -> Record:
-    """The record of a file of one of the `FORMATS`, as its reader makes it."""
-    match kind:
-        case "epw":
-            return read_epw(file, year)
-        case "try":
-            return read_try(file, year)
-        case "open_meteo":
-            return read_open_meteo(file)
-        case "merra2":
-            return read_merra2(file, site)
-    return read_era5(file, site)
 
 
 def form_of(path: Path) -> str:
@@ -163,17 +158,6 @@ def _has_merra2(path: Path) -> bool:
             return "T2M" in file
     except (ImportError, OSError):  # the reader reports the fault
         return False
-
-
-def _warned_of_distance(record: Record, site: Site | None) -> Record:
-    """The record with a warning where the weather is from far away."""
-    if site is None or record.site is None:
-        return record
-    at = record.site.latitude_deg, record.site.longitude_deg
-    if distance_km(*at, site) <= FAR_KM:
-        return record
-    said = f"its point lies at {place_text(*at, site)}: is it the weather of this site?"
-    return dataclasses.replace(record, warnings=(*record.warnings, said))
 
 
 def read_weather(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import Signal, fitting_units, from_si, signal_named, to_si, unit_named
+from hygrokf.data.signals import fitting_units, from_si, signal_named, to_si, unit_named
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
 
@@ -81,10 +82,15 @@ class SiteWeather:
         value: (T,) [SI unit], NaN = missing. names: of its columns, in messages. mean: whether it is the mean
             or the sum of the hour that ends at the stamp.
         """
-        known = value[np.isfinite(value)]
+        known, row = value[np.isfinite(value)], signal_named(signal)
         if not len(known):
             self.warnings.append(f"{names}: no value at this point, {signal} is left out")
-        elif beyond := _impossible_range(known, signal_named(signal)):
+            return
+        low, high = np.quantile(known, [0.02, 0.98])
+        if not (row.low <= low and high <= row.high):
+            unit = "" if row.display == "1" else f" {row.display}"
+            low, high = from_si(np.array([low, high]), row.display, row)
+            beyond = f"{signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
             self.faults.append(f"{names}: {beyond}: {remedy or self.remedy}")
         else:
             column = names if names.startswith("column ") else f'column "{names}"'
@@ -94,21 +100,13 @@ class SiteWeather:
                 Series(signal, self.time, value, interval_s=interval_s, source=source, height_m=height_m)
             )
 
-    def add_wind(
-        self,
-        east: np.ndarray,
-        north: np.ndarray,
-        names: str,
-        height_m: float,
-        *,
-        mean: bool = False,
-        remedy: str = "",
-    ) -> None:
-        """Add speed and direction of a wind [m/s] (T,) that blows towards east and north."""
+    def add_wind(self, east: np.ndarray, north: np.ndarray, names: str, **stated: Any) -> None:
+        """Add speed and direction of a wind [m/s] (T,) that blows towards east and north; stated: as for
+        `add`."""
         # where the wind comes from, clockwise from north
         direction = np.mod(np.arctan2(-east, -north), 2.0 * math.pi)
         for signal, value in (("wind_speed", np.hypot(east, north)), ("wind_direction", direction)):
-            self.add(signal, value, names, mean=mean, height_m=height_m, remedy=remedy)
+            self.add(signal, value, names, **stated)
 
     def record(self, site: Site | None, sha256: str, lacking: str = "") -> Record:
         """The record.  Raises TableFault with every fault.
@@ -130,16 +128,6 @@ class SiteWeather:
                 )
         origin = ((self.file, sha256),)
         return Record(self.file, tuple(self.series), site, warnings=tuple(self.warnings), provenance=origin)
-
-
-def _impossible_range(value: np.ndarray, row: Signal) -> str:
-    """A fault in words where finite readings (T,) [SI unit] leave the range of their signal, else empty."""
-    low, high = np.quantile(value, [0.02, 0.98])
-    if row.low <= low and high <= row.high:
-        return ""
-    unit = "" if row.display == "1" else f" {row.display}"
-    low, high = from_si(np.array([low, high]), row.display, row)
-    return f"{row.name} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
 
 
 def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -50,16 +50,6 @@ def placed_in_year(
     return placed, {name: one[keep] for name, one in columns.items()}, said
 
 
-def expect_hour(year: int, month: int, day: int, hour: int) -> None:
-    """Raise ValueError for an impossible date, or an hour other than 1 … 24."""
-    if not 1 <= hour <= 24:
-        raise ValueError(f"expected an hour 1 … 24, found {hour}")
-    if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
-        raise ValueError(f"expected a date, found {year}, {month}, {day}")
-    if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
-        raise ValueError(f"month {month} has no day {day}")
-
-
 def local_seconds(stamps: np.ndarray) -> np.ndarray:
     """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
     months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
@@ -91,7 +81,13 @@ def hours_table(
                     row[column] = float(cells[column])
                     if not np.isfinite(row[column]):
                         raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
-            expect_hour(*(int(one) for one in date(row)))
+            year, month, day, hour = (int(one) for one in date(row))
+            if not 1 <= hour <= 24:
+                raise ValueError(f"expected an hour 1 … 24, found {hour}")
+            if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
+                raise ValueError(f"expected a date, found {year}, {month}, {day}")
+            if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
+                raise ValueError(f"month {month} has no day {day}")
         except ValueError as reason:
             wrong.append(f"line {number}: {reason}")
     more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""

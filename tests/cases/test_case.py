@@ -17,7 +17,7 @@ from builders.faults import faults_of
 from builders.measured import DATA, measured
 
 from hygrokf.cases.case_file import CaseFault, read_case
-from hygrokf.cases.doubts import doubts
+from hygrokf.cases.doubts import all_doubts
 from hygrokf.cases.frames import read_frames
 from hygrokf.data.ambient import at_times
 from hygrokf.data.input_paths import on_change
@@ -220,9 +220,9 @@ def test_a_signal_that_comes_on_change_and_is_joined_by_lines_is_said(folder):
     assert not on_change(time[:12], value[:12], 0.1)  # few enough for chance
     assert not on_change(time, random.normal(size=300), 1e-6)  # noise on a fine grid never repeats
     made = Record("x", (Series("cabinet_temperature", time, value + 273.15, resolution=0.1),))
-    assert any("comes only when it changes" in one for one in doubts(made))
+    assert any("comes only when it changes" in one for one in all_doubts(made))
     held = Record("x", (dataclasses.replace(made.series[0], hold="zoh"),))
-    assert not any("comes only when it changes" in one for one in doubts(held))
+    assert not any("comes only when it changes" in one for one in all_doubts(held))
 
 
 def test_a_stated_interval_counts_instead_of_the_step(folder):

@@ -10,7 +10,7 @@ from hygrokf.cases.form import CasePlace, stated_case
 from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import StatedQuality
-from hygrokf.data.toml_lines import lines_of
+from hygrokf.data.toml_form import lines_of
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.cases.doubts import doubted, doubts
+from hygrokf.cases.doubts import all_doubts, doubted
 from hygrokf.cases.summary import RecordSummary, describe
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
@@ -83,7 +83,7 @@ def test_mask_treats_every_series_and_says_so():
 
 def test_a_good_record_raises_neither_warning_nor_doubt():
     assert mask(good()) == good()
-    assert doubts(good()) == ()
+    assert all_doubts(good()) == ()
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
     ],
 )
 def test_doubts(record, words):
-    said = doubts(record)
+    said = all_doubts(record)
     for word in words:
         assert any(word in one for one in said), said
 
@@ -177,10 +177,10 @@ def test_doubts(record, words):
     ],
 )
 def test_doubts_name_the_time_constants_that_they_put_in_question(record, touched):
-    found = doubted(doubts(record))
+    found = doubted(all_doubts(record))
     assert {part for part, said in found.items() if said} == set(touched)
-    assert all(one in doubts(record) for said in found.values() for one in said)
-    assert json.loads(json.dumps(doubts(record))) == [str(one) for one in doubts(record)]
+    assert all(one in all_doubts(record) for said in found.values() for one in said)
+    assert json.loads(json.dumps(all_doubts(record))) == [str(one) for one in all_doubts(record)]
 
 
 def test_the_factor_of_absolute_humidity_is_that_of_its_definition():
@@ -197,7 +197,7 @@ def test_the_factor_of_absolute_humidity_is_that_of_its_definition():
     )
     record = changed(record, "cabinet_relative_humidity", np.full(count, 0.80))
     record = changed(record, "ambient_relative_humidity", np.full(count, 0.50))
-    assert any("is 1.60 times that outside" in one for one in doubts(record))
+    assert any("is 1.60 times that outside" in one for one in all_doubts(record))
 
 
 def test_hourly_ambient_and_irregular_steps_are_doubted():
@@ -207,7 +207,7 @@ def test_hourly_ambient_and_irregular_steps_are_doubted():
     time = START + np.cumsum(random.uniform(100.0, 1100.0, 5000))
     uneven = Series("wind_speed", time, random.uniform(2, 9, 5000), source='a.csv, column "v"')
     other = without(record, "ambient_temperature")
-    said = doubts(Record("x", (*other.series, hourly, uneven), None, 2.05e6, record.until_s))
+    said = all_doubts(Record("x", (*other.series, hourly, uneven), None, 2.05e6, record.until_s))
     assert any("ambient temperature every 1 h only" in one for one in said)
     assert any("irregular steps in a.csv" in one for one in said)
 
@@ -227,7 +227,7 @@ def sun(longitude_deg: float, shift_s: float, days: int = 60) -> Series:
 @pytest.mark.parametrize(("shift_min", "direction"), [(0, None), (60, "after"), (-60, "before")])
 def test_the_sun_tells_the_clock(longitude, shift_min, direction):
     record = Record("x", (sun(longitude, 60.0 * shift_min),), Site(50.0, longitude))
-    said = [one for one in doubts(record) if "solar noon" in one]
+    said = [one for one in all_doubts(record) if "solar noon" in one]
     if direction is None:
         assert said == []
     else:
@@ -319,8 +319,8 @@ def test_readings_lost_in_gaps_of_the_ambient_are_counted():
         replace(one, value=np.where((at > 9 * 3600.0) & (at < 21 * 3600.0), one.value, np.nan))
         for one, at in zip(record.series[2:4], day, strict=True)
     ]
-    said = [one for one in doubts(record.replace_series(*series)) if "are not used" in one]
-    assert len(said) == 2 and not [one for one in doubts(record) if "are not used" in one]
+    said = [one for one in all_doubts(record.replace_series(*series)) if "are not used" in one]
+    assert len(said) == 2 and not [one for one in all_doubts(record) if "are not used" in one]
     lost = [int(one.split()[0]) for one in said]
     assert all(0.48 < one / len(record["cabinet_temperature"]) < 0.52 for one in lost)
     assert all("ambient temperature and humidity" in one for one in said)

@@ -16,8 +16,7 @@ from builders.faults import faults_of
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.weather import archive
-from hygrokf.weather.era5 import read_era5
-from hygrokf.weather.fields import point_record
+from hygrokf.weather.era5 import point_record, read_era5, short_name
 from hygrokf.weather.gridded import point_fields
 from hygrokf.weather.reading import read_weather_file
 
@@ -32,7 +31,7 @@ def faults(path: Path, site: Site | None = SITE) -> str:
 
 
 def era5_record(dataset: xarray.Dataset, site: Site = SITE) -> Record:
-    return point_record(point_fields(dataset, "data set", site))
+    return point_record(point_fields(dataset, "data set", short_name, site))
 
 
 def assert_middle_cell(record, hours: int = made.HOURS, tolerance: float = 1e-4) -> None:
