@@ -31,7 +31,6 @@ from hygrokf.live.sources.stream import (
     SourceKeys,
     SourceState,
     Stream,
-    Threaded,
 )
 
 GROWTHS = 16
@@ -114,7 +113,7 @@ def is_whole(line: bytes | str) -> bool:
     return len(line) > LONGEST_LINE or line[-1:] in (b"\n", "\n")
 
 
-class TailedFile(Threaded):
+class TailedFile(Stream):
     """A growing CSV or NDJSON file, read again from its start if it was replaced or truncated.
 
     The place is "identity offset", so that a different file of the same name is read from its start.  A line
@@ -196,7 +195,7 @@ def _identity(file: IO[bytes]) -> str:
     return f"{found.st_dev}.{found.st_ino}"
 
 
-class Playback(Threaded):
+class Playback(Stream):
     """Plays back messages in real time or faster by a factor.
 
     messages: (arrival [s], content), sorted by arrival; speed: factor, 0 for as fast as possible; live_s:

@@ -32,7 +32,6 @@ from hygrokf.live.sources.stream import (
     SourceKeys,
     SourceState,
     Stream,
-    Threaded,
 )
 from hygrokf.live.storage.database import Row, StoreFault, one_line
 from hygrokf.live.storage.postgres import connected, import_psycopg, url_fault
@@ -123,7 +122,7 @@ class Columns:
         return {name: _plain(value) for name, value in zip(self.names, row, strict=True)}
 
 
-class PostgresQuery(Threaded):
+class PostgresQuery(Stream):
     """The rows of a query, from a session that may only read; reconnects indefinitely.
 
     The place is type and text of a watermark below which every row is committed.

@@ -16,13 +16,13 @@ from typing import IO, Any
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.live.sources.local import LONGEST_LINE, Lines, next_line
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceKeys, Stream, Threaded
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceKeys, Stream
 
 PIECE = 65_536
 """[bytes] read at once."""
 
 
-class StandardInput(Threaded):
+class StandardInput(Stream):
     """Lines of standard input until it ends; lines cannot be read again after a restart."""
 
     url = "stdin"
