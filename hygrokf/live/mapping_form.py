@@ -15,8 +15,7 @@ from hygrokf.data.signals import SWITCHED, Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock

@@ -23,16 +23,15 @@ from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import (
     Lines,
     Playback,
+    StandardInput,
     TailedFile,
     delay_and_repeat,
     file_messages,
     record_mapping,
     record_messages,
 )
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
-from hygrokf.live.sources.standard_input import StandardInput
 from hygrokf.live.sources.stream import Delivery
 
 NOW = 1_772_367_000.0

@@ -24,8 +24,7 @@ from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
-from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
 from hygrokf.live.sources.payload_paths import path_fault, pattern_fault, tag_reader
 from hygrokf.live.sources.payload_values import Clock, measured, number, seconds

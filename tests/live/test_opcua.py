@@ -37,8 +37,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import User
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import BackOff, SourceKeys
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine

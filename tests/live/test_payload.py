@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import DEEPEST, LARGEST, Refused
 from hygrokf.live.sources.payload_values import seconds
 

@@ -16,8 +16,7 @@ from builders.waiting import eventually
 from hygrokf.data.toml_form import Place
 from hygrokf.live.service import Service
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.application import Page

@@ -1,4 +1,4 @@
-"""Sources on this machine: a growing file, and a record that is played back."""
+"""Sources on this machine: a growing file, standard input, and a record that is played back."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import csv
 import math
 import os
 import re
+import select
+import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
+from io import UnsupportedOperation
 from pathlib import Path
-from typing import IO, AnyStr
+from typing import IO, Any, AnyStr
 
 import numpy as np
 
@@ -20,8 +24,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
 from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
@@ -37,6 +40,8 @@ GROWTHS = 16
 """Growths of a file whose times tell its usual interval."""
 LONGEST_LINE = LARGEST
 """[bytes] of the longest line that is read."""
+PIECE = 65_536
+"""[bytes] read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 
 
@@ -195,6 +200,75 @@ def _identity(file: IO[bytes]) -> str:
     return f"{found.st_dev}.{found.st_ino}"
 
 
+class StandardInput(Stream):
+    """Lines of standard input until it ends; lines cannot be read again after a restart."""
+
+    url = "stdin"
+
+    def __init__(
+        self,
+        mapping: PayloadMapping,
+        file: IO[Any] | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        super().__init__(mapping, clock)
+        self._file = file
+        self._lines = Lines(mapping.form)
+        self._pipe: _Pipe | None = None
+
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
+        descriptor = _descriptor(file)
+        if descriptor is not None and self._pipe is None:
+            self._pipe = _Pipe(descriptor, self._ended)
+        while line := next_line(file) if self._pipe is None else self._pipe.next_line():
+            if self._ended.is_set():
+                return
+            content = self._lines.content(line)
+            if content is not None:
+                put(Delivery(content, self.clock()))
+
+
+def _descriptor(file: IO[Any]) -> int | None:
+    """The descriptor of a file that can be waited for; None where it has none, or the system cannot."""
+    try:
+        descriptor = file.fileno()
+        select.select([descriptor], [], [], 0.0)
+    except (OSError, UnsupportedOperation, ValueError):
+        return None
+    return descriptor
+
+
+class _Pipe:
+    """Lines of a descriptor.  Waiting for more ends with an event: a thread that blocks in a buffered read
+    would keep the process from ending."""
+
+    def __init__(self, descriptor: int, ended: threading.Event) -> None:
+        self._descriptor, self._ended = descriptor, ended
+        self._held = bytearray()
+
+    def next_line(self) -> bytes:
+        """The next line, or a piece of one that is too long; empty at the end, and once the event is set."""
+        searched = 0
+        while (end := self._held.find(b"\n", searched) + 1) == 0 and len(self._held) <= LONGEST_LINE:
+            searched = len(self._held)
+            more = self._read()
+            if not more:
+                end = len(self._held)
+                break
+            self._held += more
+        count = min(end or LONGEST_LINE + 1, LONGEST_LINE + 1)
+        line = bytes(self._held[:count])
+        del self._held[:count]
+        return line
+
+    def _read(self) -> bytes:
+        while not self._ended.is_set():
+            if select.select([self._descriptor], [], [], PAUSE_S)[0]:
+                return os.read(self._descriptor, PIECE)
+        return b""
+
+
 class Playback(Stream):
     """Plays back messages in real time or faster by a factor.
 
@@ -335,6 +409,17 @@ class FileForm(SourceKeys):
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
         messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
         return Playback(url, messages, mapping, self.speed)
+
+
+@dataclass(frozen=True)
+class InputForm(SourceKeys):
+    """A [[source]] of `stdin`."""
+
+    url: str = setting(help="stdin")
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
+        """The stream."""
+        return StandardInput(mapping)
 
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
