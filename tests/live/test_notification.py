@@ -26,8 +26,8 @@ from hygrokf.live.acknowledgement import acknowledge, look_again
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
+from hygrokf.live.doctor.examination import channel_checks
 from hygrokf.live.doctor.machine import file_checks
-from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.mail import Mail

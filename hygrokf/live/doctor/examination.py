@@ -1,4 +1,4 @@
-"""The whole examination: clock, files, sources, store, models and page, without changing anything."""
+"""The whole examination: clock, files, sources, store, models, page, channels; changing nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 import math
 import socket
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,9 +21,10 @@ from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
-from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
+from hygrokf.live.notification.channel import Channel, ChannelFault
+from hygrokf.live.notification.sender import send_test
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import Reading, Tracker, record_of
@@ -35,6 +37,7 @@ ANSWER_S = 5.0
 """[s] allowed for a page's answer."""
 TRIED_H = 72
 """Length of the readings on which a model is tried [h]."""
+_MEND = "correct [[notify]], or the server; notices wait in the store meanwhile"
 
 
 def examine(
@@ -115,6 +118,28 @@ def _page_says(settings: PageSettings) -> str | None:
     if not isinstance(found, dict) or not set(found) & {"ok", "fault"}:
         return None
     return "" if found.get("ok") is True else str(found.get("fault"))[:200]
+
+
+def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
+    """Check channels, all at the same time; `send`: with a test message to each."""
+    if not channels:
+        return []
+    with ThreadPoolExecutor(min(len(channels), 8)) as pool:
+        found = pool.map(lambda one: list(_channel_checks(one, send)), channels)
+        return [check for checks in found for check in checks]
+
+
+def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
+    about = f"notify {channel.name}"
+    for caution in channel.transport.cautions():
+        yield doubt(about, caution, "use TLS and a secret where others could listen")
+    try:
+        yield ok(about, f"{channel.transport.where}: {channel.transport.probe()}")
+        if send:
+            send_test(channel)
+            yield ok(about, "a test message was accepted")
+    except ChannelFault as found:
+        yield fault(about, str(found), _MEND)
 
 
 def as_text(checks: list[Check]) -> str:

@@ -1,5 +1,5 @@
 """Checks of an MQTT broker from the tracker's point of view: connection, permissions, and messages within a
-given time.
+given time; and of Sparkplug edge nodes on it: whether births explain what arrives.
 
 The doctor listens in its own temporary session and neither takes over the tracker's session nor reads from
 it.
@@ -12,7 +12,7 @@ import secrets
 import ssl
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,9 +21,11 @@ from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities,
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload_formats import Content
+from hygrokf.live.sources.payload_formats import Content, Unreadable
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
-from hygrokf.live.sources.stream import SourceFault
+from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
+from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
+from hygrokf.live.sources.stream import SourceFault, several
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 ANSWER_S = 10.0
 """[s] allowed for a broker to accept the client and answer its subscription."""
 REACH = "check url, user, password and certificates of this [[source]], and that the broker runs"
+KEPT = (
+    "edge nodes publish at QoS 0: let the broker keep it for sessions (mosquitto: queue_qos0_messages true)"
+)
 SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
 
 
@@ -90,15 +95,7 @@ def mqtt_checks(
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
-    link = Listener(doctor_session(broker))
-    try:
-        try:
-            link.open()
-        except SourceFault as error:
-            link.lose(str(error))
-        except Exception as error:  # of any kind: it is reported
-            link.lose(unreachable(error, broker.where))
-        await_answer(link)
+    with listening(doctor_session(broker)) as link:
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
@@ -119,8 +116,6 @@ def mqtt_checks(
         if link.lost.is_set():
             yield fault(about, f"the connection was lost: {link.reason}", REACH)
         denied = link.denied
-    finally:
-        link.close()
     for topics, one in heard.items():
         yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
     if retained.payloads and not statistics.payloads:
@@ -145,11 +140,23 @@ def plain_filter(topics: str) -> str:
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
-def await_answer(link: Link) -> None:
-    """Wait until the broker has answered the subscription or the link is lost."""
-    end = time.monotonic() + ANSWER_S
-    while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
-        link.lost.wait(0.02)
+@contextmanager
+def listening(broker: Broker) -> Iterator[Listener]:
+    """A link within this context, once the broker has answered the subscription or the link is lost."""
+    link = Listener(broker)
+    try:
+        try:
+            link.open()
+        except SourceFault as error:
+            link.lose(str(error))
+        except Exception as error:  # of any kind: it is reported
+            link.lose(unreachable(error, broker.where))
+        end = time.monotonic() + ANSWER_S
+        while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
+            link.lost.wait(0.02)
+        yield link
+    finally:
+        link.close()
 
 
 def _certificate(link: Link, about: str) -> Iterator[Check]:
@@ -210,3 +217,45 @@ def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: fl
     return doubt(
         about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
     )
+
+
+# -- Sparkplug -----------------------------------------------------------------------------------------------
+def sparkplug_checks(
+    source: Sparkplug, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+) -> Iterator[Check]:
+    """The checks of the broker, then those of the edge nodes heard within `wait_s` [s].
+
+    The doctor knows only births within this time, so that it does not judge values by other aliases.
+    """
+    nodes = EdgeNodes()
+    read = source.reader(nodes)
+
+    def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
+        found = read(topic, payload, received)
+        return [one for one in found if not (isinstance(one, Unreadable) and one.kind in UNEXPLAINED)]
+
+    yield from mqtt_checks(source, statistics, wait_s, lateness_s, contents, KEPT)
+    for node in nodes.nodes.values():
+        node.look(time.time())
+    about = f"source {source.url}"
+    within = f"within {lasting(wait_s)}"
+    gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
+    unborn = [name for name in nodes.without_birth() if name not in gaps]
+    left = [name for name, node in nodes.nodes.items() if "" in node.left_s]
+    sound = [name for name in nodes.nodes if name not in (*gaps, *unborn, *left)]
+    if sound:
+        yield ok(about, f"every message is explained, of edge nodes {several(sound)}")
+    if gaps:
+        yield doubt(
+            about,
+            f"messages are missing in the sequence of {several(gaps)}",
+            "look for a bad connection of the edge node, and for two that bear one name",
+        )
+    if unborn:
+        yield doubt(
+            about,
+            f"values came by aliases, but no birth certificate {within}, of {several(unborn)}",
+            f"if the tracker does not know these either: {ASK}, or set rebirth_requests = true",
+        )
+    if left:
+        yield doubt(about, f"a death certificate came {within}, of {several(left)}", "check the edge node")

@@ -20,14 +20,14 @@ from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
-from hygrokf.live.doctor.mqtt import Listener, await_answer, doctor_session
-from hygrokf.live.sources.broker import filter_fault, unreachable
+from hygrokf.live.doctor.mqtt import doctor_session, listening
+from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
-from hygrokf.live.sources.stream import SourceFault, Stream
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.tracker import Reading
 
 MOST = 20
@@ -163,15 +163,7 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
 
 def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
     """The messages at a topic within `wait_s` [s], retained ones included.  Raises TrialFault."""
-    link = Listener(replace(doctor_session(source.broker), topics=(topic,), alarms=""))
-    try:
-        try:
-            link.open()
-        except SourceFault as fault:
-            link.lose(str(fault))
-        except Exception as fault:  # of any kind: it is reported
-            link.lose(unreachable(fault, source.broker.where))
-        await_answer(link)
+    with listening(replace(doctor_session(source.broker), topics=(topic,), alarms="")) as link:
         if link.lost.is_set() or not link.answered or link.denied:
             words = link.reason or f"{source.broker.where} has not answered"
             raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
@@ -185,8 +177,6 @@ def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
                 payload = bytes(message.payload[: source.largest + 1])
                 for content in contents(message.topic, payload, came):
                     yield Arrived(content, came, message.topic)
-    finally:
-        link.close()
 
 
 # -- what they give ------------------------------------------------------------------------------------------

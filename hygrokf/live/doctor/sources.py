@@ -6,25 +6,48 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hygrokf.data.timestamps import DAY_S, stamp_text
-from hygrokf.live.doctor.check import OLD_S, Check, doubt, fault, lasting, ok, payload_checks, stamp_check
-from hygrokf.live.doctor.mqtt import mqtt_checks
+from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.live.doctor.check import (
+    OLD_S,
+    Check,
+    doubt,
+    fault,
+    lasting,
+    ok,
+    payload_checks,
+    server_check,
+    stamp_check,
+)
+from hygrokf.live.doctor.mqtt import mqtt_checks, sparkplug_checks
 from hygrokf.live.doctor.opcua import opcua_checks
-from hygrokf.live.doctor.postgres import postgres_checks
-from hygrokf.live.doctor.sparkplug import sparkplug_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
-from hygrokf.live.sources.postgres import PostgresQuery
+from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
 from hygrokf.live.sources.sparkplug import Sparkplug
-from hygrokf.live.sources.stream import PAUSE_S, Stream
+from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
+from hygrokf.live.storage.database import Row
+
+if TYPE_CHECKING:
+    import psycopg
 
 TAIL = 4_000_000
 """[bytes] read from the end of a file."""
+
+
+REACH = "check url, password and query of this [[source]], and that the server runs"
+MOST_ROWS = 20_000
+"""Rows examined at most."""
+SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
+"""How far back rows are looked for [s]: the shortest span that has any."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +141,17 @@ def file_checks(
     yield from payload_checks(about, statistics, "last rows")
     if statistics.newest and not stream.mapping.weather:
         newest = max(statistics.newest.values())
-        age = time.time() - newest
-        said = f"its newest reading is from {stamp_text(newest)}, {lasting(max(age, 0.0))} ago"
-        yield doubt(about, said, "check the program that writes the file") if age > OLD_S else ok(about, said)
+        yield _newest_reading(about, newest, "check the program that writes the file")
         found = stamp_check(f"{about} as it was last written", min(statistics.lag_s, written - newest))
         if found is not None and found.level != "ok":
             yield found
+
+
+def _newest_reading(about: str, newest: float, remedy: str, judged: bool = True) -> Check:
+    """The time [s] of the newest reading, with doubt where it is old, unless its age is not `judged`."""
+    age = time.time() - newest
+    said = f"its newest reading is from {stamp_text(newest)}, {lasting(max(age, 0.0))} ago"
+    return doubt(about, said, remedy) if judged and age > OLD_S else ok(about, said)
 
 
 def _state(path: Path) -> tuple[int, float]:
@@ -167,6 +195,76 @@ def read_rows(path: Path, statistics: PayloadStatistics) -> None:
             content = lines.content(line)
             if content is not None:
                 statistics.take(content, now)
+
+
+def postgres_checks(
+    source: PostgresQuery, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+) -> Iterator[Check]:
+    """Connect, run the query for its newest rows, and read them."""
+    about = f"source {source.url}"
+    try:
+        yield from _postgres_checks(source, statistics, about)
+    except SourceFault as error:
+        yield fault(about, str(error), REACH)
+    except Exception as error:  # of the driver, which only the source imports
+        yield fault(about, f"the query cannot be run: {reason_of(error)}", REACH)
+
+
+def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Iterator[Check]:
+    with closing(source.open()) as connection:
+        columns = source.columns(connection)
+        yield ok(about, f"connected; the query gives {', '.join(columns.names)}")
+        before = time.time()
+        (shown,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
+        if isinstance(shown, datetime):
+            yield server_check(about, shown.timestamp() - 0.5 * (before + time.time()))
+        rows, span, took_s = _newest_rows(source, columns.kind, connection)
+    if not rows:
+        yield doubt(about, f"no {span}", "check the query and the program that fills its table")
+        return
+    now = time.time()
+    for row in rows:
+        columns.watermark(row)
+        statistics.take(columns.payload(row), now)
+    yield from payload_checks(about, statistics, span)
+    if took_s > source.query.poll_s:
+        yield doubt(
+            about,
+            f"the query took {lasting(took_s)}, longer than poll ({lasting(source.query.poll_s)})",
+            f"create an index on {source.query.watermark}, or poll less often",
+        )
+    if statistics.newest and not statistics.mapping.weather:
+        newest, remedy = max(statistics.newest.values()), "check the program that fills its table"
+        yield _newest_reading(about, newest, remedy, columns.kind in TIMES)
+        ahead = stamp_check(about, statistics.lag_s, fresh=False)
+        if ahead is not None and ahead.level != "ok":
+            yield ahead
+
+
+def _newest_rows(
+    source: PostgresQuery, kind: str, connection: psycopg.Connection[Row]
+) -> tuple[list[Row], str, float]:
+    """Rows of the shortest span that has any, the name of the span, and how long the query took [s]."""
+    found: list[Row] = []
+    said, took_s = "rows", 0.0
+    for after, said in _starts(kind):  # noqa: B007
+        began = time.monotonic()
+        with closing(rows_above(connection, source.query.text, after)) as rows:
+            found = list(islice(rows, MOST_ROWS))
+        took_s = time.monotonic() - began
+        if found:
+            break
+    return found, said, took_s
+
+
+def _starts(kind: str) -> Iterator[tuple[str, str]]:
+    """Watermarks above which rows are looked for, each with the name of those rows."""
+    if kind in TIMES:
+        for span in SPANS_S:
+            since = datetime.fromtimestamp(time.time() - span, UTC)
+            yield since.isoformat(), f"rows of the last {lasting(span)}"
+    else:
+        yield LOWEST[kind], "first rows"
 
 
 KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
