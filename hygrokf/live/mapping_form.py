@@ -35,10 +35,6 @@ def texts(value: object) -> tuple[str, ...]:
     return tuple(str(one) for one in value)
 
 
-def _zone(value: object) -> datetime.tzinfo:
-    return zone_named(value)  # type: ignore[arg-type]
-
-
 def _time_form(value: object) -> str:
     """A strptime form that holds a date and a time to the minute; empty for ISO 8601.  Raises ValueError."""
     if value in ("", EXCEL):
@@ -98,7 +94,7 @@ class MappingForm:
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
-    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=_zone)
+    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=zone_named)
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
     vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)

@@ -247,7 +247,9 @@ def _ambients(
     """
     ambient = _ambient(history)
     kelvin = _possible_courses(ambient["temperature"], now_s, time, days)
-    dryness = _possible_courses(_humidity(ambient), now_s, time, days, scaled=_dryness)
+    dryness = _possible_courses(
+        _humidity(ambient), now_s, time, days, scaled=lambda humidity: np.sqrt(-np.log(humidity))
+    )
     return [
         _physical(warm, absolute_humidity(np.exp(-(dry**2)), warm))
         for warm, dry in zip(kelvin, dryness, strict=True)
@@ -260,11 +262,6 @@ def _humidity(ambient: Mapping[str, Series]) -> Series:
     kelvin = at_times(warm, vapour.time, bridge_h(warm, AMBIENT_BRIDGE_H))
     value = np.minimum(relative_humidity(np.maximum(vapour.value, DRIEST), kelvin), MOISTEST)
     return replace(vapour, signal="ambient_relative_humidity", value=value)
-
-
-def _dryness(humidity: np.ndarray) -> np.ndarray:
-    """w ≥ 0 with RH = exp(−w²), of any shape."""
-    return np.sqrt(-np.log(humidity))
 
 
 def _possible_courses(

@@ -20,14 +20,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-from hygrokf.live.acknowledgement import look_again
-from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
-from hygrokf.live.notification.notices import notices_of
-from hygrokf.live.sources.stream import Delivery, Reach, SourceState, Stream
+from hygrokf.live.notification.notices import look_again, notices_of
+from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -328,8 +326,11 @@ class Service:
         begin = time.monotonic()
         if begin >= self._tick:
             self._tick = begin + TICK_S
-            states = {url: stream.state for url, stream in self.streams.items()}
-            self._log_states(states)
+            for url, stream in self.streams.items():
+                word, words = stream.state
+                if self._words.get(url) != word:
+                    self._words[url] = word
+                    LOG.info("source", extra={"source": url, "state": word, "behind": words})
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
@@ -379,13 +380,6 @@ class Service:
                     lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in own) else math.inf
                     found.setdefault(name, {})[signal] = lost_s if len(since) == len(own) else None
         return found
-
-    def _log_states(self, states: Mapping[str, SourceState]) -> None:
-        """Log sources whose state has changed."""
-        for url, (word, behind) in states.items():
-            if self._words.get(url) != word:
-                self._words[url] = word
-                LOG.info("source", extra={"source": url, "state": word, "behind": behind})
 
     def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""

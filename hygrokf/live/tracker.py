@@ -327,7 +327,7 @@ class Tracker:
         Returns None without new instants, while `awaited` names signals, and until the ambient is known over
         some period.
         """
-        if self.awaited() or not self._inputs_overlap():
+        if self.awaited() or self.history_until() is not None:
             return None
         judged = {
             signal: judged_readings(self.plan, signal, times, self._values[signal], self._limit)
@@ -385,14 +385,6 @@ class Tracker:
                 known = self.frozen.get(signal)
                 found += frozen_runs(signal, one.readings, scale.still_s, self.plan.context_s, after_s, known)
         return tuple(found)
-
-    def _inputs_overlap(self) -> bool:
-        """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
-        interval."""
-        if self.point is not None:
-            return True
-        first, last, longest = self._overlap()
-        return last - first > longest
 
     def _overlap(self) -> tuple[float, float, float]:
         """First and last time [s] of which ambient and, if any, cabinet are known, and the longest averaging

@@ -28,7 +28,9 @@ from hygrokf.live.alarms import (
     Level,
     Rule,
     Standing,
+    contradiction_level,
     estimate_levels,
+    innovations,
     judge,
     missing_levels,
     shift_levels,
@@ -36,12 +38,11 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.backlog import Backlogs
+from hygrokf.live.assessment import States
 from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.changes import Change, settled
-from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
+from hygrokf.live.clocks import Backlogs, Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
-from hygrokf.live.contradiction import contradiction_level, innovations
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import Forecast, ForecastMade
 from hygrokf.live.frozen import Frozen
@@ -58,7 +59,6 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
-from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S

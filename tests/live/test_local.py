@@ -305,7 +305,7 @@ def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
     stream, got = played(), Collected()
     stream.start(None, got)
     found = got.wait(99)
-    assert len(stream) == 99
+    assert len(stream.messages) == 99
     assert found[0].content == {"turbine": "T1", "time": 1.6e9, "cabinet_temperature": 290.0}
     assert [one.received for one in found] == sorted(one.received for one in found)
     again, rest = played(), Collected()

@@ -22,7 +22,6 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.acknowledgement import acknowledge, look_again
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
@@ -31,7 +30,16 @@ from hygrokf.live.doctor.machine import file_checks
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.mail import Mail
-from hygrokf.live.notification.notices import Drop, Send, Situation, Wait, decide, notices_of
+from hygrokf.live.notification.notices import (
+    Drop,
+    Send,
+    Situation,
+    Wait,
+    acknowledge,
+    decide,
+    look_again,
+    notices_of,
+)
 from hygrokf.live.notification.sender import Sender, send_test
 from hygrokf.live.notification.webhook import Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
@@ -230,7 +238,7 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
     first, again, *rest = transport.messages
     assert (first.key, first.contents) == (again.key, again.contents) and len(first.contents) == 3
     assert {len(one.contents) for one in rest} == {1} and len({one.key for one in transport.messages}) == 3
-    assert outbox.waiting(store) == {} and sender.delivery.failures == 1
+    assert outbox.waiting(store) == {} and sender.failures == 1
     store.close()
 
 

@@ -22,6 +22,7 @@ import pytest
 from builders.documents import document
 from builders.live_case import expect_offline, live_record
 from builders.ports import free_port
+from builders.rejections import counted
 from builders.stream_case import Collected
 from builders.waiting import PATIENCE_S, eventually
 
@@ -270,7 +271,7 @@ def test_bad_values_are_counted_and_never_used(peer: Peer, named, started) -> No
             counts["no time"] += 1
             continue
         (found,) = run.stream.mapping.read(one, time.time())
-        counts += found.counts
+        counts += counted(found)
         used += [r.time - T0 for r in found.readings if r.signal == "cabinet_temperature"]
     assert counts == {"bad quality": 3, "no number": 1, "no time": 3} and used == [1, 5, 6]
     peer.write(at((7, None, BAD), node=tcab))

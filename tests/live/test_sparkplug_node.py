@@ -258,7 +258,7 @@ def test_memories_that_cannot_be_read_are_forgotten(content: object) -> None:
     nodes = EdgeNodes()
     nodes.recall({"edge node Farm/N1": content, "sequence of Farm/N1": "x", "batch": 1})
     (node,) = nodes.nodes.values()
-    assert not node.needs_birth and not node.left_s
+    assert node.gap_s is None and not node.unborn and not node.left_s
 
 
 def test_only_changes_are_kept_again(peer: EdgeNode, followed: Followed) -> None:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from builders.rejections import counted
 from builders.sparkplug_peer import FLOAT, metric, payload
 from builders.track_case import write_model
 
@@ -42,7 +43,7 @@ def read(mapping: PayloadMapping, contents: list[Content], topic: str = "") -> t
         try:
             for of in mapping.read(content, AT + 60.0, topic):
                 readings.update(one.signal for one in of.readings)
-                counts += of.counts
+                counts += counted(of)
         except Refused as refusal:
             counts[refusal.kind] += 1
     return readings, counts

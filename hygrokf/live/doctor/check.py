@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from hygrokf.data.timestamps import HOUR_S, duration_text
+from hygrokf.identification.wording import one_line
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
 
@@ -32,7 +33,7 @@ class Check:
 
     def __str__(self) -> str:
         said = f"{self.level:5}  {self.about}: {self.found}" + (f"; to do: {self.remedy}" * bool(self.remedy))
-        return "".join(c if c.isprintable() else " " for c in said)
+        return one_line(said)
 
 
 def ok(about: str, found: str) -> Check:

@@ -60,13 +60,13 @@ def examine(
     played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
     of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
     came = {name: set(signals) for name, signals in contents.signals.items()}
-    for one in sources:
-        for turbine, signal in one.statistics.newest:
+    for _, statistics in sources:
+        for turbine, signal in statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
         *machine_checks(watch, contents.received_s),
         *(file_checks(file) if file is not None else ()),
-        *(check for one in sources for check in one.checks),
+        *(check for checks, _ in sources for check in checks),
         *of_store,
         *model_checks(config.turbines, config.streams, came),
         *(page_checks(config.page) if with_page else ()),
@@ -143,21 +143,15 @@ def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
 
 
 def as_text(checks: list[Check]) -> str:
-    """One line per check, and the number of checks at each level."""
-    return "\n".join([*map(str, checks), summary(checks)])
+    """One line per check, and the number of checks at each level with a conclusion."""
+    counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
+    said = "ready to track" if worst(checks) != "fault" else "fix the faults first"
+    return "\n".join([*map(str, checks), f"{', '.join(counts)}: {said}"])
 
 
 def as_data(checks: list[Check]) -> JsonObject:
     """The checks as JSON data."""
     return {"level": worst(checks), "checks": [asdict(one) for one in checks]}
-
-
-def summary(checks: list[Check]) -> str:
-    """The number of checks at each level, and a conclusion."""
-    counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
-    return f"{', '.join(counts)}: " + (
-        "ready to track" if worst(checks) != "fault" else "fix the faults first"
-    )
 
 
 # -- models --------------------------------------------------------------------------------------------------

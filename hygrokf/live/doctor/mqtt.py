@@ -11,9 +11,10 @@ import queue
 import secrets
 import ssl
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
@@ -37,16 +38,6 @@ KEPT = (
     "edge nodes publish at QoS 0: let the broker keep it for sessions (mosquitto: queue_qos0_messages true)"
 )
 SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
-
-
-@dataclass
-class MessageCounts:
-    """Numbers of messages under one filter: `live`, of these `unkept` (published at QoS 0), and
-    `retained`."""
-
-    live: int = 0
-    unkept: int = 0
-    retained: int = 0
 
 
 class Listener(Link):
@@ -173,12 +164,12 @@ def _certificate(link: Link, about: str) -> Iterator[Check]:
 
 def _count_messages(
     link: Listener, take: Callable[[MQTTMessage, float], None], wait_s: float
-) -> dict[str, MessageCounts]:
+) -> dict[str, Counter[str]]:
     """Take messages with their times of arrival [s] for `wait_s` [s]; returns their numbers under each
-    filter."""
+    filter: "live", of these "unkept" (published at QoS 0), and "retained"."""
     from paho.mqtt.client import topic_matches_sub
 
-    heard = {topics: MessageCounts() for topics in link.broker.topics}
+    heard = {topics: Counter[str]() for topics in link.broker.topics}
     end = time.monotonic() + wait_s
     while (left := end - time.monotonic()) > 0.0:
         with suppress(queue.Empty):
@@ -188,14 +179,13 @@ def _count_messages(
             message, came = found
             for topics, one in heard.items():
                 if topic_matches_sub(topics, message.topic):
-                    one.retained += message.retain
-                    one.live += not message.retain
-                    one.unkept += not message.retain and message.qos == 0
+                    one["retained" if message.retain else "live"] += 1
+                    one["unkept"] += not message.retain and message.qos == 0
             take(message, came)
     return heard
 
 
-def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: float, keep: str) -> Check:
+def _filter_check(about: str, one: Counter[str], denied: str | None, wait_s: float, keep: str) -> Check:
     within = f"within {lasting(wait_s)}"
     if denied is not None:
         return fault(
@@ -203,17 +193,19 @@ def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: fl
             f"the broker denies the subscription: {denied}",
             "give this user the right to read the topic",
         )
-    if one.live and one.unkept:
+    if one["live"] and one["unkept"]:
         return doubt(
             about,
-            f"{one.live} messages {within}, {one.unkept} of them published at QoS 0, which the broker "
+            f"{one['live']} messages {within}, {one['unkept']} of them published at QoS 0, which the broker "
             "does not keep while the tracker is not running",
             keep,
         )
-    if one.live:
-        return ok(about, f"granted; {one.live} messages {within}")
-    if one.retained:
-        return doubt(about, f"granted; nothing new {within}, only {one.retained} retained messages", SILENT)
+    if one["live"]:
+        return ok(about, f"granted; {one['live']} messages {within}")
+    if one["retained"]:
+        return doubt(
+            about, f"granted; nothing new {within}, only {one['retained']} retained messages", SILENT
+        )
     return doubt(
         about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
     )

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -50,24 +49,18 @@ SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
 """How far back rows are looked for [s]: the shortest span that has any."""
 
 
-@dataclass(frozen=True)
-class SourceExamination:
-    """The checks of a source, and a statistics of its payloads."""
-
-    checks: tuple[Check, ...]
-    statistics: PayloadStatistics
-
-
-def examine_sources(streams: Sequence[Stream], wait_s: float, lateness_s: float) -> list[SourceExamination]:
-    """Examine every source; those that send by themselves are observed for `wait_s` [s]."""
-    done: dict[int, SourceExamination] = {}
+def examine_sources(
+    streams: Sequence[Stream], wait_s: float, lateness_s: float
+) -> list[tuple[tuple[Check, ...], PayloadStatistics]]:
+    """The checks of every source, and a statistics of its payloads; those that send by themselves are
+    observed for `wait_s` [s]."""
+    done: dict[int, tuple[tuple[Check, ...], PayloadStatistics]] = {}
     failed: list[BaseException] = []
 
     def examine(number: int, stream: Stream) -> None:
         statistics = PayloadStatistics(stream.mapping)
         try:
-            checks = tuple(_checks(stream, statistics, wait_s, lateness_s))
-            done[number] = SourceExamination(checks, statistics)
+            done[number] = tuple(_checks(stream, statistics, wait_s, lateness_s)), statistics
         except BaseException as error:
             failed.append(error)
 
@@ -227,11 +220,11 @@ def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about
         columns.watermark(row)
         statistics.take(columns.payload(row), now)
     yield from payload_checks(about, statistics, span)
-    if took_s > source.query.poll_s:
+    if took_s > source.form.poll_s:
         yield doubt(
             about,
-            f"the query took {lasting(took_s)}, longer than poll ({lasting(source.query.poll_s)})",
-            f"create an index on {source.query.watermark}, or poll less often",
+            f"the query took {lasting(took_s)}, longer than poll ({lasting(source.form.poll_s)})",
+            f"create an index on {source.form.watermark}, or poll less often",
         )
     if statistics.newest and not statistics.mapping.weather:
         newest, remedy = max(statistics.newest.values()), "check the program that fills its table"
@@ -249,7 +242,7 @@ def _newest_rows(
     said, took_s = "rows", 0.0
     for after, said in _starts(kind):  # noqa: B007
         began = time.monotonic()
-        with closing(rows_above(connection, source.query.text, after)) as rows:
+        with closing(rows_above(connection, source.form.query, after)) as rows:
             found = list(islice(rows, MOST_ROWS))
         took_s = time.monotonic() - began
         if found:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from hygrokf.errors import HygrokfError
+from hygrokf.identification.wording import one_line
 from hygrokf.live.batch import Alarm
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class ChannelFault(HygrokfError):
     """
 
     def __init__(self, words: str, reached: bool = False) -> None:
-        shown = "".join(c if c.isprintable() else " " for c in words)
+        shown = one_line(words)
         super().__init__(shown if len(shown) <= LONGEST_REASON else f"{shown[: LONGEST_REASON - 1]}…")
         self.reached = reached
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
+from hygrokf.identification.wording import one_line
 from hygrokf.live.notification.channel import ACKNOWLEDGED, ENDED, Content, Message
 
 LONGEST_SUBJECT = 150
@@ -25,7 +25,7 @@ def subject(message: Message) -> str:
     else:
         events = Counter(one.event for one in contents)
         said = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
-    return _printable(f"[hygrokf] {said}")[:LONGEST_SUBJECT]
+    return one_line(f"[hygrokf] {said}")[:LONGEST_SUBJECT]
 
 
 def headline(content: Content) -> str:
@@ -33,35 +33,31 @@ def headline(content: Content) -> str:
     alarm = content.alarm
     whose = alarm.turbine or "tracker"
     word = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
-    return _printable(f"{whose}: {alarm.kind} ({word}{content.event})")
+    return one_line(f"{whose}: {alarm.kind} ({word}{content.event})")
 
 
 def text(message: Message) -> str:
     """The message for people, the most severe and newest contents last."""
     if not message.contents:
         return f"{TEST}\n"
-    return "\n\n".join(_paragraph(one) for one in in_order(message)) + "\n"
-
-
-def in_order(message: Message) -> Sequence[Content]:
-    """Contents in the order of their alarms' beginnings."""
-    return sorted(message.contents.values(), key=lambda one: (one.alarm.began, one.alarm.id))
+    in_order = sorted(message.contents.values(), key=lambda one: (one.alarm.began, one.alarm.id))
+    return "\n\n".join(map(_paragraph, in_order)) + "\n"
 
 
 def _paragraph(content: Content) -> str:
     alarm = content.alarm
-    lines = [headline(content), f"  {_printable(alarm.statement)}"]
+    lines = [headline(content), f"  {one_line(alarm.statement)}"]
     if content.event == ENDED and alarm.ended is not None:
         lines.append(f"  from {stamp_text(alarm.began)} to {stamp_text(alarm.ended)}")
     else:
         lines.append(f"  since {stamp_text(alarm.began)}")
     if content.event == ACKNOWLEDGED:
         note = f": {alarm.note}" if alarm.note else ""
-        lines.append(_printable(f"  {alarm.cause} – {alarm.acknowledged_by}{note}"))
+        lines.append(one_line(f"  {alarm.cause} – {alarm.acknowledged_by}{note}"))
         if alarm.look_again is not None:
             lines.append(f"  due again {stamp_text(alarm.look_again)}")
     elif content.event != ENDED and alarm.remedy:
-        lines.append(f"  to do: {_printable(alarm.remedy)}")
+        lines.append(f"  to do: {one_line(alarm.remedy)}")
     return "\n".join(lines)
 
 
@@ -75,7 +71,3 @@ def data(message: Message) -> JsonObject:
             for name, one in message.contents.items()
         ],
     }
-
-
-def _printable(words: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in words)

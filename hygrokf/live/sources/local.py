@@ -148,7 +148,8 @@ class TailedFile(Stream):
         while not self._ended.is_set():
             try:
                 with self.path.open("rb") as file:
-                    identity = _identity(file)
+                    opened = os.fstat(file.fileno())
+                    identity = f"{opened.st_dev}.{opened.st_ino}"
                     known, _, offset = (place or "").partition(" ")
                     if self._read(file, identity, int(offset) if known == identity else 0, put):
                         return
@@ -193,11 +194,6 @@ class TailedFile(Stream):
             if now.st_size < offset or f"{now.st_dev}.{now.st_ino}" != identity:
                 return False
         return True
-
-
-def _identity(file: IO[bytes]) -> str:
-    found = os.fstat(file.fileno())
-    return f"{found.st_dev}.{found.st_ino}"
 
 
 class StandardInput(Stream):
@@ -293,7 +289,7 @@ class Playback(Stream):
         self.label = label
         self.speed = speed
         self._live_s = live_s
-        self._messages = messages
+        self.messages = messages
         self._played = (messages[0][0] if messages else 0.0, math.inf)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
@@ -306,21 +302,13 @@ class Playback(Stream):
         at, when = self._played
         return at + self.speed * max(time.monotonic() - when, 0.0) if at >= self._live_s else at
 
-    @property
-    def messages(self) -> Sequence[tuple[float, Content]]:
-        """All messages: (arrival [s], content)."""
-        return self._messages
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         first = int(place or 0)
-        if first >= len(self._messages):
+        if first >= len(self.messages):
             return
         began, origin = math.nan, 0.0
-        for number in range(first, len(self._messages)):
-            at, content = self._messages[number]
+        for number in range(first, len(self.messages)):
+            at, content = self.messages[number]
             if self.speed > 0.0 and at >= self._live_s:
                 if math.isnan(began):
                     began, origin = time.monotonic(), at

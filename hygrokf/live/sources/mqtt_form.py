@@ -7,13 +7,13 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 from urllib.parse import unquote, urlsplit
 
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.sources.broker import EXPIRY_S, Broker, filter_fault
-from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE
+from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, Address
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
@@ -79,7 +79,11 @@ class MqttForm(SourceKeys):
 
     @across("alarms")
     def alarms_topic(self) -> str | None:
-        wrong = _prefix_fault(self.alarms) if self.alarms else None
+        wrong, own = filter_fault(self.alarms) if self.alarms else None, self.alarms
+        if own.startswith(("$", "/")) or own.endswith("/") or "+" in own or "#" in own:
+            wrong = (
+                'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
+            )
         return None if wrong is None else f"alarms: {wrong}, found {self.alarms!r}"
 
     @across("user", "url")
@@ -132,7 +136,7 @@ class MqttForm(SourceKeys):
 
     def broker(self, folder: Path, place: Place) -> Broker:
         """The broker; secrets and certificates that cannot be read are faults.  Nothing is connected yet."""
-        scheme, host, port, user, _ = self.address
+        scheme, host, port, user, _, _ = self.address
         files = {name: getattr(self, name) for name in ("password_file", *_TLS)}
         broker = Broker(
             host,
@@ -167,42 +171,25 @@ class MqttForm(SourceKeys):
         return Mqtt(broker, mapping)
 
 
-class Address(NamedTuple):
-    """The parts of mqtt[s]://[USER@]HOST[:PORT], and what is wrong with it."""
-
-    scheme: str
-    host: str
-    port: int
-    user: str
-    fault: str | None = None
-
-
 def _address(url: str) -> Address:
     """The parts of a url; a fault never shows one that may contain a password."""
     scheme, _, rest = url.partition(":")
     default = PORTS.get(scheme, 0)
     login, at, _ = rest.removeprefix("//").rpartition("@")
     if ":" in login:
-        return Address(scheme, "", default, "", f"url: {NO_PASSWORD_HERE}")
+        return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
     expected = f"url must be {scheme}://HOST or {scheme}://USER@HOST:PORT"
     try:
         parts = urlsplit(url)
         host, port = parts.hostname or "", parts.port
     except ValueError:
-        return Address(scheme, "", default, "", f"{expected}, with a port of 1 to 65535")
+        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
     fault = None
     if not host or parts.path not in ("", "/") or parts.query or parts.fragment:
         fault = f"{expected} and no more{'' if at else f', found {url!r}'}"
     elif port == 0:
         fault = f"{expected}, with a port of 1 to 65535"
-    return Address(scheme, host, default if port is None else port, unquote(login), fault)
-
-
-def _prefix_fault(prefix: str) -> str | None:
-    """An error message for an invalid topic to publish below, else None."""
-    if prefix.startswith(("$", "/")) or prefix.endswith("/") or "+" in prefix or "#" in prefix:
-        return 'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
-    return filter_fault(prefix)
+    return Address(scheme, host, default if port is None else port, unquote(login), fault=fault)
 
 
 def default_client_id(broker: str, folder: Path) -> str:

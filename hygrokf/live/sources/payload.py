@@ -13,7 +13,6 @@ or, with `tag` and `value`, one reading per record:
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -124,11 +123,6 @@ class TurbineReadings(NamedTuple):
     turbine: str
     readings: list[Reading]
     rejections: list[Rejection]
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Number of rejections by kind."""
-        return Counter(one.kind for one in self.rejections)
 
 
 class Found(dict[str, TurbineReadings]):

@@ -104,11 +104,6 @@ class EdgeNode:
         self._held = HeldMessages()
         self._changed = False
 
-    @property
-    def needs_birth(self) -> bool:
-        """Whether metrics come by aliases that only a birth certificate can explain."""
-        return self.gap_s is not None or self.unborn
-
     # -- messages --------------------------------------------------------------------------------------------
     def take(self, one: Arrived) -> list[Released]:
         """What a message releases: itself, and messages that waited for it."""

@@ -20,7 +20,6 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
@@ -57,6 +56,13 @@ class Delivery:
     memories: JsonObject = field(default_factory=dict)
     token: Receipt | None = field(default=None, compare=False)
     mark: float = field(default=math.nan, compare=False)
+
+
+def pause_s(failed: int, limits_s: tuple[float, float]) -> float:
+    """Pause [s] after `failed` attempts in a row, 1 or more: the shortest of its limits at first, then each
+    twice as long as the one before, up to the longest."""
+    shortest, longest = limits_s
+    return min(shortest * 2.0 ** min(failed - 1, 30), longest)
 
 
 class BackOff:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, TypeVar
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.errors import HygrokfError
-from hygrokf.live.acknowledgement import LOOK_AGAIN, acknowledge
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import CAUSES, Event, Shelf
 from hygrokf.live.changes import KINDS as EVENT_KINDS
+from hygrokf.live.notification.notices import LOOK_AGAIN, acknowledge
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
 from hygrokf.live.storage.store import Store
