@@ -125,7 +125,12 @@ def isolate(
     record then begins before it.  `sisters`: the ambient's readings of other turbines over the same time.
     Raises ValueError if the record cannot be filtered.
     """
-    wide = with_ambient_errors(plan, record)
+    # with errors of the ambient's readings among the states
+    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
+    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
+    if "ambient_absolute_humidity" in plan.model.inputs:
+        additions.append(("wandering_ambient_humidity", {}))
+    wide = replace(plan, design=extended(plan.design, additions))
     t = prepare_run(wide.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
@@ -158,15 +163,6 @@ def isolate(
                         evidence[cause] = departed.support(t.seconds, x, sd)
                 yield None
     yield finding_from(gains, float(t.seconds[-1]), evidence)
-
-
-def with_ambient_errors(plan: Plan, record: Record) -> Plan:
-    """The plan with errors of the ambient's readings among the states."""
-    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
-    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
-    if "ambient_absolute_humidity" in plan.model.inputs:
-        additions.append(("wandering_ambient_humidity", {}))
-    return replace(plan, design=extended(plan.design, additions))
 
 
 def _still_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:

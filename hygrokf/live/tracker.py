@@ -401,7 +401,7 @@ class Tracker:
         return first, last, longest
 
     def _course(self, made: Run) -> Course | None:
-        t, start = made.timeline, self._start()
+        t, start = made.timeline, self.ahead or self.point
         after = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(t.seconds, after, side="right"))
         # a gap of the ambient that has not ended yet reaches far ahead
@@ -418,11 +418,8 @@ class Tracker:
         there is reset."""
         t = course.run.timeline
         if t.reset[place]:
-            return self._filter(t.window(0, place + 1), self._start()).last
+            return self._filter(t.window(0, place + 1), self.ahead or self.point).last
         return course.state(place)
-
-    def _start(self) -> Point | None:
-        return self.ahead or self.point
 
     def _filter(self, t: Timeline, start: Point | None) -> Trace:
         since, state = (-math.inf, None) if start is None else (start.time, start.state)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from hygrokf.data.timestamps import HOUR_S, duration_text
 from hygrokf.identification.wording import one_line
@@ -36,16 +37,8 @@ class Check:
         return one_line(said)
 
 
-def ok(about: str, found: str) -> Check:
-    return Check("ok", about, found)
-
-
-def doubt(about: str, found: str, remedy: str) -> Check:
-    return Check("doubt", about, found, remedy)
-
-
-def fault(about: str, found: str, remedy: str) -> Check:
-    return Check("fault", about, found, remedy)
+ok, doubt, fault = (partial(Check, level) for level in LEVELS)
+"""A check of each level: what it is about, what was found, and the remedy."""
 
 
 def lasting(seconds: float) -> str:

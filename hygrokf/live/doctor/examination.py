@@ -20,7 +20,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
-from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
+from hygrokf.live.doctor.machine import elapsed_from, file_checks, machine_checks
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
 from hygrokf.live.notification.channel import Channel, ChannelFault
@@ -53,7 +53,7 @@ def examine(
     Sources that send by themselves are observed for `wait_s` [s], all at the same time.  `send_notices`: a
     test message goes to every channel.
     """
-    watch, contents = Watch(), StoreContents()
+    began, contents = elapsed_from(), StoreContents()
     # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
     sources = examine_sources(config.streams, wait_s, lateness_s)
@@ -64,7 +64,7 @@ def examine(
         for turbine, signal in statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
-        *machine_checks(watch, contents.received_s),
+        *machine_checks(began, contents.received_s),
         *(file_checks(file) if file is not None else ()),
         *(check for checks, _ in sources for check in checks),
         *of_store,

@@ -109,7 +109,8 @@ def file_checks(
     """Check that a followed file exists, is readable and grows, and what its last rows give."""
     about, path = f"source {stream.url}", stream.path
     try:
-        size, written = _state(path)
+        found = path.stat()
+        size, written = found.st_size, found.st_mtime
         read_rows(path, statistics)
     except FileNotFoundError:
         waits = "does not exist yet; the tracker waits for it"
@@ -135,9 +136,9 @@ def file_checks(
     if statistics.newest and not stream.mapping.weather:
         newest = max(statistics.newest.values())
         yield _newest_reading(about, newest, "check the program that writes the file")
-        found = stamp_check(f"{about} as it was last written", min(statistics.lag_s, written - newest))
-        if found is not None and found.level != "ok":
-            yield found
+        stamped = stamp_check(f"{about} as it was last written", min(statistics.lag_s, written - newest))
+        if stamped is not None and stamped.level != "ok":
+            yield stamped
 
 
 def _newest_reading(about: str, newest: float, remedy: str, judged: bool = True) -> Check:
@@ -147,18 +148,12 @@ def _newest_reading(about: str, newest: float, remedy: str, judged: bool = True)
     return doubt(about, said, remedy) if judged and age > OLD_S else ok(about, said)
 
 
-def _state(path: Path) -> tuple[int, float]:
-    """Size of a file [bytes] and time of its last write [s]."""
-    found = os.stat(path)
-    return found.st_size, found.st_mtime
-
-
 def _growth(about: str, path: Path, size: int, written: float, wait_s: float) -> Check:
     """Whether a file grows within `wait_s` [s], or else when it last did."""
     end = time.monotonic() + wait_s
     while time.monotonic() < end:
         try:
-            now = _state(path)[0]
+            now = path.stat().st_size
         except FileNotFoundError:
             now = -1
         if now > size:

@@ -42,7 +42,11 @@ def store_checks(
     try:
         store = open_store(url, read_only=True)
     except StoreUnready:
-        yield _before_the_start(url)
+        if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
+            said = f"{path_of(url).parent} is not writable"
+            yield fault("store", said, "check the folder's permissions")
+        else:
+            yield ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
         return
     except StoreFault as error:
         yield fault("store", *_finding_and_remedy(str(error)))
@@ -66,12 +70,6 @@ def _finding_and_remedy(words: str) -> tuple[str, str]:
     one."""
     found, _, remedy = words.partition("; ")
     return found, remedy or REACH
-
-
-def _before_the_start(url: str) -> Check:
-    if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
-        return fault("store", f"{path_of(url).parent} is not writable", "check the folder's permissions")
-    return ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
 
 
 def _contents(

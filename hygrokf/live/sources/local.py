@@ -201,13 +201,8 @@ class StandardInput(Stream):
 
     url = "stdin"
 
-    def __init__(
-        self,
-        mapping: PayloadMapping,
-        file: IO[Any] | None = None,
-        clock: Callable[[], float] = time.time,
-    ) -> None:
-        super().__init__(mapping, clock)
+    def __init__(self, mapping: PayloadMapping, file: IO[Any] | None = None) -> None:
+        super().__init__(mapping)
         self._file = file
         self._lines = Lines(mapping.form)
         self._pipe: _Pipe | None = None

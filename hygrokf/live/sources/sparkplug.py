@@ -161,12 +161,12 @@ class Sparkplug(Mqtt):
         return [_OF_NO_DEVICE if not isinstance(c, Unreadable) else c for c in one.contents]
 
     # -- what the state says ---------------------------------------------------------------------------------
-    def _absences(self) -> list[tuple[str, float]]:
-        """Topics of the data of edge nodes and devices that have left and have not come back, and the times
-        [s] of their death certificates."""
+    def _absences(self) -> list[tuple[str, str, float]]:
+        """Names of edge nodes and devices that have left and have not come back, the topics of their data,
+        and the times [s] of their death certificates."""
         nodes = tuple(self.edge_nodes.nodes.items())
         return [
-            (data_topic(name, device), since)
+            (f"{name}/{device}" if device else name, data_topic(name, device), since)
             for name, node in nodes
             for device, since in tuple(node.left_s.items())
         ]
@@ -183,10 +183,10 @@ class Sparkplug(Mqtt):
         nothing else sends for it."""
         found: dict[str, str] = {}
         present = self._present()
-        for topic, since in self._absences():
+        for sender, topic, since in self._absences():
             turbine = self._turbine(topic)
             if turbine is not None and turbine not in present:
-                words = f"{_sender(topic)} has left by its death certificate of {stamp_text(since)}"
+                words = f"{sender} has left by its death certificate of {stamp_text(since)}"
                 found[turbine] = f"{words}: its signals are stale until it is born again"
         return found
 
@@ -211,7 +211,7 @@ class Sparkplug(Mqtt):
 
     def _notes(self) -> list[str]:
         """What keeps edge nodes from being read."""
-        left = [f"{_sender(topic)} since {stamp_text(since)}" for topic, since in self._absences()]
+        left = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
         notes = (
             [f"left, so that its signals are stale until it is born again: {several(left)}"] if left else []
         )
@@ -223,9 +223,3 @@ class Sparkplug(Mqtt):
             )
             notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
         return notes
-
-
-def _sender(topic: str) -> str:
-    """GROUP/NODE[/DEVICE] of a topic."""
-    levels = topic.split("/")
-    return "/".join((levels[1], *levels[3:]))

@@ -22,7 +22,6 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Loss, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
-from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
@@ -223,10 +222,12 @@ class Store:
             cursor,
             inserting("forecast", FORECAST_COLUMNS),
             [
-                row
-                for turbine, forecast in batch.forecasts.items()
-                if forecast is not None
-                for row in forecast_rows(turbine, forecast)
+                (row[0], row[1], made.made_s, *row[3:], above)
+                for turbine, made in batch.forecasts.items()
+                if made is not None
+                for row, above in zip(
+                    estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True
+                )
             ],
         )
         if batch.weather:  # forecast values of the past are of no use
@@ -530,14 +531,6 @@ def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
         columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
     columns.append([None] * count if found.condensation is None else _plain(found.condensation))
     return list(zip(*columns, strict=True))
-
-
-def forecast_rows(turbine: str, made: Forecast) -> list[Row]:
-    """Rows of the forecast table, in the order of `FORECAST_COLUMNS`."""
-    return [
-        (row[0], row[1], made.made_s, *row[3:], above)
-        for row, above in zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
-    ]
 
 
 def _plain(values: np.ndarray) -> list[float | None]:
