@@ -17,7 +17,7 @@ from hygrokf.live.forecast import LIMIT, conditions_by_member
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import Scenarios
 from hygrokf.live.tracker import Point
-from hygrokf.physics.model import Mechanism, Model
+from hygrokf.physics.model import Model
 
 ENOUGH = 0.95
 """Probability [1] with which the air must be dry enough for a restart."""
@@ -71,15 +71,13 @@ class Heating:
 
 def heaters(model: Model) -> tuple[Heater, ...]:
     """The heaters among a model's inputs: a logged heater, the pre-heating flag, or both."""
-    return tuple(heater for one in model.mechanisms if (heater := _heater(one)) is not None)
-
-
-def _heater(one: Mechanism) -> Heater | None:
-    if one.name == LOGGED:
-        return Heater(one.settings["signal"], float(one.settings["full"]), LOGGED_HEAT)
-    if PREHEATING in one.inputs and any(p.name == PREHEATING_HEAT for p in one.parameters):
-        return Heater(PREHEATING, 1.0, PREHEATING_HEAT)
-    return None
+    found = []
+    for one in model.mechanisms:
+        if one.name == LOGGED:
+            found.append(Heater(one.settings["signal"], float(one.settings["full"]), LOGGED_HEAT))
+        elif PREHEATING in one.inputs and any(p.name == PREHEATING_HEAT for p in one.parameters):
+            found.append(Heater(PREHEATING, 1.0, PREHEATING_HEAT))
+    return tuple(found)
 
 
 def heating(plan: Plan, sd_K: float = 0.0) -> Heating | None:

@@ -214,7 +214,8 @@ def _days(
     if absent:
         raise NoScenarios(f"the model needs {', '.join(absent)}, of which there are no readings")
     ambient = _ambient(history)
-    others = {s.signal: s for s in history.series if _acts(s)}
+    own = [s for s in history.signals if s.startswith(("cabinet_", "ambient_")) and s != "ambient_pressure"]
+    others = {s.signal: s for s in history.series if s.signal not in own and not s.missing.all()}
     found = []
     for day in range(2, DAYS + 3):
         then = time - day * DAY_S
@@ -229,12 +230,6 @@ def _days(
         daily_mean |= {"active_power": np.nan, "preheating": 0.0}
         found.append((day, {n: np.where(np.isnan(v), daily_mean[n], v) for n, v in chosen.items()}))
     return found
-
-
-def _acts(series: Series) -> bool:
-    """Whether a signal is a driver other than the ambient's temperature and humidity."""
-    own = series.signal.startswith(("cabinet_", "ambient_")) and series.signal != "ambient_pressure"
-    return not own and not series.missing.all()
 
 
 def _ambients(

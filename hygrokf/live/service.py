@@ -22,7 +22,7 @@ from typing import TypeVar
 
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
@@ -173,8 +173,10 @@ class Service:
                 self.health.looped = time.monotonic()
                 idle = not self.round()
                 self._work_between_rounds(idle)
-                if idle and until_ended and self._sources_ended() and not self._busy():
-                    break
+                if idle and until_ended and self._sources_ended():
+                    fleet = self._open_fleet
+                    if not (self._isolation or fleet.isolation_due() or fleet.forecast_due(EVERY_S)):
+                        break
             for stream in self.streams.values():
                 stream.stop()
             while self.round():
@@ -219,12 +221,6 @@ class Service:
         words = [one.state.word for one in self.streams.values()]
         return all(word in ("ended", "lost", "stopped") for word in words) and self._waiting.empty()
 
-    def _busy(self) -> bool:
-        """Whether fault isolation or a forecast is still due."""
-        return bool(
-            self._isolation or self._open_fleet.isolation_due() or self._open_fleet.forecast_due(EVERY_S)
-        )
-
     def round(self) -> bool:
         """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
         either."""
@@ -255,12 +251,12 @@ class Service:
 
     def _forecast(self, name: str) -> Batch:
         """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
-        one, tracker = self.turbines[name], self._open_fleet.trackers[name]
-        found = make_forecast(name, one, tracker, self._open_store)
-        if found is None:
+        fleet = self._open_fleet
+        made = make_forecast(name, self.turbines[name], fleet.trackers[name], self._open_store)
+        if made is None:
             return Batch()
-        batch = forecast_batch(name, found, one.limit)
-        self._open_fleet.keep_forecast(name, found.time_s, found.forecast, batch)
+        made_s, batch = made
+        fleet.keep_forecast(name, made_s, batch)
         return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:

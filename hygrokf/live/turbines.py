@@ -44,7 +44,7 @@ from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Backlogs, Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
-from hygrokf.live.forecast import Forecast, ForecastMade
+from hygrokf.live.forecast import ForecastMade
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
@@ -490,9 +490,10 @@ class Fleet:
             one.alarm for known in self.standings.values() for one in known.values() if one.alarm is not None
         ]
 
-    def keep_forecast(self, name: str, made_s: float, made: Forecast | None, batch: Batch) -> None:
-        """Keep the forecast of a turbine from its state at `made_s` [s], and assess the turbine."""
-        self.forecast_made_s[name] = made_s
+    def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
+        """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
+        turbine."""
+        self.forecast_made_s[name], made = made_s, batch.forecasts[name]
         self.states.note_forecast(name, None if made is None else made.condition)
         self._assess(name, batch)
 

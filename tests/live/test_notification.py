@@ -40,7 +40,7 @@ from hygrokf.live.notification.notices import (
     look_again,
     notices_of,
 )
-from hygrokf.live.notification.sender import Sender, send_test
+from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.webhook import Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
@@ -329,8 +329,8 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
         assert "water condenses" in sent.get_payload(decode=True).decode()
         (tmp_path / "wrong").write_text("falsch")
         for settings in ({**right, "password_file": tmp_path / "wrong"}, {**right, "ca": None}):
-            for attempt in (mail_to(server, **settings).probe, lambda s=settings: send_test(
-                Channel("ops", mail_to(server, **s)))):  # fmt: skip
+            for attempt in (mail_to(server, **settings).probe, lambda s=settings: mail_to(
+                server, **s).send(Message("test"))):  # fmt: skip
                 with pytest.raises(ChannelFault) as fault:
                     attempt()
                 assert "falsch" not in str(fault.value) and "127.0.0.1" in str(fault.value)
@@ -368,7 +368,7 @@ def test_a_webhook_over_tls_is_signed(pair: tuple[Path, Path], tmp_path: Path) -
         assert "TLSv1.3" in hook.probe() and not server.accepted.messages
         message = Message.of({"n1": Content("began", alarm)})
         hook.send(message)
-        send_test(Channel("ops", hook))
+        hook.send(Message("test"))
         first, test = server.accepted.messages
         assert first["notices"][0]["alarm"] == json.loads(json.dumps(vars(alarm)))
         assert (first["type"], test["type"], test["notices"]) == ("hygrokf.alarms", "hygrokf.test", [])

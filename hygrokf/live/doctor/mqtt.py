@@ -62,24 +62,19 @@ class Listener(Link):
                 self.messages.put((message, time.time()))
 
 
-def as_it_is(topic: str, payload: bytes, received: float) -> Sequence[Content]:
-    """The contents of a message that is one payload."""
-    return [payload]
-
-
 def mqtt_checks(
     source: Mqtt,
     statistics: PayloadStatistics,
     wait_s: float,
     lateness_s: float,
-    contents: Callable[[str, bytes, float], Sequence[Content]] = as_it_is,
+    contents: Callable[[str, bytes, float], Sequence[Content]] | None = None,
     keep: str = "publish at QoS 1",
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics.
 
-    contents: gives the payloads of a message (topic, payload, time of arrival [s]); `keep`: what to do where
-    the broker does not keep the messages.
+    contents: gives the payloads of a message (topic, payload, time of arrival [s]), None for the reader of
+    the source; `keep`: what to do where the broker does not keep the messages.
     """
     broker, mapping = source.broker, source.mapping
     about = f"source {broker.url}"
@@ -96,11 +91,11 @@ def mqtt_checks(
             f"connected{' by TLS' if broker.tls else ''}{f' as user {broker.user}' if broker.user else ''}",
         )
         yield from _certificate(link, about)
-        retained = PayloadStatistics(mapping)
+        retained, read = PayloadStatistics(mapping), contents or source.reader()
 
         def take(message: MQTTMessage, came: float) -> None:
             payload = bytes(message.payload[: source.largest + 1])
-            for content in contents(message.topic, payload, came):
+            for content in read(message.topic, payload, came):
                 (retained if message.retain else statistics).take(content, came, message.topic)
 
         heard = _count_messages(link, take, wait_s)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -245,8 +244,3 @@ class Sender:
             "a message was given up",
             extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason},
         )
-
-
-def send_test(channel: Channel) -> None:
-    """Send a test message.  Raises ChannelFault."""
-    channel.transport.send(Message(secrets.token_hex(16)))

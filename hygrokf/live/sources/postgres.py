@@ -241,7 +241,10 @@ class PostgresQuery(Stream):
                     return
                 reason_now = reason_of(fault)
             finally:
-                self._close()
+                connection, self._connection = self._connection, None
+                if connection is not None:
+                    with suppress(Exception):
+                        connection.close()
             self._state = SourceState("lost", reason_now)
             if reason_now != reason:  # log once, not at every attempt
                 reason = reason_now
@@ -341,12 +344,6 @@ class PostgresQuery(Stream):
         """Pass a watermark: every row up to it was delivered, and none will follow."""
         self._after = text_of(mark)
         self._seen = {row: one for row, one in self._seen.items() if one > mark}
-
-    def _close(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            with suppress(Exception):
-                connection.close()
 
 
 def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Generator[Row, None, None]:

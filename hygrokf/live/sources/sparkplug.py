@@ -171,18 +171,14 @@ class Sparkplug(Mqtt):
             for device, since in tuple(node.left_s.items())
         ]
 
-    def _present(self) -> set[str | None]:
-        """Turbines of which a device sends."""
-        nodes = tuple(self.edge_nodes.nodes.items())
-        return {
-            self._turbine(data_topic(name, device)) for name, node in nodes for device in tuple(node.present)
-        }
-
     def left(self) -> dict[str, str]:
         """Turbine -> text about its edge node or device that has left, where the topic names the turbine and
         nothing else sends for it."""
         found: dict[str, str] = {}
-        present = self._present()
+        nodes = tuple(self.edge_nodes.nodes.items())
+        present = {
+            self._turbine(data_topic(name, one)) for name, node in nodes for one in tuple(node.present)
+        }
         for sender, topic, since in self._absences():
             turbine = self._turbine(topic)
             if turbine is not None and turbine not in present:

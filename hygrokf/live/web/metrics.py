@@ -152,10 +152,7 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
         "hygrokf_set_aside", "Readings of a turbine that were not used", labels=["turbine", "kind"]
     )
     for (turbine, kind), count in sorted(counters.items()):
-        if turbine:
-            aside.add_metric([turbine, kind], count)
-        else:
-            refused.add_metric([kind], count)
+        (aside if turbine else refused).add_metric([turbine, kind] if turbine else [kind], count)
     yield from (refused, aside)
 
 
