@@ -25,6 +25,7 @@ def _run(options: argparse.Namespace) -> int:
     from hygrokf.live.defaults import store_at
     from hygrokf.live.storage.restore import postgres_commands, restore_sqlite
     from hygrokf.live.storage.schema import VERSION
+    from hygrokf.live.storage.sqlite import path_of
 
     url = store_at(options.store)
     if not url.startswith("sqlite:"):
@@ -34,7 +35,7 @@ def _run(options: argparse.Namespace) -> int:
         head = "# end every tracker of this database, then run as a role that may create databases:"
         show({"commands": commands}, "\n".join([head, *commands]), options.json)
         return 0
-    found = restore_sqlite(options.copy, Path(url.removeprefix("sqlite:").removeprefix("//")))
+    found = restore_sqlite(options.copy, path_of(url))
     newest = "none" if found.newest_s is None else stamp_text(found.newest_s)
     lines = [
         f"restored: {found.store} from {options.copy} ({found.turbines} turbines, "

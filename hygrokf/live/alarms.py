@@ -9,22 +9,26 @@ that no alarm is raised twice after a crash.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.signals import in_words, signal_named
+from hygrokf.data.readings import SATURATED
+from hygrokf.data.signals import SIGNALS, from_si, in_words, signal_named
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S, stamp_text
 from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.identification.wording import fixed, signed
 from hygrokf.live.batch import Alarm
+from hygrokf.live.ceiling import HUMIDITY
 from hygrokf.live.condition import Z95, Condition
 from hygrokf.live.fault_isolation import PAIRS, SENSORS, Finding, ShiftStep
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import MOIST, TrackedState, relative_shift
 from hygrokf.live.sources.stream import Reach
+from hygrokf.live.tracker import SAME_S, Course
 from hygrokf.modelling.design import PARTS
 
 
@@ -94,6 +98,14 @@ RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, *SHIFT_RULES, CONTRADICTS
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
 `ESTIMATE_LEVELS`; docs/explanation/live.md has an example.
+"""
+
+BEYOND = 8.0
+"""Standard deviations √S of the prediction ŷ beyond which a reading y contradicts it: |y − ŷ| > `BEYOND` √S.
+
+On ordinary data of simulated cabinets the innovations have heavier tails than a normal distribution, so that
+the bound is wider than a normal distribution would need: docs/validation/live_trials.md has the shares
+of false and of right flags.
 """
 
 CABINET_CHANGES = {
@@ -385,6 +397,69 @@ ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (condensation_
 def estimate_levels(now: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
     """All levels that follow from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
     return with_doubts((level for levels in ESTIMATE_LEVELS for level in levels(now)), verdicts)
+
+
+# -- levels of readings that contradict the estimate ---------------------------------------------------------
+@dataclass(frozen=True)
+class Innovation:
+    """A `reading` of a signal at a time [s] beside its prediction: `expected` value and `sd` [SI unit].
+
+    Before the filter uses a reading y it predicts ŷ with the variance S, which contains the uncertainty of
+    the state, the model and the sensor.
+    """
+
+    signal: str
+    time_s: float
+    reading: float
+    expected: float
+    sd: float
+
+    @property
+    def deviations(self) -> float:
+        """The innovation in standard deviations of its prediction; at its ceiling a humidity sensor reads at
+        least its reading."""
+        reading = self.reading
+        if self.signal == HUMIDITY and reading >= SATURATED:
+            reading = max(SATURATED, self.expected)
+        return (reading - self.expected) / self.sd
+
+
+def innovations(course: Course, final_s: float = math.inf) -> list[Innovation]:
+    """The innovations of a course by time, as far as its estimates are final (up to `final_s` [s])."""
+    timeline, trace = course.run.timeline, course.trace
+    known = course.seconds <= final_s + SAME_S
+    found = []
+    for column, signal in enumerate(timeline.outputs):
+        new = known & np.isfinite(timeline.y[:, column])
+        found += [
+            Innovation(
+                signal,
+                float(course.seconds[i]),
+                float(timeline.y[i, column]),
+                float(trace.prediction[i, column]),
+                float(np.sqrt(trace.variance[i, column])),
+            )
+            for i in np.flatnonzero(new)
+        ]
+    return sorted(found, key=lambda one: (one.time_s, one.signal))
+
+
+def contradiction_level(one: Innovation) -> Level:
+    """The level of a contradiction: 1 at `BEYOND` standard deviations of the prediction."""
+    level = abs(one.deviations) / BEYOND
+    if level < CONTRADICTS.off:
+        return Level(CONTRADICTS.kind, level, "", subject=one.signal)
+    row = SIGNALS[one.signal]
+    reading, expected, lower, upper = (
+        float(from_si(value, row.display, row))
+        for value in (one.reading, one.expected, one.expected - 2.0 * one.sd, one.expected + 2.0 * one.sd)
+    )
+    unit = {"degC": "°C"}.get(row.display, row.display)
+    statement = (
+        f"{one.signal.replace('_', ' ')} reads {fixed(reading, 1)} {unit}, where the estimate expects "
+        f"{fixed(expected, 1)} ({fixed(lower, 1)} … {fixed(upper, 1)})"
+    )
+    return Level(CONTRADICTS.kind, level, statement, subject=one.signal)
 
 
 # -- levels of missing data ----------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.data.readings import SATURATED
-from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 
 HUMIDITY = "cabinet_relative_humidity"
@@ -43,10 +42,10 @@ def censored_trace(
     first = 0
     for place in (*places, len(t)):
         if place > first:
-            found.append(_with_timeline(likelihood, t.window(first, place)).trace(values, start=start))
+            found.append(replace(likelihood, timeline=t.window(first, place)).trace(values, start=start))
             start = found[-1].last
         if place < len(t):
-            found.append(_censored(_with_timeline(likelihood, t.window(place, place + 1)), values, start))
+            found.append(_censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start))
             start, first = found[-1].last, place + 1
     return joined(found)
 
@@ -59,7 +58,7 @@ def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussi
     def read(humidity: float) -> Trace:
         y = t.y.copy()
         y[:, column] = humidity
-        return _with_timeline(likelihood, t.with_readings(y)).trace(values, start=start)
+        return replace(likelihood, timeline=t.with_readings(y)).trace(values, start=start)
 
     without = read(np.nan)
     prediction, spread = float(without.prediction[0, column]), float(np.sqrt(without.variance[0, column]))
@@ -85,10 +84,6 @@ def truncated_moments(z: float) -> tuple[float, float, float]:
     mean = float(np.sqrt(2.0 / np.pi) / erfcx(z / np.sqrt(2.0)))
     # for large z the difference of two large numbers loses all digits
     return mean, float(np.clip(mean * (mean - z), 0.0, 1.0)), float(log_ndtr(-z))
-
-
-def _with_timeline(likelihood: Likelihood, t: Timeline) -> Likelihood:
-    return replace(likelihood, timeline=t)
 
 
 def joined(found: list[Trace]) -> Trace:

@@ -49,11 +49,6 @@ def jump_variance(model: Model) -> np.ndarray:
     return np.array([blind.get(state, 0.0) ** 2 for state in model.states])
 
 
-def widened(state: Gaussian, variance: np.ndarray) -> Gaussian:
-    """A state after a stated change: the same mean, and a covariance increased by `variance` (n,)."""
-    return replace(state, covariance=state.covariance + np.diag(variance))
-
-
 def changed_trace(
     likelihood: Likelihood,
     values: Mapping[str, float],
@@ -77,7 +72,7 @@ def changed_trace(
             found.append(censored_trace(piece, values, start))
             start, first = found[-1].last, place
         if start is not None:  # the prior knows nothing that a change could spoil
-            start = widened(start, variance)
+            start = replace(start, covariance=start.covariance + np.diag(variance))
     if not found:
         return censored_trace(likelihood, values, start)
     rest = replace(likelihood, timeline=t.window(first, len(t)))

@@ -1,19 +1,26 @@
-"""Readings stamped ahead of this machine's clock: how far, and whose clock is wrong.
+"""Stamps beside this machine's clock: those ahead of it, and whose clock is wrong; and backlogs.
 
 A reading that is ahead by more than `AHEAD_S` is held back, in the store and acknowledged, until the clock
 reaches its stamp less `AHEAD_S` or is set right.
+
+A backlog is of readings that were kept while source or tracker were away.  While it comes, a turbine whose
+part of it is still to come looks silent and is not.  A source delivers a backlog while stamps advance faster
+than the clock: by `GAINED_S` more than the clock within `WINDOW_S`.  A source whose readings are always late
+by the same time delivers none.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+import math
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
-from hygrokf.data.timestamps import HOUR_S, duration_text
+from hygrokf.data.timestamps import HOUR_S, MINUTE_S, duration_text
 from hygrokf.live.alarms import CLOCK, Level
 from hygrokf.live.batch import Batch, Observation
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.storage.store import Store
+from hygrokf.live.tracker import Reading
 
 HELD_MOST = 200_000
 """Largest number of readings that are held back for one turbine; further ones are counted and discarded, so
@@ -125,3 +132,46 @@ def _lasting(seconds: float) -> str:
     """A duration in words, rounded to what matters."""
     years = seconds / (365.25 * 24.0 * HOUR_S)
     return f"{years:.1f} years" if years >= 1.0 else duration_text(60.0 * round(seconds / 60.0))
+
+
+GAINED_S = 2.0 * MINUTE_S
+"""[s] by which stamps must advance more than the clock."""
+WINDOW_S = 10.0 * MINUTE_S
+"""[s] within which they must."""
+QUIET_S = 5.0 * MINUTE_S
+"""[s] after the last such advance at which the backlog counts as delivered."""
+
+
+class Backlogs:
+    """The backlogs by source, from the stamps and arrivals of readings."""
+
+    def __init__(self) -> None:
+        self._anchors: dict[tuple[str, str, str], tuple[float, float]] = {}
+        self._gained: dict[str, float] = {}
+        self._sources: dict[str, set[str]] = defaultdict(set)
+
+    def note(self, source: str, turbine: str, readings: Iterable[Reading], received: float) -> None:
+        """Note readings of a turbine that a source delivered up to the time `received` [s]."""
+        self._sources[turbine].add(source)
+        stamps: dict[str, list[float]] = defaultdict(list)
+        for one in readings:
+            stamps[one.signal].append(one.time)
+        for signal, times in stamps.items():
+            key, stamp = (source, turbine, signal), max(times)
+            known_stamp, known_received = self._anchors.setdefault(key, (min(times), received))
+            passed = max(received - known_received, 0.0)  # negative if the clock was set back
+            if stamp - known_stamp - passed >= GAINED_S:
+                self._gained[source] = received
+            elif passed <= WINDOW_S and received >= known_received:
+                continue
+            self._anchors[key] = (max(stamp, known_stamp), received)
+
+    def delivering(self, source: str, now: float) -> bool:
+        """Whether a source delivers a backlog at `now` [s]."""
+        return abs(now - self._gained.get(source, -math.inf)) < QUIET_S
+
+    def awaited(self, turbine: str, now: float) -> bool:
+        """Whether a backlog may still bring readings of a turbine: one of a source that has delivered the
+        turbine's readings or, if none has yet, of any source."""
+        sources = self._sources.get(turbine) or set(self._gained)
+        return any(self.delivering(one, now) for one in sources)

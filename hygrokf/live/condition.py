@@ -97,18 +97,6 @@ QUANTITIES = (
 )
 
 
-def condition(
-    model: Model,
-    values: Mapping[str, float],
-    t: Timeline,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    surface: Surface,
-) -> Condition:
-    """The condition at a timeline's instants, from the state's means (T, n) and covariances (T, n, n)."""
-    return air_condition(model, values, t.seconds, inputs_of(model, t), mean, covariance, surface)
-
-
 def inputs_of(model: Model, t: Timeline) -> dict[str, np.ndarray]:
     """A model's inputs (T,) at the instants of a timeline."""
     return {name: t.input(name) for name in model.inputs}

@@ -18,12 +18,12 @@ from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
-from hygrokf.live.heating import heating_sd
 from hygrokf.live.mapping_form import MappingForm, expect_one_place, source_forms, source_mappings, texts
 from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.form import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
+from hygrokf.live.restart_advice import heating_sd
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.postgres import url_fault
@@ -228,54 +228,32 @@ def _turbines(
         for known in (one.name,) if one.known_as is None else one.known_as:
             if names.setdefault(known, one.name) != one.name:
                 inside.fault(f"{known!r} already stands for {names[known]!r}")
-        lateness_s = form.lateness_s if one.lateness_s is None else one.lateness_s
-        made = _turbine(one, folder, forms, rates, lateness_s, inside)
+        if not one.fit:
+            continue
+        made = read_turbine(
+            folder / one.fit,
+            inside,
+            name=one.name,
+            forms=forms,
+            lateness_s=form.lateness_s if one.lateness_s is None else one.lateness_s,
+            wandering=rates,
+            site=None if one.site is None else Site(**vars(one.site)),
+            rated_power_W=None if one.rated_power_kW is None else 1e3 * one.rated_power_kW,
+        )
         if made is not None:
-            turbines[one.name] = made
+            surface = Surface(**vars(one.cold_surface))
+            turbines[one.name] = replace(made, surface=surface, limit=one.humidity_limit, stale_s=one.stale_s)
     return turbines, names
 
 
-def _turbine(
-    form: TurbineForm,
-    folder: Path,
-    forms: Mapping[str, Form],
-    rates: Mapping[str, float] | None,
-    lateness_s: float,
-    place: Place,
-) -> Turbine | None:
-    """A turbine with its model; None with a fault where the model cannot be used."""
-    if not form.fit:
-        return None
-    return read_turbine(
-        folder / form.fit,
-        place,
-        Surface(**vars(form.cold_surface)),
-        form.humidity_limit,
-        form.stale_s,
-        name=form.name,
-        forms=forms,
-        lateness_s=lateness_s,
-        wandering=rates,
-        site=None if form.site is None else Site(**vars(form.site)),
-        rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
-    )
-
-
-def read_turbine(
-    path: Path,
-    place: Place,
-    surface: Surface | None = None,
-    limit: float = LIMIT,
-    stale_s: float = STALE_S,
-    **options: Any,
-) -> Turbine | None:
+def read_turbine(path: Path, place: Place, **options: Any) -> Turbine | None:
     """A turbine with the model in a file or folder; None with a fault in `place` where it cannot be used.
 
     options: of `plan`.
     """
     try:
         fit = read_fit(path)
-        return turbine_of(fit, plan(fit, **options), surface, limit, stale_s)
+        return turbine_of(fit, plan(fit, **options))
     except (ResultFault, ValueError, KeyError) as fault:
         place.fault(str(fault))
     except OSError as fault:
@@ -283,13 +261,7 @@ def read_turbine(
     return None
 
 
-def turbine_of(
-    fit: Fit,
-    plan_: Plan,
-    surface: Surface | None = None,
-    limit: float = LIMIT,
-    stale_s: float = STALE_S,
-) -> Turbine:
+def turbine_of(fit: Fit, plan_: Plan) -> Turbine:
     """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
     errors, verdicts = standard_errors(fit), inherited(fit.results)
-    return Turbine(plan_, surface or Surface(), errors, limit, stale_s, verdicts, heating_sd(fit))
+    return Turbine(plan_, errors=errors, verdicts=verdicts, heating_sd_K=heating_sd(fit))

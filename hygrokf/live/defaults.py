@@ -29,8 +29,7 @@ from hygrokf.live.config import Config, ConfigFault, read_turbine, turbine_of
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings

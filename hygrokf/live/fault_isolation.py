@@ -7,7 +7,10 @@ that likelihoods are comparable.  For example, a thermometer's error shifts the 
 demands, while a heater that stays on does not.
 
 An error of an ambient sensor looks like one of the cabinet's, because both act on the difference between
-inside and outside.  What sister turbines read of the ambient tells them apart (`live.sisters`).
+inside and outside.  What sister turbines read of the ambient tells them apart, because the turbines of one
+tracker share their weather.  The mean difference of a day between a turbine's reading and the median of its
+sisters' varies little from day to day; an error of its own sensor shows in it, and one of a sensor in its
+cabinet does not.  Sisters that are far away vary more and so say less.
 """
 
 from __future__ import annotations
@@ -18,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
-from hygrokf.live.sisters import AMBIENT, departures
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import prepare_run
@@ -123,9 +125,16 @@ def isolate(
     record then begins before it.  `sisters`: the ambient's readings of other turbines over the same time.
     Raises ValueError if the record cannot be filtered.
     """
-    wide = with_ambient_errors(plan, record)
+    # with errors of the ambient's readings among the states
+    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
+    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
+    if "ambient_absolute_humidity" in plan.model.inputs:
+        additions.append(("wandering_ambient_humidity", {}))
+    wide = replace(plan, design=extended(plan.design, additions))
     t = prepare_run(wide.design, record).timeline
-    still = {**wide.values, **_lowest_rates(wide)}
+    # the smallest drift rates that the model allows hold every state constant
+    wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
+    still = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}
     start = None
     if reference is not None:
         t = t.window(int(np.searchsorted(t.seconds, reference.time + SAME_S, side="right")), len(t))
@@ -154,15 +163,6 @@ def isolate(
                         evidence[cause] = departed.support(t.seconds, x, sd)
                 yield None
     yield finding_from(gains, float(t.seconds[-1]), evidence)
-
-
-def with_ambient_errors(plan: Plan, record: Record) -> Plan:
-    """The plan with errors of the ambient's readings among the states."""
-    relative = "ambient_absolute_humidity" in plan.model.inputs and AMBIENT_HUMIDITIES[0] in record
-    additions: list[tuple[str, dict[str, Any]]] = [("wandering_ambient_temperature", {"relative": relative})]
-    if "ambient_absolute_humidity" in plan.model.inputs:
-        additions.append(("wandering_ambient_humidity", {}))
-    return replace(plan, design=extended(plan.design, additions))
 
 
 def _still_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
@@ -212,7 +212,75 @@ def finding_from(
     return Finding(time_s, best, state, value, gain, lead, alike, sd)
 
 
-def _lowest_rates(plan: Plan) -> dict[str, float]:
-    """Drift rates that hold every state constant: the smallest that the model allows."""
-    wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
-    return {p.name: p.lower for p in plan.model.parameters if p.name in wandering}
+AMBIENT = {"ambient_temperature": "ambient_temperature", "ambient_humidity": "ambient_relative_humidity"}
+"""Cause in `STATES` -> signal that is compared with the sisters'."""
+USUAL = 10
+"""Days at the beginning of a record that show what is usual, before a shift was noticed."""
+FEWEST = 5
+"""Fewest of these days with readings of both."""
+
+
+@dataclass(frozen=True)
+class Departures:
+    """By how much a turbine's reading departed from its sisters' on each day before `end_s` [s], the newest
+    first: `size` (D,) [SI unit] beyond the mean of the last `USUAL` of them, NaN for a day that is not known;
+    `sd` of such a departure, from `count` days."""
+
+    size: np.ndarray
+    sd: float
+    count: int
+    end_s: float
+
+    def support(self, seconds: np.ndarray, error: np.ndarray, sd: float) -> float:
+        """Gain in ln L by an error (T,) [SI unit] of the turbine's own reading at times (T,) [s], known to
+        `sd`, over none: Student's t, because few days tell the standard deviation."""
+        expected = _daily(seconds, error, self.end_s, len(self.size))
+        expected = expected - np.nanmean(expected[-USUAL:])
+        gain = self._log_density(self.size - expected, sd) - self._log_density(self.size, 0.0)
+        return float(np.nansum(gain[:-USUAL]))
+
+    def _log_density(self, apart: np.ndarray, sd: float) -> np.ndarray:
+        variance, freedom = self.sd**2 + sd**2, self.count - 1
+        return -0.5 * np.log(variance) - 0.5 * self.count * np.log1p(apart**2 / (freedom * variance))
+
+
+def departures(record: Record, sisters: Sequence[Record], signal: str) -> Departures | None:
+    """How a turbine's reading of a signal departs from its sisters'; None where too little is known.
+
+    Each sister counts by its own usual difference, so that it may come and go.  One whose readings are the
+    turbine's own, as those of a common mast, is no witness.
+    """
+    if signal not in record:
+        return None
+    own, end_s = record[signal], record.end_s
+    days = int((end_s - record.start_s) // DAY_S) + 1
+    mean = _daily(*own.known, end_s, days)
+    found = []
+    for other in (one[signal] for one in sisters if signal in one and not _same(own, one[signal])):
+        difference = mean - _daily(*other.known, end_s, days)
+        if np.isfinite(difference[-USUAL:]).sum() >= FEWEST:
+            found.append(difference - np.nanmedian(difference[-USUAL:]))
+    if not found or days < 2 * USUAL:
+        return None
+    size = np.ma.median(np.ma.masked_invalid(found), axis=0).filled(np.nan)
+    usual = size[-USUAL:][np.isfinite(size[-USUAL:])]
+    if not usual.std() > 0.0:
+        return None
+    sd = float(usual.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(usual)))
+    return Departures(size - usual.mean(), sd, len(usual), end_s)
+
+
+def _daily(time: np.ndarray, value: np.ndarray, end_s: float, days: int) -> np.ndarray:
+    """Means (days,) of the values of each day, counted back from the end; NaN without any."""
+    day = ((end_s - time) // DAY_S).astype(int)
+    within = (day >= 0) & (day < days)
+    count = np.bincount(day[within], minlength=days)
+    total = np.bincount(day[within], value[within], minlength=days)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _same(one: Series, other: Series) -> bool:
+    """Whether two series are readings of one sensor: equal at all stamps that they share."""
+    shared, first, second = np.intersect1d(one.time, other.time, return_indices=True)
+    apart = np.abs(one.value[first] - other.value[second])
+    return len(shared) > 0 and bool(np.all(apart <= max(one.resolution, other.resolution, 1e-9)))

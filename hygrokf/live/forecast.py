@@ -8,7 +8,7 @@ bounds include their spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from hygrokf.live.condition import (
     Condition,
     Quantity,
     Surface,
-    condition,
+    air_condition,
     inputs_of,
     only,
     probability_above,
@@ -98,10 +98,9 @@ def conditions_by_member(
     The state's time must be the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
     """
     found = []
-    for moments in moments_by_member(plan, state, scenarios):
-        t, mean, covariance = moments
-        by_model = condition(plan.model, plan.values, t, mean, covariance, surface)
+    for t, mean, covariance in moments_by_member(plan, state, scenarios):
         known, u = np.full(len(t), excess), inputs_of(plan.model, t)
+        by_model = air_condition(plan.model, plan.values, t.seconds, u, mean, covariance, surface)
         whole = on_the_safe_side(by_model, plan.model, plan.values, u, mean, covariance, surface, known)
         found.append(only(whole, np.isin(np.round(whole.time_s), np.round(scenarios.time_s))))
     return found
@@ -118,33 +117,22 @@ def moments_by_member(
             "from it"
         )
     for member in scenarios.members:
-        yield _member_moments(plan, state, scenarios, member)
-
-
-def _member_moments(
-    plan: Plan, state: Point, scenarios: Scenarios, member: Mapping[str, np.ndarray]
-) -> tuple[Timeline, np.ndarray, np.ndarray]:
-    record = Record(
-        plan.name,
-        tuple(_series(plan, name, scenarios, values) for name, values in sorted(member.items())),
-        plan.site,
-        plan.rated_power_W,
-    )
-    try:
-        whole = prepare_run(plan.design, record)
-    except (ValueError, KeyError) as fault:
-        raise NoForecast(f"the model needs inputs that are unknown in the future: {fault}") from fault
-    made = whole.timeline
-    seconds = made.seconds
-    first = int(np.searchsorted(seconds, state.time + 1e-3, side="right"))
-    future = made.window(first, len(made))
-    unread = future.with_readings(np.full_like(future.y, np.nan))
-    later = Run(unread, whole.operating[first:], whole.scored[first:])
-    part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
-    trace = plan.likelihood(part).trace(plan.values, start=state.state)
-    mean = np.concatenate([state.state.mean[None], trace.mean])
-    covariance = np.concatenate([state.state.covariance[None], trace.covariance])
-    return made.window(first - 1, len(made)), mean, covariance
+        series = (_series(plan, name, scenarios, values) for name, values in sorted(member.items()))
+        record = Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
+        try:
+            whole = prepare_run(plan.design, record)
+        except (ValueError, KeyError) as fault:
+            raise NoForecast(f"the model needs inputs that are unknown in the future: {fault}") from fault
+        made = whole.timeline
+        first = int(np.searchsorted(made.seconds, state.time + 1e-3, side="right"))
+        future = made.window(first, len(made))
+        unread = future.with_readings(np.full_like(future.y, np.nan))
+        later = Run(unread, whole.operating[first:], whole.scored[first:])
+        part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
+        trace = plan.likelihood(part).trace(plan.values, start=state.state)
+        mean = np.concatenate([state.state.mean[None], trace.mean])
+        covariance = np.concatenate([state.state.covariance[None], trace.covariance])
+        yield made.window(first - 1, len(made)), mean, covariance
 
 
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:

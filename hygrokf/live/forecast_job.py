@@ -4,7 +4,7 @@ weeks."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -12,12 +12,11 @@ from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.batch import Batch
-from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, ShiftStep, isolate
-from hygrokf.live.forecast import Forecast, ForecastMade, NoForecast, forecast
+from hygrokf.live.fault_isolation import AMBIENT, BEFORE_S, LONGEST_S, Finding, ShiftStep, isolate
+from hygrokf.live.forecast import ForecastMade, NoForecast, forecast
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
-from hygrokf.live.restart_advice import Advice, restart
+from hygrokf.live.restart_advice import restart
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
-from hygrokf.live.sisters import AMBIENT
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
@@ -28,47 +27,31 @@ EVERY_S = HOUR_S
 """[s] between two forecasts of a turbine."""
 
 
-@dataclass(frozen=True)
-class ForecastResult:
-    """The forecast of a turbine and, at standstill, the advice.
+def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> tuple[float, Batch] | None:
+    """Forecast a turbine from its newest state on; None before it has a state.
 
-    `words` describe the scenarios or say why there are none.
+    Returns the time [s] of that state, and the batch that stores the forecast and, at standstill, the advice,
+    or why there are none.
     """
-
-    time_s: float
-    forecast: Forecast | None
-    advice: Advice | None
-    words: str
-
-
-def forecast_batch(name: str, found: ForecastResult, limit: float) -> Batch:
-    """The batch that stores a forecast and advice."""
-    said = asdict(ForecastMade(found.time_s, found.words, limit))
-    advice = None if found.advice is None else asdict(found.advice)
-    return Batch(
-        forecasts={name: found.forecast}, memories={(name, "forecast"): said, (name, "advice"): advice}
-    )
-
-
-def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> ForecastResult | None:
-    """Forecast and advice for a turbine from its newest state on; None before it has a state."""
     state = tracker.newest_state
     if state is None:
         return None
-    plan = one.plan
+    plan, excess = one.plan, tracker.excess
     signals = (*DRIVERS, *plan.further)
     history = _history(store, name, plan, signals, state.time - (DAYS + 5) * DAY_S, state.time)
+    found, advice = None, None
     try:
         scenarios = _scenarios(store, name, plan.further, history, state)
-        found = forecast(plan, state, scenarios, one.surface, one.limit, tracker.excess)
+        found, words = forecast(plan, state, scenarios, one.surface, one.limit, excess), scenarios.words
         # a running turbine needs no restart advice
-        advice = None
         if not tracker.running:
-            heating_sd_K, excess = one.heating_sd_K, tracker.excess
-            advice = restart(plan, state, scenarios, one.surface, one.limit, heating_sd_K, excess)
+            advice = restart(plan, state, scenarios, one.surface, one.limit, one.heating_sd_K, excess)
     except (NoScenarios, NoForecast) as fault:
-        return ForecastResult(state.time, None, None, str(fault))
-    return ForecastResult(state.time, found, advice, scenarios.words)
+        found, words = None, str(fault)
+    batch = Batch(forecasts={name: found})
+    batch.memories[name, "forecast"] = asdict(ForecastMade(state.time, words, one.limit))
+    batch.memories[name, "advice"] = None if advice is None else asdict(advice)
+    return state.time, batch
 
 
 def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Record, state: Point) -> Scenarios:

@@ -14,7 +14,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from types import TracebackType
+
+from hygrokf.identification.wording import one_line
 
 LOG = logging.getLogger("hygrokf.track")
 _OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
@@ -42,8 +43,8 @@ class LogLines(logging.Formatter):
             # ASCII: what an encoding cannot express would be replaced by something that is no JSON
             return json.dumps({**{key: _plain(value) for key, value in beside.items()}, **said})
         # an event stays on one line, whatever characters an external name contains
-        more = "".join(f" {key}={_flat(value)}" for key, value in beside.items())
-        return f"{at} {record.levelname.lower():7} {record.name}: {_flat(_message(record))}{more}"
+        more = "".join(f" {key}={one_line(str(value))}" for key, value in beside.items())
+        return f"{at} {record.levelname.lower():7} {record.name}: {one_line(_message(record))}{more}"
 
 
 def _message(record: logging.LogRecord) -> str:
@@ -61,10 +62,6 @@ def _plain(value: object) -> str | int | float | bool | None:
     return value if isinstance(value, str | int | bool | None) else str(value)
 
 
-def _flat(value: object) -> str:
-    return "".join(c if c.isprintable() else " " for c in str(value))
-
-
 @contextmanager
 def log_to_stderr(form: str = "text", level: int = logging.INFO) -> Iterator[None]:
     """Within this context send the package's logs, other packages' warnings, and exceptions that end a thread
@@ -79,12 +76,8 @@ def log_to_stderr(form: str = "text", level: int = logging.INFO) -> Iterator[Non
     own.propagate = False
     root.setLevel(logging.WARNING)
     logging.captureWarnings(True)
-    sys.unraisablehook = lambda one: _log_exception(
-        "an exception could not be raised", one.exc_type, one.exc_value, one.exc_traceback
-    )
-    threading.excepthook = lambda one: _log_exception(
-        "a thread ended by an exception", one.exc_type, one.exc_value, one.exc_traceback
-    )
+    sys.unraisablehook = lambda one: _log_exception("an exception could not be raised", one)
+    threading.excepthook = lambda one: _log_exception("a thread ended by an exception", one)
     try:
         yield
     finally:
@@ -96,9 +89,8 @@ def log_to_stderr(form: str = "text", level: int = logging.INFO) -> Iterator[Non
             one.propagate = propagate
 
 
-def _log_exception(
-    words: str, kind: type[BaseException], fault: BaseException | None, trace: TracebackType | None
-) -> None:
+def _log_exception(words: str, one: sys.UnraisableHookArgs | threading.ExceptHookArgs) -> None:
     """Log an exception that nobody has handled, unless it ends a thread on purpose."""
-    if not issubclass(kind, SystemExit):
-        LOG.error(words, exc_info=(kind, fault or kind(), trace), extra={"fault": str(fault)})
+    if not issubclass(one.exc_type, SystemExit):
+        exc_info = (one.exc_type, one.exc_value or one.exc_type(), one.exc_traceback)
+        LOG.error(words, exc_info=exc_info, extra={"fault": str(one.exc_value)})

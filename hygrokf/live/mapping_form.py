@@ -15,8 +15,7 @@ from hygrokf.data.signals import SWITCHED, Signal
 from hygrokf.data.timestamps import EXCEL, duration, time_format_fault, zone_in_header, zone_named
 from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
 from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
 from hygrokf.live.sources.payload_values import Clock
@@ -34,10 +33,6 @@ def texts(value: object) -> tuple[str, ...]:
     if not isinstance(value, list):
         raise ValueError(f"expected a list, found {value!r}")
     return tuple(str(one) for one in value)
-
-
-def _zone(value: object) -> datetime.tzinfo:
-    return zone_named(value)  # type: ignore[arg-type]
 
 
 def _time_form(value: object) -> str:
@@ -99,7 +94,7 @@ class MappingForm:
     records: str = setting("", "path to the objects that hold the values")
     turbine: str = setting("turbine", "field with the turbine's name", empty=True)
     time: str = setting("time", "field with the time")
-    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=_zone)
+    timezone: datetime.tzinfo | None = setting(None, "of stamps without an offset", read=zone_named)
     time_format: str = setting("", "strptime form of stamps that are not ISO 8601", read=_time_form)
     quality: str = setting("", "field with a quality")
     vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)

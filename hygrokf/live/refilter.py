@@ -13,7 +13,7 @@ from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
 from hygrokf.live.storage.database import Cursor, SqlValue
-from hygrokf.live.storage.store import ALARM_COLUMNS, Store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
 
@@ -71,12 +71,7 @@ def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, 
         after.update({alarm.id: alarm for alarm in batch.alarms})
         batch.memories.pop((name, "alarms"), None)
         store.write(cursor, replace(batch, alarms=[]))
-    before = {
-        row[0]: Alarm(*row)
-        for row in store.rows(
-            f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm WHERE turbine = ? AND began >= ?", (name, begin)
-        )
-    }
+    before = {one.id: one for one in store.found(Alarm, "WHERE turbine = ? AND began >= ?", (name, begin))}
     return Refiltered(name, late, tuple(_differences(before, after)))
 
 

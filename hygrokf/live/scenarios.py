@@ -214,7 +214,8 @@ def _days(
     if absent:
         raise NoScenarios(f"the model needs {', '.join(absent)}, of which there are no readings")
     ambient = _ambient(history)
-    others = {s.signal: s for s in history.series if _acts(s)}
+    own = [s for s in history.signals if s.startswith(("cabinet_", "ambient_")) and s != "ambient_pressure"]
+    others = {s.signal: s for s in history.series if s.signal not in own and not s.missing.all()}
     found = []
     for day in range(2, DAYS + 3):
         then = time - day * DAY_S
@@ -231,12 +232,6 @@ def _days(
     return found
 
 
-def _acts(series: Series) -> bool:
-    """Whether a signal is a driver other than the ambient's temperature and humidity."""
-    own = series.signal.startswith(("cabinet_", "ambient_")) and series.signal != "ambient_pressure"
-    return not own and not series.missing.all()
-
-
 def _ambients(
     history: Record, now_s: float, time: np.ndarray, days: Sequence[int]
 ) -> list[dict[str, np.ndarray]]:
@@ -247,7 +242,9 @@ def _ambients(
     """
     ambient = _ambient(history)
     kelvin = _possible_courses(ambient["temperature"], now_s, time, days)
-    dryness = _possible_courses(_humidity(ambient), now_s, time, days, scaled=_dryness)
+    dryness = _possible_courses(
+        _humidity(ambient), now_s, time, days, scaled=lambda humidity: np.sqrt(-np.log(humidity))
+    )
     return [
         _physical(warm, absolute_humidity(np.exp(-(dry**2)), warm))
         for warm, dry in zip(kelvin, dryness, strict=True)
@@ -260,11 +257,6 @@ def _humidity(ambient: Mapping[str, Series]) -> Series:
     kelvin = at_times(warm, vapour.time, bridge_h(warm, AMBIENT_BRIDGE_H))
     value = np.minimum(relative_humidity(np.maximum(vapour.value, DRIEST), kelvin), MOISTEST)
     return replace(vapour, signal="ambient_relative_humidity", value=value)
-
-
-def _dryness(humidity: np.ndarray) -> np.ndarray:
-    """w ≥ 0 with RH = exp(−w²), of any shape."""
-    return np.sqrt(-np.log(humidity))
 
 
 def _possible_courses(

@@ -20,14 +20,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-from hygrokf.live.acknowledgement import look_again
-from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
 from hygrokf.live.notification.channel import Channel
-from hygrokf.live.notification.notices import notices_of
-from hygrokf.live.sources.stream import Delivery, Reach, SourceState, Stream
+from hygrokf.live.notification.notices import look_again, notices_of
+from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -175,8 +173,10 @@ class Service:
                 self.health.looped = time.monotonic()
                 idle = not self.round()
                 self._work_between_rounds(idle)
-                if idle and until_ended and self._sources_ended() and not self._busy():
-                    break
+                if idle and until_ended and self._sources_ended():
+                    fleet = self._open_fleet
+                    if not (self._isolation or fleet.isolation_due() or fleet.forecast_due(EVERY_S)):
+                        break
             for stream in self.streams.values():
                 stream.stop()
             while self.round():
@@ -221,12 +221,6 @@ class Service:
         words = [one.state.word for one in self.streams.values()]
         return all(word in ("ended", "lost", "stopped") for word in words) and self._waiting.empty()
 
-    def _busy(self) -> bool:
-        """Whether fault isolation or a forecast is still due."""
-        return bool(
-            self._isolation or self._open_fleet.isolation_due() or self._open_fleet.forecast_due(EVERY_S)
-        )
-
     def round(self) -> bool:
         """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
         either."""
@@ -257,12 +251,12 @@ class Service:
 
     def _forecast(self, name: str) -> Batch:
         """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
-        one, tracker = self.turbines[name], self._open_fleet.trackers[name]
-        found = make_forecast(name, one, tracker, self._open_store)
-        if found is None:
+        fleet = self._open_fleet
+        made = make_forecast(name, self.turbines[name], fleet.trackers[name], self._open_store)
+        if made is None:
             return Batch()
-        batch = forecast_batch(name, found, one.limit)
-        self._open_fleet.keep_forecast(name, found.time_s, found.forecast, batch)
+        made_s, batch = made
+        fleet.keep_forecast(name, made_s, batch)
         return batch
 
     def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
@@ -328,8 +322,11 @@ class Service:
         begin = time.monotonic()
         if begin >= self._tick:
             self._tick = begin + TICK_S
-            states = {url: stream.state for url, stream in self.streams.items()}
-            self._log_states(states)
+            for url, stream in self.streams.items():
+                word, words = stream.state
+                if self._words.get(url) != word:
+                    self._words[url] = word
+                    LOG.info("source", extra={"source": url, "state": word, "behind": words})
             left = {name: words for one in self.streams.values() for name, words in one.left().items()}
             now, reaches = self.now, self.reaches()
             quiet = self._quiet(reaches, now)
@@ -379,13 +376,6 @@ class Service:
                     lost_s = max(since) if all(reach.share(now) >= 1.0 for reach in own) else math.inf
                     found.setdefault(name, {})[signal] = lost_s if len(since) == len(own) else None
         return found
-
-    def _log_states(self, states: Mapping[str, SourceState]) -> None:
-        """Log sources whose state has changed."""
-        for url, (word, behind) in states.items():
-            if self._words.get(url) != word:
-                self._words[url] = word
-                LOG.info("source", extra={"source": url, "state": word, "behind": behind})
 
     def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""

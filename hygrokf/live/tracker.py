@@ -327,7 +327,7 @@ class Tracker:
         Returns None without new instants, while `awaited` names signals, and until the ambient is known over
         some period.
         """
-        if self.awaited() or not self._inputs_overlap():
+        if self.awaited() or self.history_until() is not None:
             return None
         judged = {
             signal: judged_readings(self.plan, signal, times, self._values[signal], self._limit)
@@ -386,14 +386,6 @@ class Tracker:
                 found += frozen_runs(signal, one.readings, scale.still_s, self.plan.context_s, after_s, known)
         return tuple(found)
 
-    def _inputs_overlap(self) -> bool:
-        """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
-        interval."""
-        if self.point is not None:
-            return True
-        first, last, longest = self._overlap()
-        return last - first > longest
-
     def _overlap(self) -> tuple[float, float, float]:
         """First and last time [s] of which ambient and, if any, cabinet are known, and the longest averaging
         interval [s]."""
@@ -409,7 +401,7 @@ class Tracker:
         return first, last, longest
 
     def _course(self, made: Run) -> Course | None:
-        t, start = made.timeline, self._start()
+        t, start = made.timeline, self.ahead or self.point
         after = -math.inf if start is None else start.time + SAME_S
         first = int(np.searchsorted(t.seconds, after, side="right"))
         # a gap of the ambient that has not ended yet reaches far ahead
@@ -426,11 +418,8 @@ class Tracker:
         there is reset."""
         t = course.run.timeline
         if t.reset[place]:
-            return self._filter(t.window(0, place + 1), self._start()).last
+            return self._filter(t.window(0, place + 1), self.ahead or self.point).last
         return course.state(place)
-
-    def _start(self) -> Point | None:
-        return self.ahead or self.point
 
     def _filter(self, t: Timeline, start: Point | None) -> Trace:
         since, state = (-math.inf, None) if start is None else (start.time, start.state)

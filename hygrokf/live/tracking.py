@@ -55,10 +55,15 @@ def track(
             app = Page(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url
         stack.enter_context(ended_by_signals(service))
-        start_senders = stack.enter_context(sending(service))
+        senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]
+        # the last one registered is called first: all are told to end before one is waited for
+        for act in (Sender.stop, Sender.end):
+            for one in senders:
+                stack.callback(act, one)
 
         def begin() -> None:
-            start_senders()
+            for one in senders:  # their stores are there now
+                one.start()
             for name, said in record_doubts(config.turbines):
                 LOG.warning("its model rests on a doubted record", extra={"turbine": name, "why": said})
             begun(service, page)
@@ -76,25 +81,6 @@ def record_doubts(turbines: Mapping[str, Turbine]) -> Iterator[tuple[str, str]]:
         reasons = (reason for one in turbine.verdicts.values() for reason in one.reasons)
         said = dict.fromkeys(one.text for one in reasons if one.code == "record_doubted")
         yield from ((name, one) for one in said)
-
-
-@contextmanager
-def sending(service: Service) -> Iterator[Callable[[], None]]:
-    """The start of the senders of a service's channels, to be called once its store is open; they end with
-    this context."""
-    senders = [Sender(one, service.store_url, lambda: service.now) for one in service.channels]
-
-    def start() -> None:
-        for one in senders:
-            one.start()
-
-    try:
-        yield start
-    finally:
-        for one in senders:
-            one.end()
-        for one in senders:
-            one.stop()
 
 
 @contextmanager

@@ -28,7 +28,9 @@ from hygrokf.live.alarms import (
     Level,
     Rule,
     Standing,
+    contradiction_level,
     estimate_levels,
+    innovations,
     judge,
     missing_levels,
     shift_levels,
@@ -36,14 +38,13 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.backlog import Backlogs
+from hygrokf.live.assessment import States
 from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.changes import Change, settled
-from hygrokf.live.clocks import Clocks, HeldReadings, clock_levels
+from hygrokf.live.clocks import Backlogs, Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
-from hygrokf.live.contradiction import contradiction_level, innovations
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
-from hygrokf.live.forecast import Forecast, ForecastMade
+from hygrokf.live.forecast import ForecastMade
 from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
@@ -58,7 +59,6 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
-from hygrokf.live.states import States
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
@@ -490,9 +490,10 @@ class Fleet:
             one.alarm for known in self.standings.values() for one in known.values() if one.alarm is not None
         ]
 
-    def keep_forecast(self, name: str, made_s: float, made: Forecast | None, batch: Batch) -> None:
-        """Keep the forecast of a turbine from its state at `made_s` [s], and assess the turbine."""
-        self.forecast_made_s[name] = made_s
+    def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
+        """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
+        turbine."""
+        self.forecast_made_s[name], made = made_s, batch.forecasts[name]
         self.states.note_forecast(name, None if made is None else made.condition)
         self._assess(name, batch)
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from plants import plant
 
-from hygrokf.live.contradiction import BEYOND, innovations
+from hygrokf.live.alarms import BEYOND, innovations
 from trials.cabinets import DAY_S, tracked
 
 LEARNT_DAYS, DAYS = 45.0, 60.0

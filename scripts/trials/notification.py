@@ -92,11 +92,11 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
             raise_alarms()
             time.sleep(float(random.uniform(0.0, 0.02)))
             server.fail(way)
-            met, failures = server.noticed[way], sender.delivery.failures
+            met, failures = server.noticed[way], sender.failures
             raise_alarms()
             eventually(
                 lambda way=way, met=met, failures=failures, one=sender: (
-                    one.delivery.failures > failures and (way == "refuse" or server.noticed[way] > met)
+                    one.failures > failures and (way == "refuse" or server.noticed[way] > met)
                 )
             )
             if place % 3 == 2:

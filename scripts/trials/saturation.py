@@ -11,7 +11,7 @@ from battery.rates import Rate
 from plants import plant
 
 from hygrokf.data.readings import SATURATED
-from hygrokf.live.condition import Condition, condition, only
+from hygrokf.live.condition import Condition, air_condition, inputs_of, only
 from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
 from trials.cabinets import DAY_S, Surface, Tracked, tracked, truth
@@ -123,9 +123,12 @@ def _means(minutes: np.ndarray, held: np.ndarray, time: np.ndarray) -> np.ndarra
 
 def _conditions(case: Tracked, now_s: float, scenarios: Scenarios) -> Iterator[tuple[int, list[Condition]]]:
     """(place of the surface, its condition under each member) of one forecast."""
-    courses = list(moments_by_member(case.plan, case.point(now_s), scenarios))
+    model, courses = case.plan.model, list(moments_by_member(case.plan, case.point(now_s), scenarios))
     for place, surface in enumerate(SURFACES):
-        found = [condition(case.plan.model, case.plan.values, *course, surface) for course in courses]
+        found = [
+            air_condition(model, case.plan.values, t.seconds, inputs_of(model, t), *moments, surface)
+            for t, *moments in courses
+        ]
         kept = np.isin(np.round(found[0].time_s), np.round(scenarios.time_s))
         yield place, [only(one, kept) for one in found]
 

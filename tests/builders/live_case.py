@@ -92,7 +92,7 @@ class Halting(Playback):
 
     def __init__(self, *given: object, halts: Sequence[float] = (), **named: object) -> None:
         super().__init__(*given, **named)
-        self._halts = {1 + int(share * len(self)): threading.Event() for share in sorted(halts)}
+        self._halts = {1 + int(share * len(self.messages)): threading.Event() for share in sorted(halts)}
 
     def go_on(self) -> None:
         """Pass the first halt at which it was not let on yet."""

@@ -28,7 +28,7 @@ from hygrokf.live.forecast import LIMIT
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import Delivery, Threaded
+from hygrokf.live.sources.stream import Delivery, Stream
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.application import Page
 from hygrokf.live.web.page_settings import PageSettings
@@ -145,7 +145,7 @@ def opened(service: Service) -> Store:
     return open_store(service.store_url)
 
 
-class Fed(Threaded):
+class Fed(Stream):
     """A source that delivers what a test gives it."""
 
     def __init__(self, url: str, mapping: PayloadMapping) -> None:

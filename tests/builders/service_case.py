@@ -33,7 +33,7 @@ class Acknowledging(Halting):
 
     def expect_acknowledged(self) -> None:
         """Every message was acknowledged once, in its order."""
-        assert self.acknowledged == [str(number + 1) for number in range(len(self))]
+        assert self.acknowledged == [str(number + 1) for number in range(len(self.messages))]
 
 
 def in_small_rounds(monkeypatch: pytest.MonkeyPatch, most: int, retry_s: float = 0.01) -> None:

@@ -236,7 +236,7 @@ def playback(folder: Path) -> str:
     when alarms begin and from which state the last forecast is made depend on the rounds."""
     from builders.live_case import live_record, live_turbine
 
-    from hygrokf.live.forecast_job import forecast_batch, isolation_steps, make_forecast
+    from hygrokf.live.forecast_job import isolation_steps, make_forecast
     from hygrokf.live.sources.local import record_mapping, record_messages
     from hygrokf.live.sources.stream import Delivery
     from hygrokf.live.storage.store import open_store
@@ -260,9 +260,8 @@ def playback(folder: Path) -> str:
             store.commit(fleet.keep_finding("T1", finding))
         made = make_forecast("T1", turbine, fleet.trackers["T1"], store)
         if made is not None:
-            batch = forecast_batch("T1", made, turbine.limit)
-            fleet.keep_forecast("T1", made.time_s, made.forecast, batch)
-            store.commit(batch)
+            fleet.keep_forecast("T1", *made)
+            store.commit(made[1])
     last = float(store.rows("SELECT MAX(time) FROM observation")[0][0])
     view = turbine_view(store, "T1", last - 86400.0, last)
     store.close()

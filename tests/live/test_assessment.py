@@ -214,7 +214,7 @@ def test_a_forecast_of_condensation_puts_a_turbine_at_risk(
     chances = np.array([0.1, 0.7, 0.9])
     air = Condition(hours, *[None] * 6, chances, None)
     made = Batch(forecasts={"T1": Forecast(record.end_s, air, chances, 0.8, "made up")})
-    fleet.keep_forecast("T1", record.end_s, made.forecasts["T1"], made)
+    fleet.keep_forecast("T1", record.end_s, made)
     (found,) = made.assessments
     assert found.state == "at risk" and found.reason.startswith("condensation is likely from ")
     store.commit(made)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.live.back_off import pause_s
+from hygrokf.live.sources.stream import pause_s
 
 
 def test_pauses_double_between_their_limits() -> None:

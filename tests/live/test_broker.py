@@ -16,17 +16,15 @@ from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.broker import (
     EXPIRY_S,
     Broker,
-    BrokerForm,
     alarm_topic,
-    default_client_id,
     filter_fault,
     reason_words,
     tls_words,
     unreachable,
 )
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.mqtt_form import MqttForm, default_client_id
+from hygrokf.live.sources.payload import Field, PayloadMapping
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"
@@ -34,7 +32,7 @@ SECRET = "pa55-4711"
 
 def read(folder: Path, text: str) -> tuple[Broker | None, list[str]]:
     place = Place("[[source]] 1")
-    broker = read_form(BrokerForm, tomllib.loads(text), place).broker(folder, place)
+    broker = read_form(MqttForm, tomllib.loads(text), place).broker(folder, place)
     return None if place.faults else broker, place.faults
 
 

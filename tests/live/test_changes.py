@@ -14,9 +14,9 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live import service as service_module
-from hygrokf.live.acknowledgement import acknowledge
 from hygrokf.live.batch import Alarm, Batch, Event
 from hygrokf.live.changes import SETTLED_S, jump_variance, settled
+from hygrokf.live.notification.notices import acknowledge
 from hygrokf.live.properties import WATCHED, ParameterShift, TrackedState, deviations, parameter_shifts
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages

@@ -11,7 +11,8 @@ from hygrokf.live.condition import (
     Condition,
     Quantity,
     Surface,
-    condition,
+    air_condition,
+    inputs_of,
     probability_above,
     probability_below,
 )
@@ -58,7 +59,9 @@ def found_at(
     """The condition of a model in an ambient (K, g/m³), at a state with independent components."""
     model = model_of(*names)
     covariance = variance * np.eye(len(state))[None]
-    return condition(model, values_of(model), at(model, *ambient), np.array([state]), covariance, surface)
+    t, mean = at(model, *ambient), np.array([state])
+    u = inputs_of(model, t)
+    return air_condition(model, values_of(model), t.seconds, u, mean, covariance, surface)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +74,8 @@ def test_spreads_are_those_of_drawn_states(ambient_K: float, converter_K: float,
     mean = np.array([converter_K, vapour])
     covariance = np.array([[0.25, 0.02], [0.02, 0.01]])
     surface = Surface(follows=0.4, offset_K=-0.5)
-    found = condition(model, values_of(model), t, mean[None], covariance[None], surface)
+    values, u = values_of(model), inputs_of(model, t)
+    found = air_condition(model, values, t.seconds, u, mean[None], covariance[None], surface)
     random = np.random.default_rng(4)
     states = random.multivariate_normal(mean, covariance, 200_000)
     air = 0.85 * states[:, 0] + 0.15 * ambient_K

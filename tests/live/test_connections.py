@@ -20,7 +20,7 @@ from hygrokf.live.plan import Form, Plan
 from hygrokf.live.refilter import refilter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.local import record_mapping, record_messages
-from hygrokf.live.sources.stream import Delivery, SourceState, Threaded
+from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.export import export
 from hygrokf.live.storage.retention import prune
 from hygrokf.live.storage.store import Store, open_store
@@ -154,7 +154,7 @@ def test_what_is_not_tracked_is_not_connected(tmp_path: Path, record: Record, do
     store.close()
 
 
-class Kept(Threaded):
+class Kept(Stream):
     """A source whose state is set by hand."""
 
     def __init__(self, url: str, *given: object) -> None:

@@ -10,8 +10,8 @@ import pytest
 from builders.live_case import live_record
 
 from hygrokf.data.record import Record
+from hygrokf.live.alarms import BEYOND, Innovation, contradiction_level, innovations
 from hygrokf.live.batch import Batch
-from hygrokf.live.contradiction import BEYOND, Innovation, contradiction_level, innovations
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store

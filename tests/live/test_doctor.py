@@ -39,7 +39,7 @@ from hygrokf.live.doctor import sources as doctor_sources
 from hygrokf.live.doctor import store as doctor_store
 from hygrokf.live.doctor.check import Check, server_check, stamp_check, worst
 from hygrokf.live.doctor.examination import examine, page_checks
-from hygrokf.live.doctor.machine import Watch, machine_checks, validities
+from hygrokf.live.doctor.machine import elapsed_from, machine_checks, validities
 from hygrokf.live.doctor.mqtt import plain_filter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
@@ -314,23 +314,23 @@ def test_a_source_that_stamps_local_time_as_utc(folder: Path) -> None:
 def test_this_machine_s_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
     now = time.time()
-    assert [one.level for one in machine_checks(Watch(), now)] == ["ok"]
-    assert [one.level for one in machine_checks(Watch(), -math.inf)] == ["ok"]
-    (jumped,) = machine_checks(Watch(Watch().begin - 30.0), now)
+    assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
+    assert [one.level for one in machine_checks(elapsed_from(), -math.inf)] == ["ok"]
+    (jumped,) = machine_checks(elapsed_from() - 30.0, now)
     assert jumped.level == "doubt" and "jumped by +30.0 s" in jumped.found
-    (back,) = machine_checks(Watch(), now + 9000.0)
+    (back,) = machine_checks(elapsed_from(), now + 9000.0)
     assert back.level == "fault" and "received 2.5 h in the future" in back.found
     monkeypatch.setattr(doctor_machine, "synchronised", lambda: False)
-    (loose,) = machine_checks(Watch(), now)
+    (loose,) = machine_checks(elapsed_from(), now)
     assert loose.level == "doubt" and "not synchronised" in loose.found and "NTP" in loose.remedy
     monkeypatch.setattr(doctor_machine, "synchronised", lambda: None)
-    assert [one.level for one in machine_checks(Watch(), now)] == ["ok"]
+    assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
 
 
 def test_the_kernel_is_asked_and_not_told() -> None:
-    before = Watch()
+    before = elapsed_from()
     assert doctor_machine.synchronised() in (True, False, None)
-    assert abs(before.jump_s) < doctor_machine.JUMP_S
+    assert abs(elapsed_from() - before) < doctor_machine.JUMP_S
     assert [server_check("x", d).level for d in (0.0, -50.0, 100.0, -5000.0, 1000.0)] == [
         "ok", "ok", "doubt", "doubt", "fault",
     ]  # fmt: skip

@@ -14,7 +14,7 @@ from builders.live_case import live_record, live_turbine
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live import sisters
+from hygrokf.live import fault_isolation
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.condition import Surface
 from hygrokf.live.fault_isolation import EVERY_S
@@ -156,8 +156,8 @@ def test_sisters_are_evidence_in_whatever_order_turbines_are_delivered(
     tmp_path: Path, cold: Turbine, record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What sisters read by a cause's time is waited for, but not one that has been silent for a day."""
-    monkeypatch.setattr(sisters, "USUAL", 3)
-    monkeypatch.setattr(sisters, "FEWEST", 2)
+    monkeypatch.setattr(fault_isolation, "USUAL", 3)
+    monkeypatch.setattr(fault_isolation, "FEWEST", 2)
     noise = np.random.default_rng(2)
     ambient = record["ambient_temperature"]
     warm = replace(ambient, value=ambient.value + 0.2 * noise.standard_normal(len(ambient.time)))

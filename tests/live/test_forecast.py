@@ -16,7 +16,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import censored_trace
-from hygrokf.live.condition import Surface, condition
+from hygrokf.live.condition import Surface, air_condition, inputs_of
 from hygrokf.live.forecast import NoForecast, conditions_by_member, forecast, mixture
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.restart_advice import ENOUGH, LONGEST_H, STAYS_H, advice_from, restart
@@ -86,7 +86,9 @@ def unread(plan_: Plan, record: Record) -> tuple:
     t = made.timeline
     y = np.where((t.origin_s + HOUR_S * t.time > NOW_S + 1.0)[:, None], np.nan, t.y)
     trace = censored_trace(plan_.likelihood(t.with_readings(y)), plan_.values)
-    return t, condition(plan_.model, plan_.values, t, trace.mean, trace.covariance, SURFACE)
+    u = inputs_of(plan_.model, t)
+    moments = trace.mean, trace.covariance
+    return t, air_condition(plan_.model, plan_.values, t.seconds, u, *moments, SURFACE)
 
 
 # -- the model ahead -----------------------------------------------------------------------------------------

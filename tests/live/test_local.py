@@ -23,16 +23,15 @@ from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import (
     Lines,
     Playback,
+    StandardInput,
     TailedFile,
     delay_and_repeat,
     file_messages,
     record_mapping,
     record_messages,
 )
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
-from hygrokf.live.sources.standard_input import StandardInput
 from hygrokf.live.sources.stream import Delivery
 
 NOW = 1_772_367_000.0
@@ -306,7 +305,7 @@ def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
     stream, got = played(), Collected()
     stream.start(None, got)
     found = got.wait(99)
-    assert len(stream) == 99
+    assert len(stream.messages) == 99
     assert found[0].content == {"turbine": "T1", "time": 1.6e9, "cabinet_temperature": 290.0}
     assert [one.received for one in found] == sorted(one.received for one in found)
     again, rest = played(), Collected()

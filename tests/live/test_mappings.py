@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.documents import document
+from builders.rejections import counted
 from builders.track_case import write_model
 
 from hygrokf.data.numbers import Marks, Meaning, Unread, stated_marks
 from hygrokf.data.timestamps import zone_named
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
-from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
 from hygrokf.live.sources.payload_paths import path_fault, pattern_fault, tag_reader
 from hygrokf.live.sources.payload_values import Clock, measured, number, seconds
@@ -89,7 +89,7 @@ def read(mapping: PayloadMapping, content: object, topic: str = "", received: fl
     text = content if isinstance(content, str | bytes) else json.dumps(content)
     found = mapping.read(text, received, topic)
     values = {(of.turbine, one.signal): round(one.value, 6) for of in found for one in of.readings}
-    return {**values, **sum((of.counts for of in found), Counter())}
+    return {**values, **sum(map(counted, found), Counter())}
 
 
 def kind(mapping: PayloadMapping, content: object, topic: str = "", received: float = NOW) -> str:
@@ -307,7 +307,7 @@ def test_names_without_a_rule_are_counted_by_kind() -> None:
         {"id": "W01.Tcab", "v": 20}, {"id": "W01.Oil", "v": 1}, {"id": "W77.Tcab", "v": 1},
         {"id": "x", "v": 1}, {"v": 1}, {"id": "W02.Tcab"}, {"id": "W02.Tcab", "v": None},
     ]}  # fmt: skip
-    found = {of.turbine: of.counts for of in tags.read(json.dumps(content), NOW)}
+    found = {of.turbine: counted(of) for of in tags.read(json.dumps(content), NOW)}
     assert found == {
         "W01": {"unknown tag": 1}, "W02": {"no known field": 1}, "": {"unknown tag": 2, "unknown turbine": 1}
     }  # fmt: skip

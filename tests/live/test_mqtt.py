@@ -44,8 +44,7 @@ from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST, Refused
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store

@@ -22,17 +22,25 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.acknowledgement import acknowledge, look_again
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
+from hygrokf.live.doctor.examination import channel_checks
 from hygrokf.live.doctor.machine import file_checks
-from hygrokf.live.doctor.notification import channel_checks
 from hygrokf.live.notification import sender as module
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.mail import Mail
-from hygrokf.live.notification.notices import Drop, Send, Situation, Wait, decide, notices_of
-from hygrokf.live.notification.sender import Sender, send_test
+from hygrokf.live.notification.notices import (
+    Drop,
+    Send,
+    Situation,
+    Wait,
+    acknowledge,
+    decide,
+    look_again,
+    notices_of,
+)
+from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.webhook import Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
@@ -230,7 +238,7 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
     first, again, *rest = transport.messages
     assert (first.key, first.contents) == (again.key, again.contents) and len(first.contents) == 3
     assert {len(one.contents) for one in rest} == {1} and len({one.key for one in transport.messages}) == 3
-    assert outbox.waiting(store) == {} and sender.delivery.failures == 1
+    assert outbox.waiting(store) == {} and sender.failures == 1
     store.close()
 
 
@@ -321,8 +329,8 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
         assert "water condenses" in sent.get_payload(decode=True).decode()
         (tmp_path / "wrong").write_text("falsch")
         for settings in ({**right, "password_file": tmp_path / "wrong"}, {**right, "ca": None}):
-            for attempt in (mail_to(server, **settings).probe, lambda s=settings: send_test(
-                Channel("ops", mail_to(server, **s)))):  # fmt: skip
+            for attempt in (mail_to(server, **settings).probe, lambda s=settings: mail_to(
+                server, **s).send(Message("test"))):  # fmt: skip
                 with pytest.raises(ChannelFault) as fault:
                     attempt()
                 assert "falsch" not in str(fault.value) and "127.0.0.1" in str(fault.value)
@@ -360,7 +368,7 @@ def test_a_webhook_over_tls_is_signed(pair: tuple[Path, Path], tmp_path: Path) -
         assert "TLSv1.3" in hook.probe() and not server.accepted.messages
         message = Message.of({"n1": Content("began", alarm)})
         hook.send(message)
-        send_test(Channel("ops", hook))
+        hook.send(Message("test"))
         first, test = server.accepted.messages
         assert first["notices"][0]["alarm"] == json.loads(json.dumps(vars(alarm)))
         assert (first["type"], test["type"], test["notices"]) == ("hygrokf.alarms", "hygrokf.test", [])

@@ -22,6 +22,7 @@ import pytest
 from builders.documents import document
 from builders.live_case import expect_offline, live_record
 from builders.ports import free_port
+from builders.rejections import counted
 from builders.stream_case import Collected
 from builders.waiting import PATIENCE_S, eventually
 
@@ -37,8 +38,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import User
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import BackOff, SourceKeys
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
@@ -271,7 +271,7 @@ def test_bad_values_are_counted_and_never_used(peer: Peer, named, started) -> No
             counts["no time"] += 1
             continue
         (found,) = run.stream.mapping.read(one, time.time())
-        counts += found.counts
+        counts += counted(found)
         used += [r.time - T0 for r in found.readings if r.signal == "cabinet_temperature"]
     assert counts == {"bad quality": 3, "no number": 1, "no time": 3} and used == [1, 5, 6]
     peer.write(at((7, None, BAD), node=tcab))

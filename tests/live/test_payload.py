@@ -6,12 +6,12 @@ import json
 import math
 
 import pytest
+from builders.rejections import counted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping, TurbineReadings
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import DEEPEST, LARGEST, Refused
 from hygrokf.live.sources.payload_values import seconds
 
@@ -45,7 +45,7 @@ def refusal(text: bytes | str | dict) -> str:
 
 def test_values_come_in_si_units_at_the_end_of_their_interval() -> None:
     found = one(RHcab="41.5", P=1500, env={"T": -3.0})
-    assert found.turbine == "T07" and not found.counts
+    assert found.turbine == "T07" and not counted(found)
     by_signal = {r.signal: (r.time - NOW, r.value) for r in found.readings}
     assert by_signal == {
         "cabinet_temperature": (0.0, pytest.approx(304.35)),
@@ -81,18 +81,18 @@ def test_times(stamp: object, expected: float | None) -> None:
 )  # fmt: skip
 def test_what_cannot_be_true_is_counted(changed: dict, kind: str) -> None:
     found = one(**changed)
-    assert found.counts == {kind: 1}
+    assert counted(found) == {kind: 1}
     assert len(found.readings) == ("RHcab" in changed)
 
 
 @pytest.mark.parametrize("quality", ["good", "GOOD", "GoodClamped", 192, 192.0, "216", True, None, ""])
 def test_marks_of_good_quality(quality: object) -> None:
-    assert len(one(quality=quality).readings) == 1 and not one(quality=quality).counts
+    assert len(one(quality=quality).readings) == 1 and not counted(one(quality=quality))
 
 
 def test_missing_values_are_no_fault() -> None:
     found = one(Tcab=None, RHcab="")
-    assert not found.readings and not found.counts
+    assert not found.readings and not counted(found)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_one_reading_a_payload() -> None:
     (found,) = narrow.read({"t": NOW, "tag": "RHcab", "v": 55}, NOW, "plant/7/data")
     assert found.turbine == "T07" and found.readings[0].value == pytest.approx(0.55)
     (found,) = narrow.read({"t": NOW, "tag": "Oil", "v": 55}, NOW, "plant/7/data")
-    assert found.counts == {"unknown tag": 1}
+    assert counted(found) == {"unknown tag": 1}
     with pytest.raises(Refused, match="turbine 'None'"):
         narrow.read({"t": NOW, "tag": "RHcab", "v": 55}, NOW, "plant")
 

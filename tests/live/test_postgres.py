@@ -57,7 +57,7 @@ def test_a_killed_server_loses_nothing_and_nothing_comes_twice(
         try:
             for share in (0.3, 0.6):
                 failures = service.health.failures
-                eventually(lambda share=share: len(stream.acknowledged) > share * len(stream))
+                eventually(lambda share=share: len(stream.acknowledged) > share * len(stream.messages))
                 postgresql.kill()
                 stream.go_on()
                 eventually(lambda failures=failures: service.health.failures > failures)
@@ -79,7 +79,7 @@ def test_a_session_that_is_ended_is_opened_anew(
     service = Service({"T1": turbine}, [stream], url)
     with running(service, until_ended=True):
         for share in (0.2, 0.5, 0.8):
-            eventually(lambda share=share: len(stream.acknowledged) > share * len(stream))
+            eventually(lambda share=share: len(stream.acknowledged) > share * len(stream.messages))
             ended = postgresql.execute(
                 "postgres",
                 "SELECT pid, pg_terminate_backend(pid) FROM pg_stat_activity "
@@ -275,7 +275,7 @@ def test_two_services_with_their_own_turbines_run_side_by_side(
     for name in ("T1", "T2"):
         stream = Acknowledging(record)
         stream.url = f"replay:{name}"
-        stream._messages = [(at, {**content, "turbine": name}) for at, content in stream._messages]
+        stream.messages = [(at, {**content, "turbine": name}) for at, content in stream.messages]
         stream.mapping = record_mapping(record, name)
         streams.append(stream)
         runners.append(threading.Thread(target=Service({name: turbine}, [stream], url).run, args=(True,)))

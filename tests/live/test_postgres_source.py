@@ -18,6 +18,7 @@ import psycopg
 import pytest
 from builders.databases import OWNER, Server
 from builders.live_case import count_of, expect_offline
+from builders.rejections import counted
 from builders.service_case import in_small_rounds, running
 from builders.track_case import write_model
 from builders.waiting import eventually
@@ -34,7 +35,7 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused
 from hygrokf.live.sources.payload_values import Clock
-from hygrokf.live.sources.postgres import PostgresQuery, Query, number_of
+from hygrokf.live.sources.postgres import PostgresForm, PostgresQuery, number_of
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.turbines import Turbine
 
@@ -97,7 +98,7 @@ def add(postgresql: Server, historian: str) -> Callable[..., None]:
 
 def source(url: str, watermark: str = "id", **more: float) -> PostgresQuery:
     settings = {"poll_s": 0.05, "lag_s": 0.0, **more}
-    return PostgresQuery(Query(url, NARROW.format(watermark), watermark, **settings), MAPPING)
+    return PostgresQuery(PostgresForm(url, NARROW.format(watermark), watermark, **settings), MAPPING)
 
 
 @contextmanager
@@ -273,7 +274,7 @@ def test_a_wide_table_with_times(
         )
     text = "SELECT * FROM wide WHERE stamp > %(after)s ORDER BY stamp"
     mapping = replace(record_mapping(record, "T1"), time="stamp")
-    stream = PostgresQuery(Query(postgresql.url(historian), text, "stamp"), mapping)
+    stream = PostgresQuery(PostgresForm(postgresql.url(historian), text, "stamp"), mapping)
     stream.end_when_read()
     store = f"sqlite:{tmp_path / 'live.db'}"
     Service({"T1": turbine}, [stream], store).run(until_ended=True)
@@ -295,7 +296,7 @@ def read_all(stream: PostgresQuery) -> tuple[list[float], Counter[str]]:
         try:
             for of in stream.mapping.read(one.content, one.received):
                 values.extend(round(reading.value - 273.15, 6) for reading in of.readings)
-                counts.update(of.counts)
+                counts.update(counted(of))
         except Refused as refusal:
             counts[refusal.kind] += 1
 
@@ -326,7 +327,7 @@ def test_rows_of_impossible_times_are_counted_and_the_others_come(
     )
     text = "SELECT * FROM odd WHERE id > %(after)s ORDER BY id"
     mapping = replace(MAPPING, time="stamp", clock=Clock(UTC))
-    values, counts = read_all(PostgresQuery(Query(postgresql.url(historian), text, "id"), mapping))
+    values, counts = read_all(PostgresQuery(PostgresForm(postgresql.url(historian), text, "id"), mapping))
     assert values == [0.0, 6.0] and counts == {"impossible time": len(ODD), "no number": 1}
 
 
@@ -349,7 +350,7 @@ def test_a_watermark_that_cannot_be_passed_hides_no_later_row(
     for mark in watermarks:
         add(mark)
     text = "SELECT * FROM marked WHERE mark > %(after)s ORDER BY mark, id"
-    query = Query(postgresql.url(historian), text, "mark", poll_s=0.05, lag_s=0.0)
+    query = PostgresForm(postgresql.url(historian), text, "mark", poll_s=0.05, lag_s=0.0)
     with followed(PostgresQuery(query, MAPPING)) as rows:
         eventually(lambda: len(rows.ids) >= 6)
         add("3" if watermarks[1] == "1" else "2026-03-03")
@@ -383,7 +384,7 @@ def test_a_query_that_cannot_be_followed_is_told(
     postgresql: Server, historian: str, add: Callable[..., None], query: str, watermark: str, words: str
 ) -> None:
     add(3)
-    said = lost(PostgresQuery(Query(postgresql.url(historian), query, watermark), MAPPING))
+    said = lost(PostgresQuery(PostgresForm(postgresql.url(historian), query, watermark), MAPPING))
     assert words in said and "\n" not in said and "Traceback" not in said
     assert postgresql.execute(historian, "SELECT COUNT(*) FROM reading") == [(3,)]
 
@@ -420,10 +421,10 @@ def test_a_password_comes_from_a_file_and_shows_nowhere(
     (tmp_path / "wrong").write_text("falsch-geheim\n")
     add(2)
     url = postgresql.tcp_url(historian)
-    query = Query(url, NARROW.format("id"), "id", password_file=tmp_path / "right")
+    query = PostgresForm(url, NARROW.format("id"), "id", password_file=str(tmp_path / "right"))
     with followed(PostgresQuery(query, MAPPING)) as rows:
         eventually(lambda: rows.ids == [1, 2])
-    said = lost(PostgresQuery(replace(query, password_file=tmp_path / "wrong"), MAPPING))
+    said = lost(PostgresQuery(replace(query, password_file=str(tmp_path / "wrong")), MAPPING))
     assert f'password authentication failed for user "{OWNER}"' in said and "geheim" not in said
 
 

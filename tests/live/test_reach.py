@@ -16,9 +16,8 @@ from builders.waiting import eventually
 from hygrokf.data.toml_form import Place
 from hygrokf.live.service import Service
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
-from hygrokf.live.sources.stream import Stream, Threaded
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.application import Page
 from hygrokf.live.web.page_settings import PageSettings
@@ -61,7 +60,7 @@ def test_what_was_never_there_is_not_reached_from_the_start_on(
     tmp_path: Path, table: dict[str, object], limit_s: float
 ) -> None:
     stream = source(tmp_path, **{**table, "url": str(table["url"]).format(port=free_port())})
-    assert isinstance(stream, Threaded)
+    assert isinstance(stream, Stream)
     stream.clock = lambda: 1000.0
     assert stream.reach().since == 1000.0
     with started(stream):

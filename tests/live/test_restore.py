@@ -238,11 +238,11 @@ def test_a_file_that_is_replaced_under_a_tracker_is_noticed(
     stream = Acknowledging(record, halts=(0.4, 0.7))
     service = Service({"T1": turbine}, [stream], url)
     with running(service, until_ended=True):
-        eventually(lambda: len(stream.acknowledged) > 0.3 * len(stream))
+        eventually(lambda: len(stream.acknowledged) > 0.3 * len(stream.messages))
         with closing(sqlite3.connect(path)) as connection:
             connection.execute(f"VACUUM INTO '{tmp_path / 'copy.db'}'")
         stream.go_on()
-        eventually(lambda: len(stream.acknowledged) > 0.6 * len(stream))
+        eventually(lambda: len(stream.acknowledged) > 0.6 * len(stream.messages))
         for end in ("-wal", "-shm"):
             Path(f"{path}{end}").unlink(missing_ok=True)
         os.replace(tmp_path / "copy.db", path)
@@ -262,7 +262,7 @@ def test_an_older_state_put_in_place_of_a_database_is_noticed(
     stream = Acknowledging(record, halts=(0.5,))
     service = Service({"T1": turbine}, [stream], postgresql.url(name))
     with running(service, until_ended=True):
-        eventually(lambda: len(stream.acknowledged) == int(0.5 * len(stream)))
+        eventually(lambda: len(stream.acknowledged) == int(0.5 * len(stream.messages)))
         postgresql.execute(
             name, """UPDATE memory SET content = '"earlier"' WHERE name = 'batch of replay:'"""
         )

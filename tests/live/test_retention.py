@@ -98,10 +98,10 @@ def test_a_pruned_store_ends_in_the_offline_filter(
     turbine = live_turbine(record)
     monkeypatch.setattr(module, "EVERY_S", 0.0)
     monkeypatch.setattr(service, "MOST", 60)
-    total = len(Acknowledging(record))
+    total = len(Acknowledging(record).messages)
     for end in range(0, total + total // 6, total // 6):
         stream = Acknowledging(record)
-        stream._messages = stream._messages[:end]
+        stream.messages = stream.messages[:end]
         Service({"T1": turbine}, [stream], store_url, retention_s=0.0).run(until_ended=True)
     assert stream.acknowledged[-1] == str(total)
     store = open_store(store_url)

@@ -30,7 +30,7 @@ def test_a_late_and_repeated_playback_ends_in_the_offline_filter(
     service = Service({"T1": turbine}, [stream], store_url, settled.append)
     service.run(until_ended=True)
     stream.expect_acknowledged()
-    assert service.health.deliveries == len(stream)
+    assert service.health.deliveries == len(stream.messages)
     # by its place, as what came in a round may all be repeated
     assert sum(bool(one.place) for one in settled) == service.health.rounds
     expect_offline(store_url, record, turbine)
@@ -78,7 +78,7 @@ def test_told_to_end_it_commits_what_was_delivered_and_goes_on_later(
         eventually(lambda: service.health.deliveries >= 150)
     assert first.state[0] == "stopped"
     done = service.health.deliveries
-    assert 150 <= done < len(first) and len(first.acknowledged) == done
+    assert 150 <= done < len(first.messages) and len(first.acknowledged) == done
     second = Acknowledging(record)
     Service({"T1": turbine}, [second], f"sqlite:{path}").run(until_ended=True)
     assert second.acknowledged[0] == str(done + 1)
@@ -99,7 +99,7 @@ def test_a_commit_whose_answer_was_lost_is_not_made_again(
     plain = [*record_messages(record, "T1")]
     rubbish = [(at, {"turbine": "unknown", "time": at}) for at, _ in plain[::10]]
     stream = Acknowledging(record)
-    stream._messages = sorted([*plain, *rubbish], key=lambda one: one[0])
+    stream.messages = sorted([*plain, *rubbish], key=lambda one: one[0])
     service = Service({"T1": turbine}, [stream], store_url)
     lost = []
 

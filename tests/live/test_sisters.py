@@ -9,7 +9,7 @@ import pytest
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.sisters import USUAL, Departures, departures
+from hygrokf.live.fault_isolation import USUAL, Departures, departures
 
 SIGNAL, DAYS = "ambient_temperature", 24
 TIME = 1.6e9 + 3600.0 * np.arange(24 * DAYS)

@@ -20,7 +20,7 @@ from builders.sparkplug_peer import (
     payload,
 )
 
-from hygrokf.live.sources import sparkplug, sparkplug_held, sparkplug_node
+from hygrokf.live.sources import sparkplug, sparkplug_node
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused, Unreadable
 from hygrokf.live.sources.sparkplug import EdgeNodes
@@ -258,7 +258,7 @@ def test_memories_that_cannot_be_read_are_forgotten(content: object) -> None:
     nodes = EdgeNodes()
     nodes.recall({"edge node Farm/N1": content, "sequence of Farm/N1": "x", "batch": 1})
     (node,) = nodes.nodes.values()
-    assert not node.needs_birth and not node.left_s
+    assert node.gap_s is None and not node.unborn and not node.left_s
 
 
 def test_only_changes_are_kept_again(peer: EdgeNode, followed: Followed) -> None:
@@ -322,7 +322,7 @@ def test_topics_of_others(topic: str, ours: bool) -> None:
 def test_numbers_of_nodes_devices_and_held_metrics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sparkplug, "MOST_NODES", 2)
     monkeypatch.setattr(sparkplug_node, "MOST_DEVICES", 2)
-    monkeypatch.setattr(sparkplug_held, "MOST_HELD", 3 * 600)
+    monkeypatch.setattr(sparkplug_node, "MOST_HELD", 3 * 600)
     followed = Followed()
     for number in range(3):
         peer = EdgeNode(name=f"Farm/N{number}", devices={f"W{k}": {NAME: FLOAT} for k in range(3)})

@@ -10,20 +10,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from builders.rejections import counted
 from builders.sparkplug_peer import FLOAT, metric, payload
 from builders.track_case import write_model
 
 from hygrokf.commands.main import main
 from hygrokf.data.quality import VOCABULARIES, QualityVocabulary, stated_vocabulary
 from hygrokf.live.doctor.payloads import as_text, filed, trial
-from hygrokf.live.sources.local import TailedFile
+from hygrokf.live.sources.local import StandardInput, TailedFile
 from hygrokf.live.sources.opcua_samples import Node, sample_of
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Refused
 from hygrokf.live.sources.sparkplug_metrics import Address, Arrived, Table, contents_of
 from hygrokf.live.sources.sparkplug_payload import decode
-from hygrokf.live.sources.standard_input import StandardInput
 from hygrokf.live.sources.stream import Delivery
 
 AT = 1_772_366_400.0
@@ -44,7 +43,7 @@ def read(mapping: PayloadMapping, contents: list[Content], topic: str = "") -> t
         try:
             for of in mapping.read(content, AT + 60.0, topic):
                 readings.update(one.signal for one in of.readings)
-                counts += of.counts
+                counts += counted(of)
         except Refused as refusal:
             counts[refusal.kind] += 1
     return readings, counts

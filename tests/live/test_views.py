@@ -13,7 +13,7 @@ from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health, SourceTimes
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.stream import SourceState, Threaded
+from hygrokf.live.sources.stream import SourceState, Stream
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
@@ -131,7 +131,7 @@ def test_long_courses_are_thinned(store: Store) -> None:
 def test_health() -> None:
     health = Health(deliveries=5)
     health.note([0.01] * 98 + [0.2, 0.5])
-    ended, lost = (Threaded(PayloadMapping({}, revision=one), lambda: T0) for one in ("last", "neither"))
+    ended, lost = (Stream(PayloadMapping({}, revision=one), lambda: T0) for one in ("last", "neither"))
     for stream, url, state in (
         (ended, "stdin", SourceState("ended", "read to its end")), (lost, "tail", SourceState("lost", "")),
     ):  # fmt: skip

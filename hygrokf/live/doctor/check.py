@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from hygrokf.data.timestamps import HOUR_S, duration_text
+from hygrokf.identification.wording import one_line
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
 
@@ -32,19 +34,11 @@ class Check:
 
     def __str__(self) -> str:
         said = f"{self.level:5}  {self.about}: {self.found}" + (f"; to do: {self.remedy}" * bool(self.remedy))
-        return "".join(c if c.isprintable() else " " for c in said)
+        return one_line(said)
 
 
-def ok(about: str, found: str) -> Check:
-    return Check("ok", about, found)
-
-
-def doubt(about: str, found: str, remedy: str) -> Check:
-    return Check("doubt", about, found, remedy)
-
-
-def fault(about: str, found: str, remedy: str) -> Check:
-    return Check("fault", about, found, remedy)
+ok, doubt, fault = (partial(Check, level) for level in LEVELS)
+"""A check of each level: what it is about, what was found, and the remedy."""
 
 
 def lasting(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""The whole examination: clock, files, sources, store, models and page, without changing anything."""
+"""The whole examination: clock, files, sources, store, models, page, channels; changing nothing."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import http.client
 import importlib.util
 import json
 import math
+import secrets
 import socket
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,10 +21,10 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
-from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
-from hygrokf.live.doctor.notification import channel_checks
+from hygrokf.live.doctor.machine import elapsed_from, file_checks, machine_checks
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
+from hygrokf.live.notification.channel import Channel, ChannelFault, Message
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import Reading, Tracker, record_of
@@ -35,6 +37,7 @@ ANSWER_S = 5.0
 """[s] allowed for a page's answer."""
 TRIED_H = 72
 """Length of the readings on which a model is tried [h]."""
+_MEND = "correct [[notify]], or the server; notices wait in the store meanwhile"
 
 
 def examine(
@@ -50,20 +53,20 @@ def examine(
     Sources that send by themselves are observed for `wait_s` [s], all at the same time.  `send_notices`: a
     test message goes to every channel.
     """
-    watch, contents = Watch(), StoreContents()
+    began, contents = elapsed_from(), StoreContents()
     # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
     sources = examine_sources(config.streams, wait_s, lateness_s)
     played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
     of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
     came = {name: set(signals) for name, signals in contents.signals.items()}
-    for one in sources:
-        for turbine, signal in one.statistics.newest:
+    for _, statistics in sources:
+        for turbine, signal in statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
-        *machine_checks(watch, contents.received_s),
+        *machine_checks(began, contents.received_s),
         *(file_checks(file) if file is not None else ()),
-        *(check for one in sources for check in one.checks),
+        *(check for checks, _ in sources for check in checks),
         *of_store,
         *model_checks(config.turbines, config.streams, came),
         *(page_checks(config.page) if with_page else ()),
@@ -117,22 +120,38 @@ def _page_says(settings: PageSettings) -> str | None:
     return "" if found.get("ok") is True else str(found.get("fault"))[:200]
 
 
+def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
+    """Check channels, all at the same time; `send`: with a test message to each."""
+    if not channels:
+        return []
+    with ThreadPoolExecutor(min(len(channels), 8)) as pool:
+        found = pool.map(lambda one: list(_channel_checks(one, send)), channels)
+        return [check for checks in found for check in checks]
+
+
+def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
+    about = f"notify {channel.name}"
+    for caution in channel.transport.cautions():
+        yield doubt(about, caution, "use TLS and a secret where others could listen")
+    try:
+        yield ok(about, f"{channel.transport.where}: {channel.transport.probe()}")
+        if send:
+            channel.transport.send(Message(secrets.token_hex(16)))  # without contents it is a test
+            yield ok(about, "a test message was accepted")
+    except ChannelFault as found:
+        yield fault(about, str(found), _MEND)
+
+
 def as_text(checks: list[Check]) -> str:
-    """One line per check, and the number of checks at each level."""
-    return "\n".join([*map(str, checks), summary(checks)])
+    """One line per check, and the number of checks at each level with a conclusion."""
+    counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
+    said = "ready to track" if worst(checks) != "fault" else "fix the faults first"
+    return "\n".join([*map(str, checks), f"{', '.join(counts)}: {said}"])
 
 
 def as_data(checks: list[Check]) -> JsonObject:
     """The checks as JSON data."""
     return {"level": worst(checks), "checks": [asdict(one) for one in checks]}
-
-
-def summary(checks: list[Check]) -> str:
-    """The number of checks at each level, and a conclusion."""
-    counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
-    return f"{', '.join(counts)}: " + (
-        "ready to track" if worst(checks) != "fault" else "fix the faults first"
-    )
 
 
 # -- models --------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import ctypes
 import os
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +26,6 @@ CERTIFICATES = ("certificate", "ca", "server_certificate")
 SECRETS = ("key", "password_file", "token_file", "secret_file")
 
 
-@dataclass(frozen=True)
-class Watch:
-    """Compares this machine's clock with elapsed time, from its creation on."""
-
-    begin: float = field(default_factory=lambda: time.time() - time.monotonic())
-
-    @property
-    def jump_s(self) -> float:
-        """[s] by which the clock has been set since then."""
-        return time.time() - time.monotonic() - self.begin
-
-
 def synchronised() -> bool | None:
     """Whether this machine's clock is synchronised according to the kernel; None if unknown."""
     try:
@@ -48,9 +36,15 @@ def synchronised() -> bool | None:
     return None if state < 0 else state != _ERROR
 
 
-def machine_checks(watch: Watch, received_s: float) -> Iterator[Check]:
-    """Check this machine's clock; `received_s`: arrival of the store's newest reading [s], −∞ if unknown."""
-    jump_s, known, before = watch.jump_s, synchronised(), time.time() - received_s
+def elapsed_from() -> float:
+    """The time [s since 1970] at which elapsed time began, by this machine's clock as it is now."""
+    return time.time() - time.monotonic()
+
+
+def machine_checks(began: float, received_s: float) -> Iterator[Check]:
+    """Check this machine's clock; `began`: `elapsed_from` at the start of the examination [s]; `received_s`:
+    arrival of the store's newest reading [s], −∞ if unknown."""
+    jump_s, known, before = elapsed_from() - began, synchronised(), time.time() - received_s
     if abs(jump_s) > JUMP_S:
         yield doubt("clock", f"it jumped by {jump_s:+.1f} s during this examination", _SET)
     if before < -CLOSE_S:

@@ -1,5 +1,5 @@
 """Checks of an MQTT broker from the tracker's point of view: connection, permissions, and messages within a
-given time.
+given time; and of Sparkplug edge nodes on it: whether births explain what arrives.
 
 The doctor listens in its own temporary session and neither takes over the tracker's session nor reads from
 it.
@@ -11,9 +11,10 @@ import queue
 import secrets
 import ssl
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
@@ -21,9 +22,11 @@ from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities,
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload_formats import Content
+from hygrokf.live.sources.payload_formats import Content, Unreadable
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
-from hygrokf.live.sources.stream import SourceFault
+from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
+from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
+from hygrokf.live.sources.stream import SourceFault, several
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -31,17 +34,10 @@ if TYPE_CHECKING:
 ANSWER_S = 10.0
 """[s] allowed for a broker to accept the client and answer its subscription."""
 REACH = "check url, user, password and certificates of this [[source]], and that the broker runs"
+KEPT = (
+    "edge nodes publish at QoS 0: let the broker keep it for sessions (mosquitto: queue_qos0_messages true)"
+)
 SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
-
-
-@dataclass
-class MessageCounts:
-    """Numbers of messages under one filter: `live`, of these `unkept` (published at QoS 0), and
-    `retained`."""
-
-    live: int = 0
-    unkept: int = 0
-    retained: int = 0
 
 
 class Listener(Link):
@@ -66,39 +62,26 @@ class Listener(Link):
                 self.messages.put((message, time.time()))
 
 
-def as_it_is(topic: str, payload: bytes, received: float) -> Sequence[Content]:
-    """The contents of a message that is one payload."""
-    return [payload]
-
-
 def mqtt_checks(
     source: Mqtt,
     statistics: PayloadStatistics,
     wait_s: float,
     lateness_s: float,
-    contents: Callable[[str, bytes, float], Sequence[Content]] = as_it_is,
+    contents: Callable[[str, bytes, float], Sequence[Content]] | None = None,
     keep: str = "publish at QoS 1",
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics.
 
-    contents: gives the payloads of a message (topic, payload, time of arrival [s]); `keep`: what to do where
-    the broker does not keep the messages.
+    contents: gives the payloads of a message (topic, payload, time of arrival [s]), None for the reader of
+    the source; `keep`: what to do where the broker does not keep the messages.
     """
     broker, mapping = source.broker, source.mapping
     about = f"source {broker.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
-    link = Listener(doctor_session(broker))
-    try:
-        try:
-            link.open()
-        except SourceFault as error:
-            link.lose(str(error))
-        except Exception as error:  # of any kind: it is reported
-            link.lose(unreachable(error, broker.where))
-        await_answer(link)
+    with listening(doctor_session(broker)) as link:
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
@@ -108,19 +91,17 @@ def mqtt_checks(
             f"connected{' by TLS' if broker.tls else ''}{f' as user {broker.user}' if broker.user else ''}",
         )
         yield from _certificate(link, about)
-        retained = PayloadStatistics(mapping)
+        retained, read = PayloadStatistics(mapping), contents or source.reader()
 
         def take(message: MQTTMessage, came: float) -> None:
             payload = bytes(message.payload[: source.largest + 1])
-            for content in contents(message.topic, payload, came):
+            for content in read(message.topic, payload, came):
                 (retained if message.retain else statistics).take(content, came, message.topic)
 
         heard = _count_messages(link, take, wait_s)
         if link.lost.is_set():
             yield fault(about, f"the connection was lost: {link.reason}", REACH)
         denied = link.denied
-    finally:
-        link.close()
     for topics, one in heard.items():
         yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
     if retained.payloads and not statistics.payloads:
@@ -145,11 +126,23 @@ def plain_filter(topics: str) -> str:
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
-def await_answer(link: Link) -> None:
-    """Wait until the broker has answered the subscription or the link is lost."""
-    end = time.monotonic() + ANSWER_S
-    while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
-        link.lost.wait(0.02)
+@contextmanager
+def listening(broker: Broker) -> Iterator[Listener]:
+    """A link within this context, once the broker has answered the subscription or the link is lost."""
+    link = Listener(broker)
+    try:
+        try:
+            link.open()
+        except SourceFault as error:
+            link.lose(str(error))
+        except Exception as error:  # of any kind: it is reported
+            link.lose(unreachable(error, broker.where))
+        end = time.monotonic() + ANSWER_S
+        while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
+            link.lost.wait(0.02)
+        yield link
+    finally:
+        link.close()
 
 
 def _certificate(link: Link, about: str) -> Iterator[Check]:
@@ -166,12 +159,12 @@ def _certificate(link: Link, about: str) -> Iterator[Check]:
 
 def _count_messages(
     link: Listener, take: Callable[[MQTTMessage, float], None], wait_s: float
-) -> dict[str, MessageCounts]:
+) -> dict[str, Counter[str]]:
     """Take messages with their times of arrival [s] for `wait_s` [s]; returns their numbers under each
-    filter."""
+    filter: "live", of these "unkept" (published at QoS 0), and "retained"."""
     from paho.mqtt.client import topic_matches_sub
 
-    heard = {topics: MessageCounts() for topics in link.broker.topics}
+    heard = {topics: Counter[str]() for topics in link.broker.topics}
     end = time.monotonic() + wait_s
     while (left := end - time.monotonic()) > 0.0:
         with suppress(queue.Empty):
@@ -181,14 +174,13 @@ def _count_messages(
             message, came = found
             for topics, one in heard.items():
                 if topic_matches_sub(topics, message.topic):
-                    one.retained += message.retain
-                    one.live += not message.retain
-                    one.unkept += not message.retain and message.qos == 0
+                    one["retained" if message.retain else "live"] += 1
+                    one["unkept"] += not message.retain and message.qos == 0
             take(message, came)
     return heard
 
 
-def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: float, keep: str) -> Check:
+def _filter_check(about: str, one: Counter[str], denied: str | None, wait_s: float, keep: str) -> Check:
     within = f"within {lasting(wait_s)}"
     if denied is not None:
         return fault(
@@ -196,17 +188,61 @@ def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: fl
             f"the broker denies the subscription: {denied}",
             "give this user the right to read the topic",
         )
-    if one.live and one.unkept:
+    if one["live"] and one["unkept"]:
         return doubt(
             about,
-            f"{one.live} messages {within}, {one.unkept} of them published at QoS 0, which the broker "
+            f"{one['live']} messages {within}, {one['unkept']} of them published at QoS 0, which the broker "
             "does not keep while the tracker is not running",
             keep,
         )
-    if one.live:
-        return ok(about, f"granted; {one.live} messages {within}")
-    if one.retained:
-        return doubt(about, f"granted; nothing new {within}, only {one.retained} retained messages", SILENT)
+    if one["live"]:
+        return ok(about, f"granted; {one['live']} messages {within}")
+    if one["retained"]:
+        return doubt(
+            about, f"granted; nothing new {within}, only {one['retained']} retained messages", SILENT
+        )
     return doubt(
         about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
     )
+
+
+# -- Sparkplug -----------------------------------------------------------------------------------------------
+def sparkplug_checks(
+    source: Sparkplug, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+) -> Iterator[Check]:
+    """The checks of the broker, then those of the edge nodes heard within `wait_s` [s].
+
+    The doctor knows only births within this time, so that it does not judge values by other aliases.
+    """
+    nodes = EdgeNodes()
+    read = source.reader(nodes)
+
+    def contents(topic: str, payload: bytes, received: float) -> Sequence[Content]:
+        found = read(topic, payload, received)
+        return [one for one in found if not (isinstance(one, Unreadable) and one.kind in UNEXPLAINED)]
+
+    yield from mqtt_checks(source, statistics, wait_s, lateness_s, contents, KEPT)
+    for node in nodes.nodes.values():
+        node.look(time.time())
+    about = f"source {source.url}"
+    within = f"within {lasting(wait_s)}"
+    gaps = [name for name, node in nodes.nodes.items() if node.gap_s is not None]
+    unborn = [name for name in nodes.without_birth() if name not in gaps]
+    left = [name for name, node in nodes.nodes.items() if "" in node.left_s]
+    sound = [name for name in nodes.nodes if name not in (*gaps, *unborn, *left)]
+    if sound:
+        yield ok(about, f"every message is explained, of edge nodes {several(sound)}")
+    if gaps:
+        yield doubt(
+            about,
+            f"messages are missing in the sequence of {several(gaps)}",
+            "look for a bad connection of the edge node, and for two that bear one name",
+        )
+    if unborn:
+        yield doubt(
+            about,
+            f"values came by aliases, but no birth certificate {within}, of {several(unborn)}",
+            f"if the tracker does not know these either: {ASK}, or set rebirth_requests = true",
+        )
+    if left:
+        yield doubt(about, f"a death certificate came {within}, of {several(left)}", "check the edge node")

@@ -20,14 +20,15 @@ from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
-from hygrokf.live.doctor.mqtt import Listener, await_answer, doctor_session
-from hygrokf.live.sources.broker import filter_fault, unreachable
+from hygrokf.identification.wording import one_line
+from hygrokf.live.doctor.mqtt import doctor_session, listening
+from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
 from hygrokf.live.sources.payload_statistics import PayloadStatistics
-from hygrokf.live.sources.stream import SourceFault, Stream
+from hygrokf.live.sources.stream import Delivery, Stream
 from hygrokf.live.tracker import Reading
 
 MOST = 20
@@ -91,15 +92,6 @@ class Trial:
 
 
 # -- where the payloads come from ----------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Arrived:
-    """A payload to be tried, and when it was `received` [s]."""
-
-    content: Content
-    received: float
-    topic: str = ""
-
-
 def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Trial]:
     """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
 
@@ -132,7 +124,7 @@ def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
         raise TrialFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
 
 
-def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
+def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
     """The payloads of a file, perhaps packed: one JSON text, or one payload or row a line.
 
     Where the mapping reads levels of the topic, each line is `TOPIC PAYLOAD`, as `mosquitto_sub -v` prints
@@ -147,7 +139,7 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
         if len(start) <= UNPACKED and mapping.form == JSON and start.lstrip()[:1] in (b"{", b"["):
             with suppress(ValueError, RecursionError):
                 decoded(start)
-                yield Arrived(start, now)
+                yield Delivery(start, now)
                 return
         file.seek(0)
         lines = Lines(mapping.form if not mapping.needs_topic else "line")
@@ -158,20 +150,12 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Arrived]:
             topic = ""
             if mapping.needs_topic and isinstance(content, str):
                 topic, _, content = content.partition(" ")
-            yield Arrived(content, now, topic)
+            yield Delivery(content, now, topic)
 
 
-def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
+def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
     """The messages at a topic within `wait_s` [s], retained ones included.  Raises TrialFault."""
-    link = Listener(replace(doctor_session(source.broker), topics=(topic,), alarms=""))
-    try:
-        try:
-            link.open()
-        except SourceFault as fault:
-            link.lose(str(fault))
-        except Exception as fault:  # of any kind: it is reported
-            link.lose(unreachable(fault, source.broker.where))
-        await_answer(link)
+    with listening(replace(doctor_session(source.broker), topics=(topic,), alarms="")) as link:
         if link.lost.is_set() or not link.answered or link.denied:
             words = link.reason or f"{source.broker.where} has not answered"
             raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
@@ -184,13 +168,11 @@ def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Arrived]:
                 message, came = found
                 payload = bytes(message.payload[: source.largest + 1])
                 for content in contents(message.topic, payload, came):
-                    yield Arrived(content, came, message.topic)
-    finally:
-        link.close()
+                    yield Delivery(content, came, message.topic)
 
 
 # -- what they give ------------------------------------------------------------------------------------------
-def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Arrived]) -> Trial:
+def trial(sources: tuple[str, ...], mapping: PayloadMapping, payloads: Iterable[Delivery]) -> Trial:
     """Read payloads by a mapping."""
     statistics = PayloadStatistics(mapping)
     shown: list[TriedPayload] = []
@@ -237,7 +219,7 @@ def as_text(trials: Sequence[Trial]) -> str:
             lines.append(f"  … and {one.count - len(one.payloads)} more")
         unused = f"; not used: {one.rejected}" if one.rejected else ""
         lines.append(f"  {one.used} of {one.count} payloads gave readings{unused}")
-    return "\n".join("".join(c if c.isprintable() else " " for c in line) for line in lines)
+    return "\n".join(map(one_line, lines))
 
 
 def as_data(trials: Sequence[Trial]) -> JsonObject:

@@ -9,13 +9,13 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
 from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.sqlite import path_of
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine, digest
 
@@ -42,7 +42,11 @@ def store_checks(
     try:
         store = open_store(url, read_only=True)
     except StoreUnready:
-        yield _before_the_start(url)
+        if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
+            said = f"{path_of(url).parent} is not writable"
+            yield fault("store", said, "check the folder's permissions")
+        else:
+            yield ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
         return
     except StoreFault as error:
         yield fault("store", *_finding_and_remedy(str(error)))
@@ -66,17 +70,6 @@ def _finding_and_remedy(words: str) -> tuple[str, str]:
     one."""
     found, _, remedy = words.partition("; ")
     return found, remedy or REACH
-
-
-def _before_the_start(url: str) -> Check:
-    if url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
-        return fault("store", f"{path_of(url).parent} is not writable", "check the folder's permissions")
-    return ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
-
-
-def path_of(url: str) -> Path:
-    """Path of an SQLite store's file."""
-    return Path(url.removeprefix("sqlite:").removeprefix("//"))
 
 
 def _contents(

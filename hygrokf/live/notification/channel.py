@@ -1,4 +1,5 @@
-"""A channel: where notices go, which alarms it covers, and how long an alarm must stand before it is sent."""
+"""A channel: where notices go, which alarms it covers, how long an alarm must stand before it is sent; and
+its messages in words."""
 
 from __future__ import annotations
 
@@ -7,13 +8,17 @@ import math
 import socket
 import ssl
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
+from hygrokf.identification.wording import one_line
 from hygrokf.live.batch import Alarm
 
 if TYPE_CHECKING:
@@ -26,6 +31,9 @@ BEGAN, WORSENED, ENDED = "began", "worsened", "ended"
 ACKNOWLEDGED, DUE_AGAIN = "acknowledged", "due again"
 OPENING = (BEGAN, WORSENED, DUE_AGAIN)
 """Events that announce an open alarm; the others are sent only if one of these was."""
+LONGEST_SUBJECT = 150
+"""Longest subject [characters]."""
+TEST = "test message: notices of this tracker arrive here"
 LONGEST_REASON = 200
 """[characters] of a server's answer that are shown."""
 
@@ -37,7 +45,7 @@ class ChannelFault(HygrokfError):
     """
 
     def __init__(self, words: str, reached: bool = False) -> None:
-        shown = "".join(c if c.isprintable() else " " for c in words)
+        shown = one_line(words)
         super().__init__(shown if len(shown) <= LONGEST_REASON else f"{shown[: LONGEST_REASON - 1]}…")
         self.reached = reached
 
@@ -72,6 +80,64 @@ class Message:
         """A new message, whose key is a digest of its notices' ids."""
         key = hashlib.sha256("\n".join(sorted(contents)).encode()).hexdigest()[:32]
         return cls(key, {name: replace(one, message=key) for name, one in contents.items()})
+
+
+def subject(message: Message) -> str:
+    """One line that says what a message is about."""
+    contents = list(message.contents.values())
+    if not contents:
+        return f"[hygrokf] {TEST}"
+    if len(contents) == 1:
+        said = headline(contents[0])
+    else:
+        events = Counter(one.event for one in contents)
+        said = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
+    return one_line(f"[hygrokf] {said}")[:LONGEST_SUBJECT]
+
+
+def headline(content: Content) -> str:
+    """One line about one alarm."""
+    alarm = content.alarm
+    whose = alarm.turbine or "tracker"
+    word = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
+    return one_line(f"{whose}: {alarm.kind} ({word}{content.event})")
+
+
+def text(message: Message) -> str:
+    """The message for people, the most severe and newest contents last."""
+    if not message.contents:
+        return f"{TEST}\n"
+    in_order = sorted(message.contents.values(), key=lambda one: (one.alarm.began, one.alarm.id))
+    return "\n\n".join(map(_paragraph, in_order)) + "\n"
+
+
+def _paragraph(content: Content) -> str:
+    alarm = content.alarm
+    lines = [headline(content), f"  {one_line(alarm.statement)}"]
+    if content.event == ENDED and alarm.ended is not None:
+        lines.append(f"  from {stamp_text(alarm.began)} to {stamp_text(alarm.ended)}")
+    else:
+        lines.append(f"  since {stamp_text(alarm.began)}")
+    if content.event == ACKNOWLEDGED:
+        note = f": {alarm.note}" if alarm.note else ""
+        lines.append(one_line(f"  {alarm.cause} – {alarm.acknowledged_by}{note}"))
+        if alarm.look_again is not None:
+            lines.append(f"  due again {stamp_text(alarm.look_again)}")
+    elif content.event != ENDED and alarm.remedy:
+        lines.append(f"  to do: {one_line(alarm.remedy)}")
+    return "\n".join(lines)
+
+
+def data(message: Message) -> JsonObject:
+    """The message for machines; the same at every attempt."""
+    return {
+        "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
+        "text": text(message),
+        "notices": [
+            {"id": name, "event": one.event, "alarm": asdict(one.alarm)}
+            for name, one in message.contents.items()
+        ],
+    }
 
 
 class Transport(Protocol):

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from email.utils import parseaddr
+from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 from urllib.parse import unquote, urlsplit
 
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.live.alarms import RULES
-from hygrokf.live.notification.channel import Channel, ChannelFault, Transport
+from hygrokf.live.notification.channel import Channel, ChannelFault
 from hygrokf.live.notification.mail import Mail
 from hygrokf.live.notification.notices import SEVERITIES
 from hygrokf.live.notification.webhook import Webhook
-from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, password_of
+from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, Address, password_of
 from hygrokf.live.sources.stream import SourceFault
 
 LONGEST_NAME = 40
@@ -31,14 +32,6 @@ def _is_address(text: str) -> bool:
     address = parseaddr(text)[1]
     user, at, host = address.rpartition("@")
     return bool(user and at and host) and text.isprintable() and text.isascii() and " " not in address
-
-
-def _kinds(value: object) -> tuple[str, ...]:
-    return _of(value, tuple(RULES))
-
-
-def _severities(value: object) -> tuple[str, ...]:
-    return _of(value, SEVERITIES)
 
 
 def _of(value: object, choices: tuple[str, ...]) -> tuple[str, ...]:
@@ -71,16 +64,10 @@ class ChannelForm:
         0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
         expected="at most 1 d",
     )  # fmt: skip
-    kinds: tuple[str, ...] = setting((), "kinds of alarms", read=_kinds)
-    severities: tuple[str, ...] = setting((), "severities of alarms", read=_severities)
+    kinds: tuple[str, ...] = setting((), "kinds of alarms", read=partial(_of, choices=tuple(RULES)))
+    severities: tuple[str, ...] = setting((), "severities of alarms", read=partial(_of, choices=SEVERITIES))
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")
-
-    def channel(self, transport: Transport) -> Channel:
-        """The channel that delivers by a transport."""
-        return Channel(
-            self.name, transport, self.hold_off_s, self.digest_s, self.kinds, self.severities, self.turbines
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,22 +182,12 @@ def channel_of(
     made = None
     if not own.faults:
         try:
-            made = form.channel(form.transport(folder))
+            transport, covered = form.transport(folder), (form.kinds, form.severities, form.turbines)
+            made = Channel(form.name, transport, form.hold_off_s, form.digest_s, *covered)
         except (SourceFault, ChannelFault) as fault:
             own.fault(str(fault))
     place.faults.extend(own.faults)
     return None if own.faults else made
-
-
-class Address(NamedTuple):
-    """The parts of a channel's URL, and what is wrong with it."""
-
-    scheme: str
-    host: str
-    port: int
-    user: str
-    path: str
-    fault: str | None = None
 
 
 def _address(url: str) -> Address:
@@ -222,9 +199,9 @@ def _address(url: str) -> Address:
         parts = urlsplit(url)
         host, port = parts.hostname or "", parts.port
     except ValueError:
-        return Address(scheme, "", default, "", "/", f"{expected}, with a port of 1 to 65535")
+        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
     if parts.password is not None:
-        return Address(scheme, host, default, "", "/", f"url: {NO_PASSWORD_HERE}")
+        return Address(scheme, host, default, fault=f"url: {NO_PASSWORD_HERE}")
     fault = None
     if not host or not url.isascii() or not url.isprintable() or " " in url or parts.fragment:
         fault = expected

@@ -19,8 +19,7 @@ from email.policy import SMTP
 from email.utils import formatdate, parseaddr
 from pathlib import Path
 
-from hygrokf.live.notification.channel import ChannelFault, Message, ended_after, tls_context
-from hygrokf.live.notification.wording import subject, text
+from hygrokf.live.notification.channel import ChannelFault, Message, ended_after, subject, text, tls_context
 from hygrokf.live.sources.broker import unreachable
 from hygrokf.live.sources.endpoint import bracketed, is_loopback, password_of
 from hygrokf.live.sources.stream import SourceFault
@@ -80,7 +79,11 @@ class Mail:
                     self._log_in(smtp)
                     yield smtp
                 finally:
-                    _leave(smtp)
+                    with suppress(Exception):  # what the server says to the end changes nothing
+                        if smtp.sock is not None:
+                            smtp.sock.settimeout(2.0)
+                            smtp.quit()
+                    smtp.close()
         except ChannelFault:
             raise
         except SourceFault as fault:
@@ -132,33 +135,19 @@ class Mail:
         if len(refused) == len(self.to) or (temporary and message.attempts < PATIENT):
             shown = "; ".join(f"{one} ({_answer(*answer)})" for one, answer in refused.items())
             raise ChannelFault(f"{self.where}: it refuses {shown}", reached=True)
-        code, said = smtp.data(as_mail(self, message).as_bytes())
+        made = EmailMessage(policy=SMTP)
+        made["From"] = self.sender
+        made["To"] = ", ".join(self.to)
+        made["Subject"] = subject(message)
+        made["Date"] = formatdate()
+        made["Message-ID"] = f"<{message.key}@{parseaddr(self.sender)[1].rpartition('@')[2]}>"
+        made["Auto-Submitted"] = "auto-generated"
+        made.set_content(text(message), cte="base64")
+        code, said = smtp.data(made.as_bytes())
         if code != 250:
             raise ChannelFault(f"{self.where}: it refuses the message: {_answer(code, said)}", reached=True)
-
-
-def as_mail(mail: Mail, message: Message) -> EmailMessage:
-    """A message as a mail in plain text."""
-    made = EmailMessage(policy=SMTP)
-    made["From"] = mail.sender
-    made["To"] = ", ".join(mail.to)
-    made["Subject"] = subject(message)
-    made["Date"] = formatdate()
-    made["Message-ID"] = f"<{message.key}@{parseaddr(mail.sender)[1].rpartition('@')[2]}>"
-    made["Auto-Submitted"] = "auto-generated"
-    made.set_content(text(message), cte="base64")
-    return made
 
 
 def _answer(code: int, said: bytes | str) -> str:
     words = said.decode("utf-8", "replace") if isinstance(said, bytes) else said
     return f"{code} {words}"
-
-
-def _leave(smtp: smtplib.SMTP) -> None:
-    """End the connection; what the server says to that changes nothing."""
-    with suppress(Exception):
-        if smtp.sock is not None:
-            smtp.sock.settimeout(2.0)
-            smtp.quit()
-    smtp.close()

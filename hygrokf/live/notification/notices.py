@@ -1,4 +1,5 @@
-"""Notices of alarms: which are written when an alarm changes, and what becomes of one that is due.
+"""Notices of alarms: which are written when an alarm changes or is acknowledged, and what becomes of one that
+is due.
 
 A notice is written in the transaction that writes the alarm, so that none is lost.  Whether it is sent is
 decided when it is due: an alarm that has ended within its hold-off is not, and the end of an alarm only if
@@ -8,12 +9,13 @@ its beginning was.  Its id consists of channel, alarm and event, so that it is w
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.batch import Alarm, Notice
+from hygrokf.live.batch import Alarm, Batch, Notice
 from hygrokf.live.notification.channel import (
     ACKNOWLEDGED,
     BEGAN,
@@ -24,6 +26,8 @@ from hygrokf.live.notification.channel import (
     Channel,
     Content,
 )
+from hygrokf.live.storage.outbox import alarm_of
+from hygrokf.live.storage.store import Store
 
 PAST_S = DAY_S
 """[s] after its beginning from which a new alarm counts as one of the past: the tracker is catching up."""
@@ -31,6 +35,8 @@ CATCH_UP_S = 600.0
 """[s] an alarm of the past waits, so that its end is known if it has ended."""
 SHELVED_S = 60.0
 """[s] after which a shelved alarm is looked at again."""
+LOOK_AGAIN = "look again"
+"""The cause of an acknowledgement that holds for some days only."""
 SEVERITIES = ("notice", "warning", "alarm")
 """Severities of an alarm, the lowest first."""
 
@@ -53,20 +59,50 @@ def notices_of(
     ]
 
 
-def acknowledgement(alarm: Alarm, channels: Iterable[Channel], now: float) -> list[Notice]:
-    """Notices of an acknowledged alarm."""
-    return [_notice(one, alarm, ACKNOWLEDGED, now, now) for one in channels if one.concerns(alarm)]
+def acknowledge(
+    store: Store,
+    alarm: str,
+    by: str,
+    now: float,
+    cause: str,
+    note: str = "",
+    look_again_s: float | None = None,
+    channels: Sequence[Channel] = (),
+) -> str | None:
+    """Acknowledge an alarm at `now` [s]; returns its turbine, None if it cannot be acknowledged (any more).
+
+    `look_again_s`: time [s] at which it is due again.
+    """
+    found = alarm_of(store, alarm)
+    if found is None:
+        return None
+    known = replace(
+        found, acknowledged=now, acknowledged_by=by, cause=cause, note=note, look_again=look_again_s
+    )
+    at = time.time()
+    notices = [_notice(one, known, ACKNOWLEDGED, at, at) for one in channels if one.concerns(known)]
+    done = store.acknowledge(alarm, by, now, cause, note, look_again_s, notices)
+    return found.turbine if done else None
 
 
-def due_again(alarm: Alarm, look_again: float, channels: Iterable[Channel], now: float) -> list[Notice]:
-    """Notices of an alarm that is unacknowledged again because it is due to be looked at since `look_again`
-    [s]."""
-    return [
-        replace(made, id=f"{prefix(one.name, alarm.id)}{DUE_AGAIN} {look_again:.0f}")
-        for one in channels
-        if one.covers(alarm)
-        for made in [_notice(one, alarm, DUE_AGAIN, now, now)]
-    ]
+def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
+    """Open alarms that are due at `now` [s] to be looked at again: unacknowledged, with their notices."""
+    batch, at = Batch(), time.time()
+    rest = "WHERE ended IS NULL AND acknowledged IS NOT NULL AND look_again <= ? ORDER BY look_again, id"
+    for alarm in store.found(Alarm, rest, (now,)):
+        assert alarm.look_again is not None, "that is how they are found"
+        # cause and note of the last acknowledgement stay
+        back = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
+        batch.reopened.append(back)
+        batch.notices += [
+            replace(
+                _notice(one, back, DUE_AGAIN, at, at),
+                id=f"{prefix(one.name, back.id)}{DUE_AGAIN} {alarm.look_again:.0f}",
+            )
+            for one in channels
+            if one.covers(back)
+        ]
+    return batch
 
 
 def _notice(channel: Channel, alarm: Alarm, event: str, now: float, record_now: float) -> Notice:
@@ -163,17 +199,13 @@ def _decide_opening(
             return Drop("it ended within the hold-off")
         if known.record_now - alarm.ended > PAST_S:
             return Drop("it was over before the tracker had caught up")
-    before = [content_of(one).alarm.severity for one in known.others if is_opening(one) and delivered(one)]
+    told = (content_of(one) for one in known.others if delivered(one))
+    before = [one.alarm.severity for one in told if one.event in OPENING]
     if content.event == BEGAN and before:
         if max(map(SEVERITIES.index, before)) >= SEVERITIES.index(content.alarm.severity):
             return Drop("a severer notice was sent")
         return Send(replace(content, event=WORSENED))
     return Send(content)
-
-
-def is_opening(notice: Notice) -> bool:
-    """Whether a notice announces an open alarm."""
-    return content_of(notice).event in OPENING
 
 
 def delivered(notice: Notice) -> bool:

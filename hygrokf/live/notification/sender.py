@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import logging
 import math
-import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Notice
 from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import (
@@ -30,6 +27,7 @@ from hygrokf.live.notification.notices import (
     decide,
     prefix,
 )
+from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 
@@ -52,25 +50,17 @@ STOP_S = 5.0
 """[s] a stopped sender has for what is due; an exchange in progress may take longer."""
 
 
-@dataclass
-class Delivery:
-    """Counts of a channel; `failure`: why its last attempt failed, empty if it did not."""
-
-    sent: int = 0
-    dropped: int = 0
-    failures: int = 0
-    failure: str = ""
-
-
 class Sender:
     """Sends the notices of one channel until it is stopped.
 
-    `record_now` gives the time [s] of the readings, against which shelves are judged.
+    `record_now` gives the time [s] of the readings, against which shelves are judged.  `failures`: number of
+    failed attempts; `failure`: why the last attempt failed, empty if it did not.
     """
 
     def __init__(self, channel: Channel, store_url: str, record_now: Callable[[], float] = time.time) -> None:
         self.channel = channel
-        self.delivery = Delivery()
+        self.failures = 0
+        self.failure = ""
         self._store_url = store_url
         self._record_now = record_now
         self._store: Store | None = None
@@ -200,7 +190,6 @@ class Sender:
                 postponed.append((notice.id, found.until))
         outbox.drop(store, dropped, now)
         outbox.postpone(store, postponed)
-        self.delivery.dropped += len(dropped)
         return sent
 
     def _collected(self, contents: dict[str, Content]) -> list[dict[str, Content]]:
@@ -221,7 +210,11 @@ class Sender:
         try:
             self.channel.transport.send(message)
         except ChannelFault as fault:
-            self._note_failure(str(fault))
+            self.failures += 1
+            if str(fault) != self.failure:  # log once, not at every attempt
+                said = {"channel": self.channel.name, "reason": str(fault)}
+                LOG.warning("a message was not sent", extra=said)
+            self.failure = str(fault)
             again = time.time() + pause_s(message.attempts + 1, BACK_OFF_S)
             self._refusals += 1
             going_on = fault.reached and self._refusals < REFUSALS and not self._ending.is_set()
@@ -231,10 +224,9 @@ class Sender:
             return going_on
         self._refusals = 0
         self._accepted.append((names, now))
-        if self.delivery.failure:
+        if self.failure:
             LOG.info("notices pass again", extra={"channel": self.channel.name})
-        self.delivery.failure = ""
-        self.delivery.sent += 1
+        self.failure = ""
         self._mark_accepted(store)
         return True
 
@@ -245,22 +237,10 @@ class Sender:
             outbox.mark_sent(store, names, at)
             del self._accepted[0]
 
-    def _note_failure(self, said: str) -> None:
-        self.delivery.failures += 1
-        if said != self.delivery.failure:  # log once, not at every attempt
-            LOG.warning("a message was not sent", extra={"channel": self.channel.name, "reason": said})
-        self.delivery.failure = said
-
     def _give_up(self, store: Store, message: Message) -> None:
-        reason = f"given up after {message.attempts} attempts: {self.delivery.failure}"
+        reason = f"given up after {message.attempts} attempts: {self.failure}"
         outbox.drop(store, [(name, reason) for name in message.contents], time.time())
-        self.delivery.dropped += len(message.contents)
         LOG.error(
             "a message was given up",
             extra={"channel": self.channel.name, "notices": len(message.contents), "reason": reason},
         )
-
-
-def send_test(channel: Channel) -> None:
-    """Send a test message.  Raises ChannelFault."""
-    channel.transport.send(Message(secrets.token_hex(16)))

@@ -19,8 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hygrokf.live.notification.channel import ChannelFault, Message, ended_after, tls_context
-from hygrokf.live.notification.wording import data
+from hygrokf.live.notification.channel import ChannelFault, Message, data, ended_after, tls_context
 from hygrokf.live.sources.broker import unreachable
 from hygrokf.live.sources.endpoint import bracketed, is_loopback, password_of
 from hygrokf.live.sources.stream import SourceFault

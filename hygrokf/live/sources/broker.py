@@ -1,5 +1,4 @@
-"""An MQTT broker as configured in the tracker's file: address, topics, session, user and TLS; and why a
-connection to it fails, in plain words.
+"""An MQTT broker: address, topics, session, user and TLS; and why a connection to it fails, in plain words.
 
 A password is kept in a file or an environment variable, never in the tracker's file or a URL.  Passwords and
 certificates are read again for every connection, so that a renewed one needs no restart.
@@ -7,38 +6,28 @@ certificates are read again for every connection, so that a renewed one needs no
 
 from __future__ import annotations
 
-import hashlib
 import os
 import socket
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import quote
 
-from hygrokf.data.timestamps import DAY_S, duration
-from hygrokf.data.toml_form import Place, across, setting
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import (
-    NO_PASSWORD_HERE,
     OTHERS_READ,
     bracketed,
     is_loopback,
     password_of,
 )
-from hygrokf.live.sources.stream import SourceFault, SourceKeys
+from hygrokf.live.sources.stream import SourceFault
 
-PORTS = {"mqtt": 1883, "mqtts": 8883}
-"""Scheme of a URL -> default port."""
 EXPIRY_S = 7.0 * DAY_S
 """[s] a broker keeps the session of a disconnected tracker."""
-LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
 LONGEST_TOPIC = 65_535
 """Longest topic [bytes in UTF-8]."""
-LONGEST_NAME = 100
-_TLS = ("ca", "certificate", "key")
-_TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
 _CERTIFICATE_ERRORS = {
     9: "its certificate is not valid yet: compare the clocks",
     10: "its certificate has expired",
@@ -195,150 +184,6 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
     name = alarm.id.removeprefix(f"{alarm.turbine}:").rpartition(":")[0]
     kind = name if name.startswith(alarm.kind) else alarm.kind
     return f"{prefix}/{quote(alarm.turbine, safe='')}/{quote(kind.replace(' ', '_'), safe='')}"
-
-
-# -- from the tracker's file ---------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class BrokerForm(SourceKeys):
-    """A [[source]] that is an MQTT broker."""
-
-    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
-    url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
-    topics: tuple[str, ...] = setting((), "topic filters", expected=_TOPICS, empty=True)
-    alarms: str = setting("", "topic below which alarms are published")
-    client_id: str | None = setting(
-        None,
-        "name of the session at the broker",
-        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable(),
-        expected=f"text of 1 to {LONGEST_NAME} printable characters",
-    )
-    session_expiry_s: float = setting(
-        EXPIRY_S,
-        "for how long the broker keeps the session of an absent tracker",
-        read=duration,
-        least=LEAST_EXPIRY_S,
-        most=MOST_EXPIRY_S,
-        expected="1 min or more (and fit into 32 bits): for so long the broker keeps what comes while the "
-        "tracker is away",
-    )
-    user: str | None = setting(None, "if it is not in the url", empty=True)
-    password_file: str = setting("", "file with the password as its only line")
-    password_env: str = setting("", "environment variable with the password")
-    ca: str = setting("", "certificates of the CAs to trust, PEM")
-    certificate: str = setting("", "of this client, PEM")
-    key: str = setting("", "of the certificate, PEM, without a passphrase")
-
-    @across("url")
-    def url_form(self) -> str | None:
-        return self.address.fault
-
-    @across("topics")
-    def filters(self) -> Iterator[str]:
-        if not self.topics:
-            yield f"topics must be {_TOPICS}, found none"
-        for one in self.topics:
-            if (wrong := filter_fault(one)) is not None:
-                yield f"topics: {wrong}, found {one!r}"
-
-    @across("alarms")
-    def alarms_topic(self) -> str | None:
-        wrong = _prefix_fault(self.alarms) if self.alarms else None
-        return None if wrong is None else f"alarms: {wrong}, found {self.alarms!r}"
-
-    @across("user", "url")
-    def one_user(self) -> str | None:
-        if self.user is None or not self.address.user:
-            return None
-        return "user stands in the url and as a key: keep one"
-
-    @across("password_file", "password_env", "user")
-    def password_of_user(self) -> Iterator[str]:
-        if self.password_file and self.password_env:
-            yield "password_file and password_env: keep one"
-        if (self.password_file or self.password_env) and not (self.user or self.address.user):
-            yield "a password needs its user: add user, or mqtt://USER@HOST"
-
-    @across(*_TLS)
-    def tls(self) -> Iterator[str]:
-        if not self.url.startswith("mqtts:") and (given := [key for key in _TLS if getattr(self, key)]):
-            yield f"{', '.join(given)}: only with TLS; write mqtts:// or take this away"
-        if bool(self.certificate) != bool(self.key):
-            yield "certificate and key belong together: both, or neither"
-
-    @property
-    def address(self) -> Address:
-        """The parts of the url."""
-        return _address(self.url)
-
-    def broker(self, folder: Path, place: Place) -> Broker:
-        """The broker; secrets and certificates that cannot be read are faults.  Nothing is connected yet."""
-        scheme, host, port, user, _ = self.address
-        files = {name: getattr(self, name) for name in ("password_file", *_TLS)}
-        broker = Broker(
-            host,
-            port,
-            scheme == "mqtts",
-            tuple(dict.fromkeys(self.topics)),
-            self.client_id or default_client_id(f"{scheme}:{host}:{port}", folder),
-            self.session_expiry_s,
-            self.alarms,
-            self.user or user,
-            password_env=self.password_env,
-            **{name: folder / file if file else None for name, file in files.items()},
-        )
-        if not place.faults:
-            for look in (broker.password, broker.context):
-                try:
-                    look()
-                except SourceFault as fault:
-                    place.fault(str(fault))
-        return broker
-
-
-class Address(NamedTuple):
-    """The parts of mqtt[s]://[USER@]HOST[:PORT], and what is wrong with it."""
-
-    scheme: str
-    host: str
-    port: int
-    user: str
-    fault: str | None = None
-
-
-def _address(url: str) -> Address:
-    """The parts of a url; a fault never shows one that may contain a password."""
-    scheme, _, rest = url.partition(":")
-    default = PORTS.get(scheme, 0)
-    login, at, _ = rest.removeprefix("//").rpartition("@")
-    if ":" in login:
-        return Address(scheme, "", default, "", f"url: {NO_PASSWORD_HERE}")
-    expected = f"url must be {scheme}://HOST or {scheme}://USER@HOST:PORT"
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port
-    except ValueError:
-        return Address(scheme, "", default, "", f"{expected}, with a port of 1 to 65535")
-    fault = None
-    if not host or parts.path not in ("", "/") or parts.query or parts.fragment:
-        fault = f"{expected} and no more{'' if at else f', found {url!r}'}"
-    elif port == 0:
-        fault = f"{expected}, with a port of 1 to 65535"
-    return Address(scheme, host, default if port is None else port, unquote(login), fault)
-
-
-def _prefix_fault(prefix: str) -> str | None:
-    """An error message for an invalid topic to publish below, else None."""
-    if prefix.startswith(("$", "/")) or prefix.endswith("/") or "+" in prefix or "#" in prefix:
-        return 'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
-    return filter_fault(prefix)
-
-
-def default_client_id(broker: str, folder: Path) -> str:
-    """`hygrokf-HOST-DIGEST`: stable across restarts on this machine, but different for each folder and
-    broker."""
-    host = "".join(c for c in socket.gethostname().partition(".")[0] if c.isalnum() and c.isascii())[:20]
-    digest = hashlib.sha256(f"{broker} {folder.resolve()}".encode()).hexdigest()[:8]
-    return f"hygrokf-{host}-{digest}"
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------

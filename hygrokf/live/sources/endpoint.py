@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 from hygrokf.live.sources.stream import SourceFault
 
@@ -14,6 +15,17 @@ NO_PASSWORD_HERE = (
     "a password must not be in this file: put it into a separate file and name that as password_file, "
     "or into an environment variable and name that as password_env"
 )
+
+
+class Address(NamedTuple):
+    """The parts of a URL SCHEME://[USER@]HOST[:PORT][/PATH], and what is wrong with it."""
+
+    scheme: str
+    host: str
+    port: int
+    user: str = ""
+    path: str = "/"
+    fault: str | None = None
 
 
 def is_loopback(host: str) -> bool:

@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from hygrokf.data.toml_form import Place, read_form
-from hygrokf.live.sources.local import FileForm
+from hygrokf.live.sources.local import FileForm, InputForm
 from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.postgres import PostgresForm
-from hygrokf.live.sources.standard_input import InputForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 
 KINDS: Mapping[str, type[SourceKeys]] = {

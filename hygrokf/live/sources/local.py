@@ -1,4 +1,4 @@
-"""Sources on this machine: a growing file, and a record that is played back."""
+"""Sources on this machine: a growing file, standard input, and a record that is played back."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import csv
 import math
 import os
 import re
+import select
+import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
+from io import UnsupportedOperation
 from pathlib import Path
-from typing import IO, AnyStr
+from typing import IO, Any, AnyStr
 
 import numpy as np
 
@@ -20,8 +24,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_fields import Field
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
 from hygrokf.live.sources.payload_paths import RECEIVED
 from hygrokf.live.sources.stream import (
@@ -31,13 +34,14 @@ from hygrokf.live.sources.stream import (
     SourceKeys,
     SourceState,
     Stream,
-    Threaded,
 )
 
 GROWTHS = 16
 """Growths of a file whose times tell its usual interval."""
 LONGEST_LINE = LARGEST
 """[bytes] of the longest line that is read."""
+PIECE = 65_536
+"""[bytes] read at once from standard input."""
 _JSON_LINE = re.compile(r"\s*(\{|\[\s*[{\]])")
 
 
@@ -114,7 +118,7 @@ def is_whole(line: bytes | str) -> bool:
     return len(line) > LONGEST_LINE or line[-1:] in (b"\n", "\n")
 
 
-class TailedFile(Threaded):
+class TailedFile(Stream):
     """A growing CSV or NDJSON file, read again from its start if it was replaced or truncated.
 
     The place is "identity offset", so that a different file of the same name is read from its start.  A line
@@ -144,7 +148,8 @@ class TailedFile(Threaded):
         while not self._ended.is_set():
             try:
                 with self.path.open("rb") as file:
-                    identity = _identity(file)
+                    opened = os.fstat(file.fileno())
+                    identity = f"{opened.st_dev}.{opened.st_ino}"
                     known, _, offset = (place or "").partition(" ")
                     if self._read(file, identity, int(offset) if known == identity else 0, put):
                         return
@@ -191,12 +196,71 @@ class TailedFile(Threaded):
         return True
 
 
-def _identity(file: IO[bytes]) -> str:
-    found = os.fstat(file.fileno())
-    return f"{found.st_dev}.{found.st_ino}"
+class StandardInput(Stream):
+    """Lines of standard input until it ends; lines cannot be read again after a restart."""
+
+    url = "stdin"
+
+    def __init__(self, mapping: PayloadMapping, file: IO[Any] | None = None) -> None:
+        super().__init__(mapping)
+        self._file = file
+        self._lines = Lines(mapping.form)
+        self._pipe: _Pipe | None = None
+
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        file: IO[Any] = getattr(sys.stdin, "buffer", sys.stdin) if self._file is None else self._file
+        descriptor = _descriptor(file)
+        if descriptor is not None and self._pipe is None:
+            self._pipe = _Pipe(descriptor, self._ended)
+        while line := next_line(file) if self._pipe is None else self._pipe.next_line():
+            if self._ended.is_set():
+                return
+            content = self._lines.content(line)
+            if content is not None:
+                put(Delivery(content, self.clock()))
 
 
-class Playback(Threaded):
+def _descriptor(file: IO[Any]) -> int | None:
+    """The descriptor of a file that can be waited for; None where it has none, or the system cannot."""
+    try:
+        descriptor = file.fileno()
+        select.select([descriptor], [], [], 0.0)
+    except (OSError, UnsupportedOperation, ValueError):
+        return None
+    return descriptor
+
+
+class _Pipe:
+    """Lines of a descriptor.  Waiting for more ends with an event: a thread that blocks in a buffered read
+    would keep the process from ending."""
+
+    def __init__(self, descriptor: int, ended: threading.Event) -> None:
+        self._descriptor, self._ended = descriptor, ended
+        self._held = bytearray()
+
+    def next_line(self) -> bytes:
+        """The next line, or a piece of one that is too long; empty at the end, and once the event is set."""
+        searched = 0
+        while (end := self._held.find(b"\n", searched) + 1) == 0 and len(self._held) <= LONGEST_LINE:
+            searched = len(self._held)
+            more = self._read()
+            if not more:
+                end = len(self._held)
+                break
+            self._held += more
+        count = min(end or LONGEST_LINE + 1, LONGEST_LINE + 1)
+        line = bytes(self._held[:count])
+        del self._held[:count]
+        return line
+
+    def _read(self) -> bytes:
+        while not self._ended.is_set():
+            if select.select([self._descriptor], [], [], PAUSE_S)[0]:
+                return os.read(self._descriptor, PIECE)
+        return b""
+
+
+class Playback(Stream):
     """Plays back messages in real time or faster by a factor.
 
     messages: (arrival [s], content), sorted by arrival; speed: factor, 0 for as fast as possible; live_s:
@@ -220,7 +284,7 @@ class Playback(Threaded):
         self.label = label
         self.speed = speed
         self._live_s = live_s
-        self._messages = messages
+        self.messages = messages
         self._played = (messages[0][0] if messages else 0.0, math.inf)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
@@ -233,21 +297,13 @@ class Playback(Threaded):
         at, when = self._played
         return at + self.speed * max(time.monotonic() - when, 0.0) if at >= self._live_s else at
 
-    @property
-    def messages(self) -> Sequence[tuple[float, Content]]:
-        """All messages: (arrival [s], content)."""
-        return self._messages
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         first = int(place or 0)
-        if first >= len(self._messages):
+        if first >= len(self.messages):
             return
         began, origin = math.nan, 0.0
-        for number in range(first, len(self._messages)):
-            at, content = self._messages[number]
+        for number in range(first, len(self.messages)):
+            at, content = self.messages[number]
             if self.speed > 0.0 and at >= self._live_s:
                 if math.isnan(began):
                     began, origin = time.monotonic(), at
@@ -336,6 +392,17 @@ class FileForm(SourceKeys):
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
         messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
         return Playback(url, messages, mapping, self.speed)
+
+
+@dataclass(frozen=True)
+class InputForm(SourceKeys):
+    """A [[source]] of `stdin`."""
+
+    url: str = setting(help="stdin")
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
+        """The stream."""
+        return StandardInput(mapping)
 
 
 def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:

@@ -22,7 +22,7 @@ from hygrokf.live.sources.broker import Broker, alarm_topic, unreachable
 from hygrokf.live.sources.mqtt_link import Arrival, Link, is_confirmed
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST, Content
-from hygrokf.live.sources.stream import BackOff, Delivery, SourceFault, SourceState, Threaded
+from hygrokf.live.sources.stream import BackOff, Delivery, SourceFault, SourceState, Stream
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
@@ -44,7 +44,7 @@ class MqttReceipt(NamedTuple):
         self.link.acknowledge(self.identifier)
 
 
-class Mqtt(Threaded):
+class Mqtt(Stream):
     """The messages of some topics of a broker; reconnects indefinitely, with pauses that grow to a minute.
 
     The place in the store is the list of filters, so that the session can be unsubscribed from filters no

@@ -72,7 +72,8 @@ class Link:
     Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
     tracker reads them from `arrived`, which ends with None once the link is lost.  `dropped`: filters of
     former runs from which the session is unsubscribed; `ready` is called when the broker has accepted the
-    connection; `largest`: payload [bytes] from which the rest is cut off.
+    connection; `largest`: payload [bytes] from which the rest is cut off.  `answered`: whether the broker has
+    answered the subscription; `denied`: filters that it denied, with the reason.
     """
 
     def __init__(
@@ -93,8 +94,8 @@ class Link:
         self._ready = ready
         self._largest = largest
         self._asked: tuple[str, ...] = broker.topics
-        self._granted = False
-        self._denied: dict[str, str] = {}
+        self.answered = False
+        self.denied: dict[str, str] = {}
         self._alarms_denied = ""
         self._heard = False
         self._until = math.inf
@@ -163,16 +164,6 @@ class Link:
         """Publish a message at QoS 0 that is not retained.  Callable from any thread."""
         self.client.publish(topic, payload)
 
-    @property
-    def answered(self) -> bool:
-        """Whether the broker has answered the subscription."""
-        return self._granted
-
-    @property
-    def denied(self) -> dict[str, str]:
-        """Filters that the broker denied, with the reason."""
-        return dict(self._denied)
-
     def is_own(self, topic: str) -> bool:
         """Whether a topic is one to which the tracker publishes alarms."""
         own = self.broker.alarms
@@ -180,8 +171,8 @@ class Link:
 
     def ask_again(self) -> None:
         """Subscribe once more to the denied filters."""
-        if self._denied and not self.lost.is_set():
-            self._subscribe(tuple(self._denied))
+        if self.denied and not self.lost.is_set():
+            self._subscribe(tuple(self.denied))
 
     def close(self) -> None:
         """Send pending packets and end the connection; the broker keeps the session."""
@@ -195,11 +186,11 @@ class Link:
         where = self.broker.where
         if self.lost.is_set():
             return SourceState("lost", self.reason)
-        if self._denied:
-            said = "; ".join(f"{one}: {words}" for one, words in self._denied.items())
+        if self.denied:
+            said = "; ".join(f"{one}: {words}" for one, words in self.denied.items())
             words = f"{where} denies a subscription ({said}): give its user the right to read it"
             return SourceState("lost", words)
-        if not self._granted:
+        if not self.answered:
             return SourceState("waiting", f"connecting to {where}")
         said = f"connected to {where} as {self.broker.client_id}"
         if not self._heard:
@@ -278,10 +269,10 @@ class Link:
     ) -> None:
         for one, code in zip(self._asked, reason_codes, strict=False):
             if code.is_failure:
-                self._denied[one] = reason_words(code.value, str(code))
+                self.denied[one] = reason_words(code.value, str(code))
             else:
-                self._denied.pop(one, None)
-        self._granted = True
+                self.denied.pop(one, None)
+        self.answered = True
 
     def _on_message(self, client: Client, userdata: object, message: MQTTMessage) -> None:
         identifier = message.mid if message.qos else None

@@ -27,7 +27,7 @@ from hygrokf.live.sources.stream import (
     Delivery,
     SourceFault,
     SourceState,
-    Threaded,
+    Stream,
     several,
 )
 
@@ -40,7 +40,7 @@ BATCH = 500
 """Deliveries that share one place."""
 
 
-class OpcUa(Threaded):
+class OpcUa(Stream):
     """A subscription to nodes of one server, in its own asyncio loop.
 
     `look_back_s` [s]: how far back to read the history of a node that was never read before.  Each sample

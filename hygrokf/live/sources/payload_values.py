@@ -85,7 +85,7 @@ def seconds(
     if not clock.form and not (isinstance(stamp, str) and ":" in stamp):
         unix = number(stamp)
         if unix is not None:
-            return unix if unix < 1e11 else _of_unix(unix)
+            return unix if unix < 1e11 else unix / next(units for most, units in UNIX_UNITS if unix < most)
     elif clock.form and isinstance(stamp, int) and not isinstance(stamp, bool):
         stamp = str(stamp)  # such as 20260301121000
     days = number(stamp) if clock.form == EXCEL else None
@@ -112,10 +112,6 @@ def _read(text: str, form: str) -> datetime:
         if midnight is None:
             raise
         return _read(midnight, form) + timedelta(days=1)
-
-
-def _of_unix(stamp: float) -> float:
-    return stamp / next(units for most, units in UNIX_UNITS if stamp < most)
 
 
 def _of_local(

@@ -32,7 +32,6 @@ from hygrokf.live.sources.stream import (
     SourceKeys,
     SourceState,
     Stream,
-    Threaded,
 )
 from hygrokf.live.storage.database import Row, StoreFault, one_line
 from hygrokf.live.storage.postgres import connected, import_psycopg, url_fault
@@ -74,28 +73,48 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 
 
 @dataclass(frozen=True)
-class Query:
-    """A query of a database and how it is repeated.
+class PostgresForm(SourceKeys):
+    """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
-    `text` contains `AFTER`, and sorts by the column `watermark`; `poll_s` [s] between two queries; `lag_s`
+    `query` contains `AFTER`, and sorts by the column `watermark`; `poll_s` [s] between two queries; `lag_s`
     [s] from a row's watermark to its commit at most; `look_back_s` [s] read at the first start, None for all
     rows; `name` tells several queries of one database apart.
     """
 
-    database: str
-    text: str
-    watermark: str
-    poll_s: float = 10.0
-    lag_s: float = 60.0
-    look_back_s: float | None = None
-    name: str = ""
-    password_file: Path | None = None
-    password_env: str = ""
+    url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
+    query: str = setting(help=f"SELECT … WHERE received > {AFTER} ORDER BY received")
+    watermark: str = setting(help="column that grows as rows come in")
+    poll_s: float = setting(
+        10.0, "between two queries", read=duration, least=0.1, expected='"0.1s" or longer'
+    )
+    lag_s: float = setting(60.0, "by which a row may be committed late", read=duration)
+    look_back_s: float | None = setting(None, "read at the first start; without it all rows", read=duration)
+    name: str = setting("", "of this query, where a database has several")
+    password_file: str = setting("", "file with the password")
+    password_env: str = setting("", "environment variable with the password")
 
-    @property
-    def url(self) -> str:
-        """The source's URL, without a password."""
-        return f"{self.database}#{self.name}" if self.name else self.database
+    @across("url")
+    def no_secret(self) -> str | None:
+        if "#" in self.url:
+            return "a # does not belong in the url: give the query a name"
+        return url_fault(self.url)
+
+    @across("query")
+    def asks_for_new_rows(self) -> str | None:
+        if AFTER not in self.query:
+            return f"query must ask for new rows: … WHERE received > {AFTER} ORDER BY received"
+        if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
+            return f"query: write a % other than that of {AFTER} as %%"
+        return None
+
+    @across("password_file", "password_env")
+    def one_password(self) -> str | None:
+        both = self.password_file and self.password_env
+        return "state password_file or password_env, not both" if both else None
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
+        """The stream."""
+        return PostgresQuery(self, mapping, folder)
 
 
 @dataclass(frozen=True)
@@ -123,19 +142,21 @@ class Columns:
         return {name: _plain(value) for name, value in zip(self.names, row, strict=True)}
 
 
-class PostgresQuery(Threaded):
+class PostgresQuery(Stream):
     """The rows of a query, from a session that may only read; reconnects indefinitely.
 
-    The place is type and text of a watermark below which every row is committed.
+    Paths in its form are relative to `folder`.  The place is type and text of a watermark below which every
+    row is committed.
     """
 
     ordered_by = "watermark"
 
-    def __init__(self, query: Query, mapping: PayloadMapping) -> None:
+    def __init__(self, form: PostgresForm, mapping: PayloadMapping, folder: Path = Path()) -> None:
         super().__init__(mapping)
-        self.query = query
-        self.usual_interval_s = query.poll_s
-        self.url = query.url
+        self.form = form
+        self.usual_interval_s = form.poll_s
+        self.url = f"{form.url}#{form.name}" if form.name else form.url
+        self._password_file = folder / form.password_file if form.password_file else None
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
         self._after = ""
@@ -163,8 +184,8 @@ class PostgresQuery(Threaded):
         """A session that may only read.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
-            password = password_of(self.query.password_file, self.query.password_env)
-            connection = connected(self.query.database, password)
+            password = password_of(self._password_file, self.form.password_env)
+            connection = connected(self.form.url, password)
         except StoreFault as fault:
             raise SourceFault(str(fault)) from None
         for statement in SESSION:
@@ -174,22 +195,21 @@ class PostgresQuery(Threaded):
 
     def columns(self, connection: psycopg.Connection[Row]) -> Columns:
         """The columns of the query.  Raises SourceFault where the watermark is not one that can be used."""
-        cursor = connection.execute(self.query.text, {"after": None})  # no row is above NULL
+        cursor = connection.execute(self.form.query, {"after": None})  # no row is above NULL
         if cursor.description is None:
             raise SourceFault("the query gives no rows; write a SELECT")
         names = tuple(one.name for one in cursor.description)
-        if self.query.watermark not in names:
+        if self.form.watermark not in names:
             raise SourceFault(
-                f"expected the watermark {self.query.watermark!r} among the query's columns, found "
+                f"expected the watermark {self.form.watermark!r} among the query's columns, found "
                 f"{', '.join(names)}; select it"
             )
-        place = names.index(self.query.watermark)
+        place = names.index(self.form.watermark)
         known = connection.adapters.types.get(cursor.description[place].type_code)
         kind = known.name if known is not None else "an unknown type"
         if kind not in LOWEST:
             raise SourceFault(
-                f"expected a watermark that is a time or a number, found {self.query.watermark} "
-                f"of type {kind}"
+                f"expected a watermark that is a time or a number, found {self.form.watermark} of type {kind}"
             )
         return Columns(names, place, kind)
 
@@ -202,11 +222,11 @@ class PostgresQuery(Threaded):
                     f"its watermark was of type {kind}, now it is {columns.kind}; give the source a new name"
                 )
             return text
-        if self.query.look_back_s is None:
+        if self.form.look_back_s is None:
             return LOWEST[columns.kind]
         if columns.kind not in TIMES:
             raise SourceFault(f"look_back needs a watermark that is a time, found type {columns.kind}")
-        return datetime.fromtimestamp(time.time() - self.query.look_back_s, UTC).isoformat()
+        return datetime.fromtimestamp(time.time() - self.form.look_back_s, UTC).isoformat()
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
@@ -221,7 +241,10 @@ class PostgresQuery(Threaded):
                     return
                 reason_now = reason_of(fault)
             finally:
-                self._close()
+                connection, self._connection = self._connection, None
+                if connection is not None:
+                    with suppress(Exception):
+                        connection.close()
             self._state = SourceState("lost", reason_now)
             if reason_now != reason:  # log once, not at every attempt
                 reason = reason_now
@@ -240,7 +263,7 @@ class PostgresQuery(Threaded):
             if not self._follow:
                 return
             # a long history is read again only once all of it can be settled
-            self._ended.wait(max(self.query.poll_s, self.query.lag_s) if is_long else self.query.poll_s)
+            self._ended.wait(max(self.form.poll_s, self.form.lag_s) if is_long else self.form.poll_s)
 
     def _poll(
         self, connection: psycopg.Connection[Row], columns: Columns, put: Callable[[Delivery], None]
@@ -251,7 +274,7 @@ class PostgresQuery(Threaded):
         A row that is committed after the last poll got its watermark at most `lag_s` before that.  So it is
         above every watermark that was found earlier than `lag_s` before the last poll.
         """
-        settled = [mark for at, mark in self._reached if at <= self._polled - self.query.lag_s]
+        settled = [mark for at, mark in self._reached if at <= self._polled - self.form.lag_s]
         if settled:
             del self._reached[: len(settled) - 1]
             self._settle(settled[-1])
@@ -276,18 +299,18 @@ class PostgresQuery(Threaded):
         The highest watermark itself is never passed: further rows may have the same.
         """
         (now,) = connection.execute("SELECT clock_timestamp()").fetchone() or (None,)
-        old = now - timedelta(seconds=self.query.lag_s) if columns.kind == "timestamptz" else None
+        old = now - timedelta(seconds=self.form.lag_s) if columns.kind == "timestamptz" else None
         ahead = now + timedelta(days=1)
         latest = {"timestamptz": ahead, "timestamp": ahead.replace(tzinfo=None), "date": ahead.date()}
         before: Any = None
         last: Any = None
-        with closing(rows_above(connection, self.query.text, after)) as rows:
+        with closing(rows_above(connection, self.form.query, after)) as rows:
             for count, row in enumerate(rows):
                 mark: Any = columns.watermark(row)
                 if columns.kind in latest and mark > latest[columns.kind]:
                     mark = EDGES[columns.kind][1]  # passed, a wrong stamp would hide all rows to come
                 if last is not None and mark < last:
-                    raise SourceFault(f"the rows are not sorted; add ORDER BY {self.query.watermark}")
+                    raise SourceFault(f"the rows are not sorted; add ORDER BY {self.form.watermark}")
                 if mark != last:
                     before, last = last, mark
                     if before is not None and old is not None and before <= old:
@@ -321,12 +344,6 @@ class PostgresQuery(Threaded):
         """Pass a watermark: every row up to it was delivered, and none will follow."""
         self._after = text_of(mark)
         self._seen = {row: one for row, one in self._seen.items() if one > mark}
-
-    def _close(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            with suppress(Exception):
-                connection.close()
 
 
 def rows_above(connection: psycopg.Connection[Row], text: str, after: str) -> Generator[Row, None, None]:
@@ -389,51 +406,3 @@ def reason_of(fault: Exception) -> str:
     hint = getattr(getattr(fault, "diag", None), "message_hint", None)
     words = one_line(fault) if said is None else f"{said}; {hint}" if hint else str(said)
     return words or type(fault).__name__
-
-
-# -- from the tracker's file ---------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class PostgresForm(SourceKeys):
-    """A [[source]] of `postgresql://USER@HOST/NAME`."""
-
-    url: str = setting(help="postgresql://USER@HOST:PORT/NAME")
-    query: str = setting(help=f"SELECT … WHERE received > {AFTER} ORDER BY received")
-    watermark: str = setting(help="column that grows as rows come in")
-    poll_s: float = setting(
-        Query.poll_s, "between two queries", read=duration, least=0.1, expected='"0.1s" or longer'
-    )
-    lag_s: float = setting(Query.lag_s, "by which a row may be committed late", read=duration)
-    look_back_s: float | None = setting(None, "read at the first start; without it all rows", read=duration)
-    name: str = setting("", "of this query, where a database has several")
-    password_file: str = setting("", "file with the password")
-    password_env: str = setting("", "environment variable with the password")
-
-    @across("url")
-    def no_secret(self) -> str | None:
-        if "#" in self.url:
-            return "a # does not belong in the url: give the query a name"
-        return url_fault(self.url)
-
-    @across("query")
-    def asks_for_new_rows(self) -> str | None:
-        if AFTER not in self.query:
-            return f"query must ask for new rows: … WHERE received > {AFTER} ORDER BY received"
-        if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
-            return f"query: write a % other than that of {AFTER} as %%"
-        return None
-
-    @across("password_file", "password_env")
-    def one_password(self) -> str | None:
-        both = self.password_file and self.password_env
-        return "state password_file or password_env, not both" if both else None
-
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
-        """The stream."""
-        file = folder / self.password_file if self.password_file else None
-        return PostgresQuery(
-            Query(
-                self.url, self.query, self.watermark, self.poll_s, self.lag_s, self.look_back_s, self.name,
-                file, self.password_env,
-            ),
-            mapping,
-        )  # fmt: skip

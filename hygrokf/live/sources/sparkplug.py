@@ -11,7 +11,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
@@ -84,15 +83,8 @@ class EdgeNodes:
 
     def without_birth(self) -> list[str]:
         """Names of edge nodes whose aliases only a birth certificate can explain."""
-        return [name for name, node in tuple(self.nodes.items()) if node.needs_birth]
-
-
-class Absence(NamedTuple):
-    """An edge node or device that has left: the topic of its data, and the time [s] of its death
-    certificate."""
-
-    topic: str
-    since: float
+        nodes = tuple(self.nodes.items())
+        return [name for name, node in nodes if node.gap_s is not None or node.unborn]
 
 
 def data_topic(name: str, device: str) -> str:
@@ -169,30 +161,28 @@ class Sparkplug(Mqtt):
         return [_OF_NO_DEVICE if not isinstance(c, Unreadable) else c for c in one.contents]
 
     # -- what the state says ---------------------------------------------------------------------------------
-    def absences(self) -> list[Absence]:
-        """Edge nodes and devices that have left and have not come back."""
-        found = []
-        for name, node in tuple(self.edge_nodes.nodes.items()):
-            for device, since in tuple(node.left_s.items()):
-                found.append(Absence(data_topic(name, device), since))
-        return found
-
-    def _present(self) -> set[str | None]:
-        """Turbines of which a device sends."""
+    def _absences(self) -> list[tuple[str, str, float]]:
+        """Names of edge nodes and devices that have left and have not come back, the topics of their data,
+        and the times [s] of their death certificates."""
         nodes = tuple(self.edge_nodes.nodes.items())
-        return {
-            self._turbine(data_topic(name, device)) for name, node in nodes for device in tuple(node.present)
-        }
+        return [
+            (f"{name}/{device}" if device else name, data_topic(name, device), since)
+            for name, node in nodes
+            for device, since in tuple(node.left_s.items())
+        ]
 
     def left(self) -> dict[str, str]:
         """Turbine -> text about its edge node or device that has left, where the topic names the turbine and
         nothing else sends for it."""
         found: dict[str, str] = {}
-        present = self._present()
-        for one in self.absences():
-            turbine = self._turbine(one.topic)
+        nodes = tuple(self.edge_nodes.nodes.items())
+        present = {
+            self._turbine(data_topic(name, one)) for name, node in nodes for one in tuple(node.present)
+        }
+        for sender, topic, since in self._absences():
+            turbine = self._turbine(topic)
             if turbine is not None and turbine not in present:
-                words = f"{_sender(one.topic)} has left by its death certificate of {stamp_text(one.since)}"
+                words = f"{sender} has left by its death certificate of {stamp_text(since)}"
                 found[turbine] = f"{words}: its signals are stale until it is born again"
         return found
 
@@ -217,7 +207,7 @@ class Sparkplug(Mqtt):
 
     def _notes(self) -> list[str]:
         """What keeps edge nodes from being read."""
-        left = [f"{_sender(one.topic)} since {stamp_text(one.since)}" for one in self.absences()]
+        left = [f"{sender} since {stamp_text(since)}" for sender, _, since in self._absences()]
         notes = (
             [f"left, so that its signals are stale until it is born again: {several(left)}"] if left else []
         )
@@ -229,9 +219,3 @@ class Sparkplug(Mqtt):
             )
             notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
         return notes
-
-
-def _sender(topic: str) -> str:
-    """GROUP/NODE[/DEVICE] of a topic."""
-    levels = topic.split("/")
-    return "/".join((levels[1], *levels[3:]))

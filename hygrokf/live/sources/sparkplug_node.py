@@ -8,12 +8,12 @@ held until the next birth certificate, and is read only if its alias means the s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.data.structured import Json, JsonObject, StructureFault, plain, structured
 from hygrokf.live.sources.payload_formats import Unreadable
-from hygrokf.live.sources.sparkplug_held import HeldMessages
 from hygrokf.live.sources.sparkplug_metrics import (
     Arrived,
     Released,
@@ -22,6 +22,7 @@ from hygrokf.live.sources.sparkplug_metrics import (
     metrics_text,
     refused,
 )
+from hygrokf.live.sources.sparkplug_payload import Message, decode
 
 REORDER_S = 2.0
 """[s] a message waits for those before it: brokers keep the order within a topic only."""
@@ -31,6 +32,10 @@ UNEXPLAINED = ("held until birth", "no birth yet")
 """Reasons for which metrics by alias are not read: a birth certificate is awaited."""
 MOST_DEVICES = 1_000
 """Devices of an edge node."""
+MOST_HELD = 8 * 2**20
+"""[bytes] of messages held of an edge node; the oldest are dropped."""
+BESIDE = 500
+"""[bytes] that a held message takes beside its payload."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,31 @@ class NodeMemory:
     former_aliases: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     gap_s: float | None = None
     left_s: Mapping[str, float] = field(default_factory=dict)
+
+
+class HeldMessages:
+    """Messages whose aliases await a birth certificate, in the order of their arrival.
+
+    They are held encoded, which takes much less space: a backlog after an outage is long.
+    """
+
+    def __init__(self) -> None:
+        self._messages: deque[Arrived] = deque()
+        self._size = 0
+
+    def add(self, one: Arrived) -> None:
+        """Hold a message, and drop the oldest ones that have no place beside it."""
+        self._messages.append(one._replace(message=Message(), receipt=None))
+        self._size += len(one.payload) + BESIDE
+        while self._size > MOST_HELD:
+            self._size -= len(self._messages.popleft().payload) + BESIDE
+
+    def release(self, device: str) -> Iterator[Arrived]:
+        """The messages of a device, which are held no longer."""
+        those = [one for one in self._messages if one.address.device == device]
+        self._messages = deque(one for one in self._messages if one.address.device != device)
+        self._size -= sum(len(one.payload) + BESIDE for one in those)
+        return (one._replace(message=decode(one.payload)) for one in those)
 
 
 class EdgeNode:
@@ -73,11 +103,6 @@ class EdgeNode:
         self._waiting: list[Arrived] = []
         self._held = HeldMessages()
         self._changed = False
-
-    @property
-    def needs_birth(self) -> bool:
-        """Whether metrics come by aliases that only a birth certificate can explain."""
-        return self.gap_s is not None or self.unborn
 
     # -- messages --------------------------------------------------------------------------------------------
     def take(self, one: Arrived) -> list[Released]:

@@ -20,7 +20,6 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
 from hygrokf.data.toml_form import Place, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.live.back_off import pause_s
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content
@@ -57,6 +56,13 @@ class Delivery:
     memories: JsonObject = field(default_factory=dict)
     token: Receipt | None = field(default=None, compare=False)
     mark: float = field(default=math.nan, compare=False)
+
+
+def pause_s(failed: int, limits_s: tuple[float, float]) -> float:
+    """Pause [s] after `failed` attempts in a row, 1 or more: the shortest of its limits at first, then each
+    twice as long as the one before, up to the longest."""
+    shortest, longest = limits_s
+    return min(shortest * 2.0 ** min(failed - 1, 30), longest)
 
 
 class BackOff:
@@ -127,53 +133,6 @@ class Reach(NamedTuple):
         return 0.0 if self.since is None else (now - self.since) / self.limit_s
 
 
-class Stream(Protocol):
-    """A source of deliveries.
-
-    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
-    payloads; `played_back` whether it repeats a record, whose age says nothing; `label` is what the page says
-    of its data, such as that they are a demonstration's.  `recall` gives it, before its start, the data that
-    its deliveries let the store keep; `start` resumes after `place` (None: from the beginning, or from the
-    position that the source itself keeps); `end_when_read` lets a growing source end at its present end;
-    `tell` passes on alarms that began, changed or ended, if the source can publish them; `now` is the time
-    [s] against which the age of its data is judged; `state` is shown on the page and by the doctor; `reach`
-    tells since when it is not reached; `reach_limit_s`: the limit [s] that it states; `ordered_by`: what
-    orders the versions of a value;
-    `signals` are those of a turbine that the source can deliver; `left` says of turbines that their sender
-    has left (turbine -> text).
-    """
-
-    url: str
-    mapping: PayloadMapping
-    played_back: bool
-    label: str
-    ordered_by: str
-    reach_limit_s: float | None
-
-    def recall(self, memories: JsonObject) -> None: ...
-
-    def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
-
-    def end_when_read(self) -> None: ...
-
-    def acknowledge(self, deliveries: Iterable[Delivery]) -> None: ...
-
-    def tell(self, alarms: Iterable[Alarm]) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def now(self) -> float: ...
-
-    def reach(self) -> Reach: ...
-
-    @property
-    def state(self) -> SourceState: ...
-
-    def signals(self, turbine: str) -> set[str]: ...
-
-    def left(self) -> dict[str, str]: ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class SourceKeys:
     """The keys of every [[source]] table, whose form makes its stream."""
@@ -190,9 +149,14 @@ class SourceKeys:
         raise NotImplementedError
 
 
-class Threaded:
-    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set, and
-    this machine's `clock` [s].
+class Stream:
+    """A source of deliveries: a thread that runs `_deliver` until it returns or `_ended` is set, and this
+    machine's `clock` [s].
+
+    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
+    payloads; `played_back` whether it repeats a record, whose age says nothing; `label` is what the page says
+    of its data, such as that they are a demonstration's; `reach_limit_s`: the limit of `reach` [s] that it
+    states; `ordered_by`: what orders the versions of a value; `state` is shown on the page and by the doctor.
 
     Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
     from the place of the last delivery.
@@ -215,6 +179,8 @@ class Threaded:
         self._state = SourceState("idle", "not started")
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        """Resume after `place` (None: from the beginning, or from the position that the source itself
+        keeps)."""
         self._thread = threading.Thread(target=self._run, args=(place, put), name=self.url, daemon=True)
         self._thread.start()
 
@@ -251,16 +217,16 @@ class Threaded:
         raise NotImplementedError
 
     def recall(self, memories: JsonObject) -> None:
-        """Does nothing: these sources keep no data of their own."""
+        """Take back, before the start, the data that its deliveries let the store keep: none by default."""
 
     def end_when_read(self) -> None:
-        """Does nothing: only a growing file has a present end."""
+        """End at the present end of a growing source; the others end by themselves."""
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Does nothing: the store's place is enough to resume."""
+        """Note which deliveries the store has committed; most need only its place to resume."""
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Does nothing: these sources cannot publish alarms."""
+        """Pass on alarms that began, changed or ended, if the source can publish them."""
 
     def now(self) -> float:
         """The time [s] against which the age of the data is judged."""

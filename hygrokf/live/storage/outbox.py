@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from hygrokf.live.batch import Alarm, Notice
 from hygrokf.live.storage.database import Row
-from hygrokf.live.storage.store import ALARM_COLUMNS, NOTICE_COLUMNS, Store
-
-_NOTICES = f"SELECT {', '.join(NOTICE_COLUMNS)} FROM outbox"
+from hygrokf.live.storage.store import Store
 
 
 def due(store: Store, channel: str, now: float, most: int) -> list[Notice]:
     """A channel's notices that are not sent and due at `now` [s], the earliest first."""
-    rows = store.rows(
-        f"{_NOTICES} WHERE sent IS NULL AND due <= ? AND channel = ? ORDER BY due, id LIMIT ?",
-        (now, channel, most),
-    )
-    return [Notice(*row) for row in rows]
+    rest = "WHERE sent IS NULL AND due <= ? AND channel = ? ORDER BY due, id LIMIT ?"
+    return store.found(Notice, rest, (now, channel, most))
 
 
 @dataclass(frozen=True)
@@ -51,11 +46,8 @@ def waiting(store: Store) -> dict[str, int]:
 
 def beginning_with(store: Store, channel: str, prefix: str) -> list[Notice]:
     """A channel's notices whose ids begin with a text."""
-    rows = store.rows(
-        f"{_NOTICES} WHERE channel = ? AND substr(id, 1, ?) = ? ORDER BY made, id",
-        (channel, len(prefix), prefix),
-    )
-    return [Notice(*row) for row in rows]
+    rest = "WHERE channel = ? AND substr(id, 1, ?) = ? ORDER BY made, id"
+    return store.found(Notice, rest, (channel, len(prefix), prefix))
 
 
 def keep_contents(store: Store, contents: Iterable[tuple[str, str]]) -> None:
@@ -97,23 +89,7 @@ def forget(store: Store, before: float) -> None:
 
 def alarm_of(store: Store, alarm: str) -> Alarm | None:
     """An alarm by its id; None if there is none."""
-    rows = store.rows(f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm WHERE id = ?", (alarm,))
-    return Alarm(*rows[0]) if rows else None
-
-
-def acknowledged_until(store: Store, now: float) -> list[Alarm]:
-    """Open alarms that were acknowledged to be looked at again by `now` [s], as the store has them."""
-    rows = store.rows(
-        f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm WHERE ended IS NULL AND acknowledged IS NOT NULL "
-        "AND look_again <= ? ORDER BY look_again, id",
-        (now,),
-    )
-    return [Alarm(*row) for row in rows]
-
-
-def without_acknowledgement(alarm: Alarm) -> Alarm:
-    """An alarm that is unacknowledged again; cause and note of its last acknowledgement stay."""
-    return replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)
+    return next(iter(store.found(Alarm, "WHERE id = ?", (alarm,))), None)
 
 
 def _change(store: Store, statement: str, rows: Sequence[Row]) -> None:

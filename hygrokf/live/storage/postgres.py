@@ -164,20 +164,28 @@ def import_psycopg(wanted_by: str) -> None:
         raise StoreFault(f"{wanted_by} needs psycopg: pip install 'hygrokf[postgres]'") from None
 
 
-def connected(url: str, password: str | None = None) -> psycopg.Connection[Row]:
-    """A session in autocommit mode, with a password or with the one that libpq finds.  Raises StoreFault."""
+def parameters_of(url: str) -> dict[str, Any]:
+    """libpq's parameters in a URL, which are text or numbers.  Raises StoreFault."""
+    if (fault := url_fault(url)) is not None:
+        raise StoreFault(fault)
+    import_psycopg("a PostgreSQL store")
     import psycopg
     from psycopg.conninfo import conninfo_to_dict
 
-    if (fault := url_fault(url)) is not None:
-        raise StoreFault(fault)
     try:
-        said = conninfo_to_dict(url)
+        return conninfo_to_dict(url)
     except psycopg.Error as error:
         raise StoreFault(f"the database's URL cannot be read: {one_line(error)}") from None
+
+
+def connected(url: str, password: str | None = None) -> psycopg.Connection[Row]:
+    """A session in autocommit mode, with a password or with the one that libpq finds.  Raises StoreFault."""
+    import psycopg
+
+    said = parameters_of(url)
     if set(SECRETS) & set(said):
         raise StoreFault(NO_SECRET)
-    settings: dict[str, Any] = {**DEFAULTS, **said}  # libpq's parameters, which are text or numbers
+    settings = {**DEFAULTS, **said}
     if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
         del settings["connect_timeout"]
     if password is not None:

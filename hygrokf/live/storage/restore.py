@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hygrokf.live.storage.database import StoreFault, one_line
-from hygrokf.live.storage.postgres import import_psycopg, url_fault
+from hygrokf.live.storage.postgres import parameters_of
 from hygrokf.live.storage.sqlite import (
     connect,
     is_locked,
@@ -149,16 +149,9 @@ def postgres_commands(copy: Path, url: str) -> list[str]:
 
     Raises StoreFault.
     """
-    if (fault := url_fault(url)) is not None:
-        raise StoreFault(fault)
-    import_psycopg("a PostgreSQL store")
-    import psycopg
-    from psycopg.conninfo import conninfo_to_dict, make_conninfo
+    said = parameters_of(url)
+    from psycopg.conninfo import make_conninfo
 
-    try:
-        said = conninfo_to_dict(url)
-    except psycopg.Error as error:
-        raise StoreFault(f"the database's URL cannot be read: {one_line(error)}") from None
     name = str(said.get("dbname") or said.get("user") or "hygrokf")
     server = {key: str(value) for key, value in said.items() if key not in ("dbname", "options")}
     admin = make_conninfo(**server, dbname="postgres")

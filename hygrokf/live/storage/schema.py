@@ -61,6 +61,11 @@ READABLE_COLUMNS = tuple(_readable())
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
 _AIR = ", ".join(f"{q.column} DOUBLE PRECISION, {q.sd_column} DOUBLE PRECISION" for q in QUANTITIES)
+_READING = """turbine TEXT NOT NULL,
+        signal TEXT NOT NULL,
+        time INSTANT NOT NULL,
+        value DOUBLE PRECISION NOT NULL,
+        received INSTANT NOT NULL"""
 VERSION = 6
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
 STATEMENTS = (
@@ -68,31 +73,19 @@ STATEMENTS = (
         name TEXT PRIMARY KEY,
         model TEXT NOT NULL,
         added DOUBLE PRECISION NOT NULL)""",
-    """CREATE TABLE observation (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL,
+    f"""CREATE TABLE observation (
+        {_READING},
         late INTEGER NOT NULL,
         contradicted INTEGER NOT NULL,
         mark DOUBLE PRECISION,
         PRIMARY KEY (turbine, signal, time))""",
     "CREATE INDEX observation_by_time ON observation (turbine, time)",
-    """CREATE TABLE held (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL,
+    f"""CREATE TABLE held (
+        {_READING},
         mark DOUBLE PRECISION,
         PRIMARY KEY (turbine, signal, time, value))""",
-    """CREATE TABLE revision (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL,
+    f"""CREATE TABLE revision (
+        {_READING},
         mark DOUBLE PRECISION,
         late INTEGER NOT NULL,
         number INTEGER NOT NULL,
@@ -133,12 +126,8 @@ STATEMENTS = (
         observable INTEGER NOT NULL,
         PRIMARY KEY (turbine, name, time))""",
     "CREATE INDEX property_by_time ON property (turbine, time)",
-    """CREATE TABLE weather (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL,
+    f"""CREATE TABLE weather (
+        {_READING},
         PRIMARY KEY (turbine, signal, time))""",
     """CREATE TABLE alarm (
         id TEXT PRIMARY KEY,
@@ -266,10 +255,11 @@ def creation(dialect: Dialect) -> list[str]:
 
 def created_views(dialect: Dialect) -> list[str]:
     """Statements that create all views in one database's SQL dialect."""
-    return [_in_dialect(f"CREATE VIEW {name} AS {query}", dialect) for name, query in VIEWS.items()]
-
-
-def _in_dialect(statement: str, dialect: Dialect) -> str:
-    return re.sub(
-        r"\b(UTC|STAMP|HOUR)\(([\w.]+)\)", lambda found: dialect.words[found[1]].format(found[2]), statement
-    )
+    return [
+        re.sub(
+            r"\b(UTC|STAMP|HOUR)\(([\w.]+)\)",
+            lambda found: dialect.words[found[1]].format(found[2]),
+            f"CREATE VIEW {name} AS {query}",
+        )
+        for name, query in VIEWS.items()
+    ]

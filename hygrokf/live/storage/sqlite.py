@@ -111,6 +111,11 @@ def identity_of(path: Path) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
+def path_of(url: str) -> Path:
+    """Path of the file of a store at `sqlite:PATH`."""
+    return Path(url.removeprefix("sqlite:").removeprefix("//"))
+
+
 def lock_path(path: Path) -> Path:
     """Path of the lock file beside a store's file."""
     return Path(f"{os.path.realpath(path)}.lock")
@@ -243,11 +248,9 @@ def _write_ahead(connection: sqlite3.Connection) -> None:
     """Switch to the write-ahead log, retrying while another process does the same: SQLite does not wait here
     by itself."""
     end = time.monotonic() + BUSY_S
-    while True:
+    while time.monotonic() <= end:
         with suppress(sqlite3.OperationalError):
             connection.execute("PRAGMA journal_mode=WAL")
             return
-        if time.monotonic() > end:
-            connection.execute("PRAGMA journal_mode=WAL")
-            return
         time.sleep(AGAIN_S)
+    connection.execute("PRAGMA journal_mode=WAL")

@@ -12,10 +12,8 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import astuple, fields
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,13 +22,12 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Loss, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
-from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
-from hygrokf.live.storage.sqlite import open_sqlite
+from hygrokf.live.storage.sqlite import open_sqlite, path_of
 from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
 ESTIMATE_COLUMNS = (
@@ -63,46 +60,33 @@ MARKED_COLUMNS = (*READING_COLUMNS, "mark")
 PROPERTY_COLUMNS = (
     "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
 )  # fmt: skip
-ALARM_COLUMNS = tuple(one.name for one in fields(Alarm))
 ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
 """Columns of an alarm that the page writes and the tracker leaves as they are."""
-ASSESSMENT_COLUMNS = tuple(one.name for one in fields(Assessment))
-SHELF_COLUMNS = tuple(one.name for one in fields(Shelf))
-EVENT_COLUMNS = tuple(one.name for one in fields(Event))
-LOSS_COLUMNS = tuple(one.name for one in fields(Loss))
-NOTICE_COLUMNS = tuple(one.name for one in fields(Notice))
+TABLE_OF: Mapping[type[Any], str] = {
+    Alarm: "alarm", Assessment: "assessment", Event: "event", Loss: "connection", Notice: "outbox",
+    Shelf: "shelf",
+}  # fmt: skip
+"""Kind -> table whose columns are its fields."""
+T = TypeVar("T")
 
 
 class Store:
-    """One store, in either database; only one thread may use it at a time.
+    """One store, in either database, whose statements, transactions and claims are its own; only one thread
+    may use it at a time.
 
     An external error (disk, network, another process) is raised as StoreFault and may be gone once the store
     is reopened; an invalid statement or value raises the driver's own exception.
     """
 
     def __init__(self, database: Database) -> None:
-        self.database = database
+        self.database, self.url = database, database.url
+        self.rows, self.transaction, self._text = database.rows, database.transaction, database.text
+        self.claim, self.close = database.claim, database.close
 
-    @property
-    def url(self) -> str:
-        return self.database.url
-
-    # -- plain statements ------------------------------------------------------------------------------------
-    def _text(self, statement: str) -> str:
-        return self.database.text(statement)
-
-    def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
-        """The rows that a query returns; parameters are written as question marks for either database."""
-        return self.database.rows(statement, parameters)
-
-    def transaction(self) -> AbstractContextManager[Cursor]:
-        """A cursor whose statements take effect together at the end of the block, or not at all."""
-        return self.database.transaction()
-
-    def claim(self, kind: str, names: Iterable[str]) -> None:
-        """Claim turbines or sources for this process until the store is closed.  Raises StoreFault, naming
-        another holder."""
-        self.database.claim(kind, names)
+    def found(self, kind: type[T], rest: str = "", parameters: Sequence[SqlValue] = ()) -> list[T]:
+        """What the table of a kind holds (`TABLE_OF`), selected and ordered by the `rest` of the query."""
+        rows = self.rows(f"SELECT {', '.join(columns_of(kind))} FROM {TABLE_OF[kind]} {rest}", parameters)
+        return [kind(*row) for row in rows]
 
     # -- writing ---------------------------------------------------------------------------------------------
     def commit(self, batch: Batch) -> None:
@@ -137,11 +121,7 @@ class Store:
             "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?",
             [_reading_row(one)[:3] for one in batch.released],
         )
-        self._many(
-            cursor,
-            replacing("connection", LOSS_COLUMNS, key=LOSS_COLUMNS[:3]),
-            [astuple(one) for one in batch.losses],
-        )
+        self._many(cursor, putting(Loss, ("turbine", "signal", "lost")), map(astuple, batch.losses))
         self._many(
             cursor,
             replacing("point", ("turbine", "time", "state"), key=("turbine",)),
@@ -207,16 +187,8 @@ class Store:
                 for p in properties
             ],
         )
-        self._many(
-            cursor,
-            replacing("alarm", ALARM_COLUMNS, key=("id",), kept=ACKNOWLEDGED),
-            [astuple(alarm) for alarm in batch.alarms],
-        )
-        self._many(
-            cursor,
-            replacing("assessment", ASSESSMENT_COLUMNS, key=("turbine",)),
-            [astuple(one) for one in batch.assessments],
-        )
+        self._many(cursor, putting(Alarm, ("id",), kept=ACKNOWLEDGED), map(astuple, batch.alarms))
+        self._many(cursor, putting(Assessment, ("turbine",)), map(astuple, batch.assessments))
         self._many(
             cursor,
             "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?",
@@ -225,11 +197,8 @@ class Store:
         self._write_notices(cursor, batch.notices)
 
     def _write_notices(self, cursor: Cursor, notices: Iterable[Notice]) -> None:
-        self._many(
-            cursor,
-            inserting("outbox", NOTICE_COLUMNS) + " ON CONFLICT (id) DO NOTHING",
-            [astuple(one) for one in notices],
-        )
+        statement = inserting("outbox", columns_of(Notice)) + " ON CONFLICT (id) DO NOTHING"
+        self._many(cursor, statement, map(astuple, notices))
 
     def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
         """Write the data that trackers and sources resume from, and counters."""
@@ -253,10 +222,12 @@ class Store:
             cursor,
             inserting("forecast", FORECAST_COLUMNS),
             [
-                row
-                for turbine, forecast in batch.forecasts.items()
-                if forecast is not None
-                for row in forecast_rows(turbine, forecast)
+                (row[0], row[1], made.made_s, *row[3:], above)
+                for turbine, made in batch.forecasts.items()
+                if made is not None
+                for row, above in zip(
+                    estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True
+                )
             ],
         )
         if batch.weather:  # forecast values of the past are of no use
@@ -269,9 +240,9 @@ class Store:
             [_reading_row(one) for one in batch.weather],
         )
 
-    def _many(self, cursor: Cursor, statement: str, rows: Sequence[Row]) -> None:
-        if rows:
-            cursor.executemany(self._text(statement), rows)
+    def _many(self, cursor: Cursor, statement: str, rows: Iterable[Row]) -> None:
+        if some := list(rows):
+            cursor.executemany(self._text(statement), some)
 
     def add_turbines(self, models: Mapping[str, str]) -> None:
         """Register turbines; `models`: turbine → digest of the model that tracks it.
@@ -325,7 +296,7 @@ class Store:
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
-        self._execute(replacing("shelf", SHELF_COLUMNS, key=("turbine", "kind")), astuple(shelf))
+        self._execute(putting(Shelf, ("turbine", "kind")), astuple(shelf))
 
     def unshelve(self, turbine: str, kind: str) -> bool:
         """End a shelf early; False if there is none."""
@@ -333,7 +304,7 @@ class Store:
 
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
-        self._execute(replacing("event", EVENT_COLUMNS, key=("id",)), astuple(event))
+        self._execute(putting(Event, ("id",)), astuple(event))
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
         """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
@@ -433,28 +404,19 @@ class Store:
 
     def assessments(self) -> dict[str, Assessment]:
         """The state of each turbine."""
-        found = self.rows(f"SELECT {', '.join(ASSESSMENT_COLUMNS)} FROM assessment")
-        return {row[0]: Assessment(*row) for row in found}
+        return {one.turbine: one for one in self.found(Assessment)}
 
     def shelves(self, now: float) -> list[Shelf]:
         """Shelves that hold at `now` [s]."""
-        found = self.rows(
-            f"SELECT {', '.join(SHELF_COLUMNS)} FROM shelf WHERE until > ? ORDER BY turbine, kind", (now,)
-        )
-        return [Shelf(*row) for row in found]
+        return self.found(Shelf, "WHERE until > ? ORDER BY turbine, kind", (now,))
 
     def all_events(self) -> list[Event]:
         """Events at all turbines, by the time at which they were stated."""
-        found = self.rows(f"SELECT {', '.join(EVENT_COLUMNS)} FROM event ORDER BY made, id")
-        return [Event(*row) for row in found]
+        return self.found(Event, "ORDER BY made, id")
 
     def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
-        found = self.rows(
-            f"SELECT {', '.join(EVENT_COLUMNS)} FROM event WHERE turbine = ? AND time >= ? ORDER BY time, id",
-            (turbine, since),
-        )
-        return [Event(*row) for row in found]
+        return self.found(Event, "WHERE turbine = ? AND time >= ? ORDER BY time, id", (turbine, since))
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
@@ -506,9 +468,6 @@ class Store:
         """Number of rows of each table."""
         return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
 
-    def close(self) -> None:
-        self.database.close()
-
 
 def inserting(table: str, columns: Sequence[str]) -> str:
     """The statement that inserts a row."""
@@ -522,6 +481,16 @@ def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequ
     columns."""
     changed = [f"{name} = excluded.{name}" for name in columns if name not in (*key, *kept)]
     return f"{inserting(table, columns)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
+
+
+def columns_of(kind: type[Any]) -> tuple[str, ...]:
+    """The columns of a table in `TABLE_OF`."""
+    return tuple(one.name for one in fields(kind))
+
+
+def putting(kind: type[Any], key: Sequence[str], kept: Sequence[str] = ()) -> str:
+    """As `replacing`, for the table of a kind in `TABLE_OF`."""
+    return replacing(TABLE_OF[kind], columns_of(kind), key, kept)
 
 
 def _reading_row(one: Observation) -> Row:
@@ -564,14 +533,6 @@ def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
     return list(zip(*columns, strict=True))
 
 
-def forecast_rows(turbine: str, made: Forecast) -> list[Row]:
-    """Rows of the forecast table, in the order of `FORECAST_COLUMNS`."""
-    return [
-        (row[0], row[1], made.made_s, *row[3:], above)
-        for row, above in zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
-    ]
-
-
 def _plain(values: np.ndarray) -> list[float | None]:
     return [v if v == v else None for v in values.tolist()]
 
@@ -586,7 +547,7 @@ def open_store(url: str, read_only: bool = False) -> Store:
     if url.startswith(SCHEMES):
         return Store(open_postgres(url, read_only))
     if url.startswith("sqlite:"):
-        return Store(open_sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")), read_only))
+        return Store(open_sqlite(path_of(url), read_only))
     scheme = url.partition(":")[0] if ":" in url else url
     raise StoreFault(
         "expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with "

@@ -31,17 +31,18 @@ MACHINES = ("/healthz", "/readyz", "/metrics")
 """Paths that machines beside the page ask, past its proxy."""
 READING = ("GET", "HEAD")
 """Methods that change nothing."""
-HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-    "connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
-
-FIXED = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
-"""`HEADERS` as ASGI has them."""
+HEADERS = [
+    (name.lower().encode(), value.encode())
+    for name, value in {
+        "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'",
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Cross-Origin-Resource-Policy": "same-origin",
+    }.items()
+]
+"""Headers of every response, as ASGI has them."""
 
 
 class Sessions:
@@ -133,7 +134,7 @@ def guard(app: ASGIApp, access: Access) -> ASGIApp:
 
         async def headed(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message = {**message, "headers": [*message.get("headers", []), *FIXED, cache]}
+                message = {**message, "headers": [*message.get("headers", []), *HEADERS, cache]}
             await send(message)
 
         await (access.refusal_of(scope) or app)(scope, receive, headed)

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
-from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
-from hygrokf.live.storage.store import Store, StoreFault
+from hygrokf.live.storage.store import StoreFault
 from hygrokf.live.web.access import Access, guard
 from hygrokf.live.web.exchange import posted_json, refusal, reply
 from hygrokf.live.web.margins import MarginsKept
@@ -24,7 +23,7 @@ from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
-from hygrokf.live.web.statements import Statements
+from hygrokf.live.web.statements import StatementFault, Statements
 from hygrokf.live.web.views import (
     FleetRow,
     alarms_view,
@@ -96,7 +95,9 @@ class Page:
             routes=routes,
             middleware=[Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)],
             exception_handlers={
-                kind: lambda request, fault: refusal(503, str(fault)) for kind in (StoreFault, PageFault)
+                StatementFault: lambda request, fault: refusal(400, str(fault)),
+                StoreFault: lambda request, fault: refusal(503, str(fault)),
+                PageFault: lambda request, fault: refusal(503, str(fault)),
             },
         )
         return guard(made, self.access)
@@ -144,8 +145,9 @@ class Page:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        counters, open_, told = self.reader.read(
-            lambda store: (store.counters(), open_alarms(store), channel_states(store))
+        open_alarms = "SELECT COUNT(*) FROM alarm WHERE ended IS NULL"
+        counters, ((open_,),), told = self.reader.read(
+            lambda store: (store.counters(), store.rows(open_alarms), channel_states(store))
         )
         now = self.service.now
         rows = self.rows(now)
@@ -154,7 +156,7 @@ class Page:
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
-            "open_alarms": open_,
+            "open_alarms": int(open_),
             "heard": max((row["heard"] for row in rows if row["heard"] is not None), default=None),
             "label": "; ".join(one.label for one in self.service.streams.values() if one.label),
             "channels": [
@@ -163,9 +165,6 @@ class Page:
             ],
         }
         return reply({**own, **health_view(self.service.streams, self.service.health, counters)})
-
-    def _sources(self) -> dict[str, SourceState]:
-        return {url: one.state for url, one in self.service.streams.items()}
 
     # -- who is let in ---------------------------------------------------------------------------------------
     async def login(self, request: Request) -> Response:
@@ -192,7 +191,8 @@ class Page:
             )
         except StoreFault:
             rows, counters, alarms, told = None, {}, [], {}
-        sources, reaches, clients = self._sources(), self.service.reaches(), len(self.hub)
+        sources = {url: one.state for url, one in self.service.streams.items()}
+        reaches, clients = self.service.reaches(), len(self.hub)
         notices = {one.name: told.get(one.name, 0) for one in self.service.channels}
         text, kind = exposition(
             Snapshot(now, self.service.health, sources, clients, rows, alarms, counters, notices, reaches)
@@ -230,8 +230,3 @@ class Page:
         if time.monotonic() - self.service.health.looped > LOOP_S:
             return f"the tracker's loop has not gone round for {LOOP_S:g} s"
         return await self.answers.fault()
-
-
-def open_alarms(store: Store) -> int:
-    """Number of open alarms."""
-    return int(store.rows("SELECT COUNT(*) FROM alarm WHERE ended IS NULL")[0][0])

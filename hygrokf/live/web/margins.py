@@ -79,19 +79,18 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> dict[str, Ma
     found: dict[str, Margins] = {}
     now = start + BACK_S
     for name in names:
-        past = store.rows(
-            "SELECT time, margin_K, margin_sd FROM estimate WHERE turbine = ? AND time >= ? AND time < ? "
-            "AND margin_K IS NOT NULL",
-            (name, start, now),
-        )
-        ahead = store.rows(
-            "SELECT time, margin_K, margin_sd FROM forecast WHERE turbine = ? AND time >= ? AND time < ? "
-            "AND margin_K IS NOT NULL",
-            (name, now, now + AHEAD_S),
-        )
-        if not past and not ahead:
+        courses = [
+            row
+            for table, since, until in (("estimate", start, now), ("forecast", now, now + AHEAD_S))
+            for row in store.rows(
+                f"SELECT time, margin_K, margin_sd FROM {table} WHERE turbine = ? AND time >= ? AND time < ? "
+                "AND margin_K IS NOT NULL",
+                (name, since, until),
+            )
+        ]
+        if not courses:
             continue
-        rows = np.array([*past, *ahead], dtype=float)
+        rows = np.array(courses, dtype=float)
         value, half = lowest((rows[:, 0] - start) / STEP_S, rows[:, 1], rows[:, 2], PAST + AHEAD)
         found[name] = {"value": value, "half": half}
     return found

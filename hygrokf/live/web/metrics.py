@@ -10,7 +10,7 @@ import math
 import platform
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import TYPE_CHECKING
@@ -65,7 +65,9 @@ def exposition(found: Snapshot) -> tuple[bytes, str]:
             yield from _sources(found)
             yield from _set_aside(found.counters)
             yield from _turbines(found)
-            yield _notices(found.notices)
+            waiting = [((channel,), count) for channel, count in found.notices.items()]
+            words = "Notices of alarms that are not sent yet"
+            yield _gauge("hygrokf_notices_waiting", words, waiting, ("channel",))
 
     registry = CollectorRegistry()
     registry.register(Now())
@@ -73,15 +75,25 @@ def exposition(found: Snapshot) -> tuple[bytes, str]:
     return generate_latest(registry), CONTENT_TYPE_LATEST
 
 
+def _gauge(
+    name: str, words: str, samples: Iterable[tuple[Sequence[str], float]], labels: Sequence[str] = ()
+) -> Metric:
+    """A metric with its samples: (values of the labels, number)."""
+    from prometheus_client.core import GaugeMetricFamily
+
+    made = GaugeMetricFamily(name, words, labels=labels)
+    for values, number in samples:
+        made.add_metric(values, number)
+    return made
+
+
 def _tracker(found: Snapshot) -> Iterator[Metric]:
-    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+    from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
 
     health = found.health
-    build = GaugeMetricFamily(
-        "hygrokf_build_info", "1, with the version of the tracker and of Python", labels=["version", "python"]
-    )
-    build.add_metric([__version__, platform.python_version()], 1)
-    yield build
+    build = [((__version__, platform.python_version()), 1)]
+    words = "1, with the version of the tracker and of Python"
+    yield _gauge("hygrokf_build_info", words, build, ("version", "python"))
     yield CounterMetricFamily("hygrokf_deliveries", "Deliveries that were committed", health.deliveries)
     yield CounterMetricFamily("hygrokf_store_failures", "Commits that the store refused", health.failures)
     classes = [*(f"{bound:g}" for bound in WAITS_S), "+Inf"]
@@ -91,58 +103,43 @@ def _tracker(found: Snapshot) -> Iterator[Metric]:
         buckets=list(zip(classes, accumulate(health.wait_counts), strict=True)),
         sum_value=health.wait_sum_s,
     )
-    age = GaugeMetricFamily("hygrokf_last_commit_age_seconds", "Time since the last commit")
-    if health.committed_s:
-        age.add_metric([], time.time() - health.committed_s)
-    yield age
+    age = [((), time.time() - health.committed_s)] if health.committed_s else []
+    yield _gauge("hygrokf_last_commit_age_seconds", "Time since the last commit", age)
     reached = int(found.fleet is not None and not health.store)
-    yield GaugeMetricFamily("hygrokf_store_reached", "1 if tracker and page reach the store", reached)
-    yield GaugeMetricFamily("hygrokf_page_clients", "Pages that are notified of changes", found.clients)
+    yield _gauge("hygrokf_store_reached", "1 if tracker and page reach the store", [((), reached)])
+    yield _gauge("hygrokf_page_clients", "Pages that are notified of changes", [((), found.clients)])
 
 
 def _sources(found: Snapshot) -> Iterator[Metric]:
-    from prometheus_client.core import GaugeMetricFamily
-
-    state = GaugeMetricFamily(
-        "hygrokf_source_state", "1 for the state that a source is in", labels=["source", "state"]
+    yield _gauge(
+        "hygrokf_source_state",
+        "1 for the state that a source is in",
+        (
+            ((url, one), int(one == word))
+            for url, (word, _) in found.sources.items()
+            for one in dict.fromkeys((*SOURCE_STATES, word))
+        ),
+        ("source", "state"),
     )
-    last = GaugeMetricFamily(
+    times = [(url, found.health.sources[url]) for url in found.sources if url in found.health.sources]
+    yield _gauge(
         "hygrokf_source_last_message_timestamp_seconds",
         "When a source last delivered something, since 1970",
-        labels=["source"],
+        (((url,), one.committed) for url, one in times),
+        ("source",),
     )
-    lag = GaugeMetricFamily(
+    yield _gauge(
         "hygrokf_source_lag_seconds",
         "Time from a source's newest reading to its arrival, of the last delivery with readings",
-        labels=["source"],
+        (((url,), one.lag_s) for url, one in times if one.lag_s is not None),
+        ("source",),
     )
-    silent = GaugeMetricFamily(
+    yield _gauge(
         "hygrokf_source_not_reached_ratio",
         "Time that a source has not been reached, as a multiple of its limit",
-        labels=["source"],
+        (((url,), reach.share(found.now)) for url, reach in found.reaches.items()),
+        ("source",),
     )
-    for url, reach in found.reaches.items():
-        silent.add_metric([url], reach.share(found.now))
-    for url, (word, _) in found.sources.items():
-        for one in dict.fromkeys((*SOURCE_STATES, word)):
-            state.add_metric([url, one], int(one == word))
-        times = found.health.sources.get(url)
-        if times is not None:
-            last.add_metric([url], times.committed)
-            if times.lag_s is not None:
-                lag.add_metric([url], times.lag_s)
-    yield from (state, last, lag, silent)
-
-
-def _notices(waiting: Mapping[str, int]) -> Metric:
-    from prometheus_client.core import GaugeMetricFamily
-
-    made = GaugeMetricFamily(
-        "hygrokf_notices_waiting", "Notices of alarms that are not sent yet", labels=["channel"]
-    )
-    for channel, count in waiting.items():
-        made.add_metric([channel], count)
-    return made
 
 
 def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
@@ -155,42 +152,38 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
         "hygrokf_set_aside", "Readings of a turbine that were not used", labels=["turbine", "kind"]
     )
     for (turbine, kind), count in sorted(counters.items()):
-        if turbine:
-            aside.add_metric([turbine, kind], count)
-        else:
-            refused.add_metric([kind], count)
+        (aside if turbine else refused).add_metric([turbine, kind] if turbine else [kind], count)
     yield from (refused, aside)
 
 
 def _turbines(found: Snapshot) -> Iterator[Metric]:
-    from prometheus_client.core import GaugeMetricFamily
-
-    heard = GaugeMetricFamily(
-        "hygrokf_heard_age_seconds", "Time since a turbine was last heard", labels=["turbine"]
+    fleet = found.fleet or ()
+    for name, words, numbers in (
+        (
+            "hygrokf_heard_age_seconds",
+            "Time since a turbine was last heard",
+            [None if row["heard"] is None else found.now - row["heard"] for row in fleet],
+        ),
+        (
+            "hygrokf_condensation_probability",
+            "Probability of condensation at the coldest surface",
+            [row["condensation"] for row in fleet],
+        ),
+        (
+            "hygrokf_dew_point_margin_kelvin",
+            "Coldest surface above the dew point",
+            [row["margin"] for row in fleet],
+        ),
+    ):
+        known = [((row["turbine"],), n) for row, n in zip(fleet, numbers, strict=True) if n is not None]
+        yield _gauge(name, words, known, ("turbine",))
+    yield _gauge(
+        "hygrokf_turbine_state",
+        "1 for the state that a turbine is in",
+        (((row["turbine"], one), int(one == row["state"])) for row in fleet for one in TURBINE_STATES),
+        ("turbine", "state"),
     )
-    chance = GaugeMetricFamily(
-        "hygrokf_condensation_probability",
-        "Probability of condensation at the coldest surface",
-        labels=["turbine"],
-    )
-    margin = GaugeMetricFamily(
-        "hygrokf_dew_point_margin_kelvin", "Coldest surface above the dew point", labels=["turbine"]
-    )
-    state = GaugeMetricFamily(
-        "hygrokf_turbine_state", "1 for the state that a turbine is in", labels=["turbine", "state"]
-    )
-    for row in found.fleet or ():
-        name = row["turbine"]
-        for family, value in (
-            (heard, None if row["heard"] is None else found.now - row["heard"]),
-            (chance, row["condensation"]),
-            (margin, row["margin"]),
-        ):
-            if value is not None:
-                family.add_metric([name], value)
-        for one in TURBINE_STATES:
-            state.add_metric([name, one], int(one == row["state"]))
-    yield from (heard, chance, margin, state, _open_alarms(found))
+    yield _open_alarms(found)
 
 
 def _open_alarms(found: Snapshot) -> Metric:
@@ -198,8 +191,6 @@ def _open_alarms(found: Snapshot) -> Metric:
 
     Alarms that belong to no turbine have an empty label `turbine`.
     """
-    from prometheus_client.core import GaugeMetricFamily
-
     counts: Counter[tuple[str, str, str]] = Counter()
     names = [SOURCE, *(row["turbine"] for row in found.fleet or ())]
     for name in names if found.fleet is not None else ():
@@ -209,7 +200,5 @@ def _open_alarms(found: Snapshot) -> Metric:
                 if math.isfinite(rule.severe):
                     counts[name, rule.kind, "alarm"] = 0
     counts.update((one.turbine, one.kind, one.severity) for one in found.alarms if one.turbine in names)
-    alarms = GaugeMetricFamily("hygrokf_open_alarms", "Open alarms", labels=["turbine", "kind", "severity"])
-    for labels, count in sorted(counts.items()):
-        alarms.add_metric(labels, count)
-    return alarms
+    labels = ("turbine", "kind", "severity")
+    return _gauge("hygrokf_open_alarms", "Open alarms", sorted(counts.items()), labels)

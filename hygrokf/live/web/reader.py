@@ -46,7 +46,9 @@ class Reader:
                 found = view(self._store)
             except Exception as fault:
                 self._close()
-                if not is_store_error(fault):
+                # from the database, of either kind, and not from a bug in the program
+                known = isinstance(fault, StoreFault | sqlite3.Error | OSError)
+                if not known and not type(fault).__module__.startswith("psycopg"):
                     raise
                 if not self._failed:
                     LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
@@ -64,13 +66,6 @@ class Reader:
         if self._store is not None:
             self._store.close()
             self._store = None
-
-
-def is_store_error(fault: Exception) -> bool:
-    """Whether an exception comes from the database, of either kind, and not from a bug in the program."""
-    return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
-        "psycopg"
-    )
 
 
 class StoreAnswers:
@@ -103,19 +98,15 @@ class StoreAnswers:
 
         def ask() -> None:
             try:
-                found.set_result(self._look())
+                self._reader.read(lambda store: store.rows("SELECT 1"))
+                found.set_result("")
+            except StoreFault as fault:
+                found.set_result(str(fault))
             except BaseException as fault:
                 found.set_exception(fault)
 
         threading.Thread(target=ask, name="page health", daemon=True).start()
         return asyncio.wrap_future(found)
-
-    def _look(self) -> str:
-        try:
-            self._reader.read(lambda store: store.rows("SELECT 1"))
-        except StoreFault as found:
-            return str(found)
-        return ""
 
     def close(self) -> None:
         self._reader.close()

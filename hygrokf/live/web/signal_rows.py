@@ -40,43 +40,28 @@ def signal_rows(
     there = store.signals(name)
     used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
     missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
-    for signal in missing:
-        row = SIGNALS.get(signal)
+    for signal in (*missing, *there):
+        row, last, value, received, count = SIGNALS.get(signal), None, None, None, 0
+        if signal in there:
+            ((last, value, received),) = store.rows(
+                "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
+                "time DESC LIMIT 1",
+                (name, signal),
+            )
+            ((count,),) = store.rows(
+                "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
+                (name, signal, now - DAY_S),
+            )
         found.append(
             {
                 "signal": signal,
-                "value": None,
+                "value": value if row is None or value is None else float(from_si(value, row.display, row)),
                 "unit": "" if row is None else row.display,
-                "last": None,
-                "received": None,
-                "count": 0,
-                "needed": used[signal],
-                "contradicts": False,
-            }
-        )
-    for signal in there:
-        ((last, value, received),) = store.rows(
-            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time "
-            "DESC LIMIT 1",
-            (name, signal),
-        )
-        ((count,),) = store.rows(
-            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
-            (name, signal, now - DAY_S),
-        )
-        row = SIGNALS.get(signal)
-        shown = value if row is None else float(from_si(value, row.display, row))
-        unit = "" if row is None else row.display
-        found.append(
-            {
-                "signal": signal,
-                "value": shown,
-                "unit": unit,
                 "last": last,
                 "received": received,
                 "count": count,
                 "needed": used.get(signal, ""),
-                "contradicts": signal in contradicts,
+                "contradicts": signal in there and signal in contradicts,
             }
         )
     return sorted(found, key=lambda one: one["signal"])

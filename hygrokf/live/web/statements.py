@@ -7,20 +7,21 @@ import math
 import uuid
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.errors import HygrokfError
-from hygrokf.live.acknowledgement import LOOK_AGAIN, acknowledge
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import CAUSES, Event, Shelf
 from hygrokf.live.changes import KINDS as EVENT_KINDS
+from hygrokf.live.notification.notices import LOOK_AGAIN, acknowledge
 from hygrokf.live.service import Service
 from hygrokf.live.storage.export import alarms_csv
 from hygrokf.live.storage.store import Store
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.exchange import posted_json, refusal, reply
+from hygrokf.live.web.reader import Reader
 from hygrokf.live.web.server import Hub
 from hygrokf.live.web.views import labels_view
 
@@ -137,16 +138,11 @@ def _number(value: Json) -> float:
 
 
 # -- endpoints -----------------------------------------------------------------------------------------------
-class Reads(Protocol):
-    """Applies a function to the page's store."""
-
-    def read(self, view: Callable[[Store], T]) -> T: ...
-
-
 class Statements:
-    """The endpoints of what people state; they share the page's connection to the store."""
+    """The endpoints of what people state; they share the page's connection to the store, and the page answers
+    a StatementFault."""
 
-    def __init__(self, service: Service, hub: Hub, reader: Reads) -> None:
+    def __init__(self, service: Service, hub: Hub, reader: Reader) -> None:
         self.service = service
         self.hub = hub
         self.reader = reader
@@ -166,11 +162,7 @@ class Statements:
         ]
 
     async def acknowledge(self, request: Request) -> Response:
-        given = await posted_json(request)
-        try:
-            stated = acknowledgement_of(given)
-        except StatementFault as fault:
-            return refusal(400, str(fault))
+        stated = acknowledgement_of(await posted_json(request))
         now = self.service.now
         later = None if stated.days is None else now + DAY_S * stated.days
         done = await self._write(
@@ -202,11 +194,7 @@ class Statements:
         return reply({"now": now, "shelves": self.reader.read(lambda store: store.shelves(now))})
 
     async def shelve(self, request: Request) -> Response:
-        given, now = await posted_json(request), self.service.now
-        try:
-            shelf = shelf_of(given, self.service.turbines, now)
-        except StatementFault as fault:
-            return refusal(400, str(fault))
+        shelf = shelf_of(await posted_json(request), self.service.turbines, self.service.now)
         await self._write(lambda store: store.shelve(shelf))
         LOG.info(
             "alarms were shelved",
@@ -216,11 +204,7 @@ class Statements:
         return reply({"shelf": shelf})
 
     async def unshelve(self, request: Request) -> Response:
-        given = await posted_json(request)
-        try:
-            turbine, kind = shelved(given, self.service.turbines)
-        except StatementFault as fault:
-            return refusal(400, str(fault))
+        turbine, kind = shelved(await posted_json(request), self.service.turbines)
         if not await self._write(lambda store: store.unshelve(turbine, kind)):
             return refusal(404, "there is no such shelf")
         LOG.info("a shelf was ended", extra={"turbine": turbine, "kind": kind})
@@ -240,11 +224,7 @@ class Statements:
         return reply({"now": self.service.now, "events": self.reader.read(view)})
 
     async def note_event(self, request: Request) -> Response:
-        given, now = await posted_json(request), self.service.now
-        try:
-            event = event_of(given, self.service.turbines, now)
-        except StatementFault as fault:
-            return refusal(400, str(fault))
+        event = event_of(await posted_json(request), self.service.turbines, self.service.now)
         await self._write(lambda store: store.note_event(event))
         LOG.info(
             "an event was stated",

@@ -23,10 +23,10 @@ from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
-from hygrokf.live.service import Health, SourceTimes
+from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
-from hygrokf.live.storage.store import ALARM_COLUMNS, Store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.web.signal_rows import SignalRow, signal_rows
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
@@ -55,19 +55,23 @@ class Chance(TypedDict):
     time: float
 
 
-class FleetRow(TypedDict):
+class StateView(TypedDict):
+    """The `state` of a turbine, one of `STATES`, `since` a time [s], with its `reason`."""
+
+    state: str
+    reason: str
+    since: float | None
+
+
+class FleetRow(StateView):
     """A turbine in the fleet's table: temperatures [°C], `margin` [K], humidity [%], probabilities [1], times
     [s].
 
     `…_half` is half the width of a 95 % band; `cabinet` says whether its properties are as fitted; `severity`
-    is that of its worst open alarm (`SEVERITY`), −1 without any.  `state` is one of `STATES`, with its
-    `reason`, `since` a time.
+    is that of its worst open alarm (`SEVERITY`), −1 without any.
     """
 
     turbine: str
-    state: str
-    reason: str
-    since: float | None
     time: float | None
     heard: float | None
     fresh: bool
@@ -159,18 +163,15 @@ class ForecastView(TypedDict):
     advice: Json
 
 
-class TurbineView(TypedDict):
+class TurbineView(StateView):
     """One turbine on the page.
 
-    `state` is one of `STATES`, with its `reason`, `since` a time [s]; `final`: 1 for final estimates;
-    `condensation` [1] and `courses` at the instants `time` [s]; `counts`: readings that were not used, by
-    kind; `held`: number of readings that are held back, because their stamps are ahead of the clock.
+    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s]; `counts`:
+    readings that were not used, by kind; `held`: number of readings that are held back, because their stamps
+    are ahead of the clock.
     """
 
     turbine: str
-    state: str
-    reason: str
-    since: float | None
     model: ModelView
     time: list[float]
     final: list[int]
@@ -316,14 +317,6 @@ def fleet_summary(rows: Iterable[FleetRow]) -> dict[str, int]:
     """Number of turbines in each of the `STATES`."""
     counts = Counter(row["state"] for row in rows)
     return {state: counts[state] for state in STATES}
-
-
-class StateView(TypedDict):
-    """The `state` of a turbine `since` a time [s], with its `reason`."""
-
-    state: str
-    reason: str
-    since: float | None
 
 
 def _state(found: Assessment | None) -> StateView:
@@ -498,8 +491,7 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     if turbine is not None:
         where += " AND turbine = ?"
         parameters.append(turbine)
-    rows = store.rows(f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm {where} ORDER BY began DESC", parameters)
-    found = [Alarm(**dict(zip(ALARM_COLUMNS, row, strict=True))) for row in rows]
+    found = store.found(Alarm, f"{where} ORDER BY began DESC", parameters)
     return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
@@ -559,25 +551,26 @@ def _thin(rows: Sequence[T]) -> Sequence[T]:
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
-def _source(one: Stream, times: SourceTimes | None) -> SourceRow:
-    state = one.state
-    return {
-        "url": one.url,
-        "state": state.word,
-        "words": state.words,
-        "heard": None if times is None else times.committed,
-        "lag": None if times is None else times.lag_s,
-        "not_reached": None if one.played_back else one.reach().since,
-        "ordered_by": "nothing: neither counts" if one.mapping.revision == "neither" else one.ordered_by,
-    }
-
-
 def health_view(
     streams: Mapping[str, Stream], health: Health, counters: Mapping[tuple[str, str], int]
 ) -> HealthView:
     """State of sources and store, and counts of refused deliveries that belong to no turbine."""
+    sources: list[SourceRow] = []
+    for url, one in streams.items():
+        state, times, neither = one.state, health.sources.get(url), one.mapping.revision == "neither"
+        sources.append(
+            {
+                "url": url,
+                "state": state.word,
+                "words": state.words,
+                "heard": None if times is None else times.committed,
+                "lag": None if times is None else times.lag_s,
+                "not_reached": None if one.played_back else one.reach().since,
+                "ordered_by": "nothing: neither counts" if neither else one.ordered_by,
+            }
+        )
     return {
-        "sources": [_source(one, health.sources.get(url)) for url, one in streams.items()],
+        "sources": sources,
         "store": health.store,
         "deliveries": health.deliveries,
         "committed": health.committed_s,
