@@ -126,7 +126,7 @@ class _Inputs:
 def _inputs(options: argparse.Namespace) -> _Inputs:
     """What the files hold.  Raises UserFault with the faults of all of them."""
     from hygrokf.climate.chamber import read_test_plan
-    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.limits import limits_of
     from hygrokf.climate.power import read_power_curve
     from hygrokf.climate.region import read_power, read_region
 

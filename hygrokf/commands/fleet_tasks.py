@@ -63,7 +63,7 @@ def run_fleet(
 
 def _expect_classes(plan: Plan) -> None:
     """Raise ClassFault, before any work, for limits that are the name of no known class."""
-    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.limits import limits_of
 
     for one in plan.options.get("limits", ()):
         if not Path(one).is_file():
@@ -232,7 +232,7 @@ def _climate(job: Job) -> Row:
     """Simulate the climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate`
     does."""
     from hygrokf.cases.case_file import read_case
-    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.limits import limits_of
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report

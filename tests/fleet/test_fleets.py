@@ -19,7 +19,7 @@ from builders.command_line import run
 from builders.documents import document
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
-from hygrokf.climate.classes import ClassFault
+from hygrokf.climate.limits import ClassFault
 from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.toml_form import keys_of
