@@ -54,10 +54,7 @@ class Limit:
     @property
     def quantity_words(self) -> str:
         """The quantity in words, without its unit."""
-        for tail in ("_degC", "_percent_per_h", "_percent", "_g_m3", "_K_per_h"):
-            if self.quantity.endswith(tail):
-                return self.quantity.removesuffix(tail).replace("_", " ")
-        return self.quantity
+        return re.sub("_(degC|percent_per_h|percent|g_m3|K_per_h)$", "", self.quantity).replace("_", " ")
 
 
 @dataclass(frozen=True)

@@ -218,8 +218,8 @@ def _ageing(hours: Hours) -> np.ndarray | None:
 EXCURSIONS: dict[str, tuple[str, Callable[[Hours], np.ndarray | None]]] = {
     "humidity_above_80": ("humidity above 80 %", partial(_more_humid, percent=80.0)),
     "humidity_above_95": ("humidity above 95 %", partial(_more_humid, percent=95.0)),
-    "temperature_above_40": ("temperature above 40 °C", lambda hours: hours.courses["temperature_degC"] > 40.0),
-    "temperature_below_0": ("temperature below 0 °C", lambda hours: hours.courses["temperature_degC"] < 0.0),
+    "temperature_above_40": ("temperature above 40 °C", lambda h: h.courses["temperature_degC"] > 40.0),
+    "temperature_below_0": ("temperature below 0 °C", lambda h: h.courses["temperature_degC"] < 0.0),
     "condensation": ("condensation", lambda hours: hours.year.condensing),
 }
 """Conditions whose stretches are counted: words, and the instants (N, T) at which they hold."""
