@@ -233,9 +233,9 @@ def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDiffer
 
 def scores_table(found: ComparisonResults, quantity: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
-    rows = []
+    labels, rows = short_labels([one.label for one in found.columns]), []
     for period in PERIODS:
-        for one, label in zip(found.columns, _labels(found), strict=True):
+        for one, label in zip(found.columns, labels, strict=True):
             total = one.total(period, quantity)
             if total is not None:
                 by_regime = one.scores[period][quantity]
@@ -277,8 +277,8 @@ def differences_table(pair: PairDifference) -> Table:
 
 def skill_table(found: ComparisonResults) -> Table:
     """Skill against each rule, in total, in validation (over the whole record where there is none)."""
-    rows = []
-    for one, label in zip(found.columns, _labels(found), strict=True):
+    labels, rows = short_labels([one.label for one in found.columns]), []
+    for one, label in zip(found.columns, labels, strict=True):
         for quantity in SCORED:
             period = next((p for p in _WHERE if one.total(p, quantity) is not None), None)
             if period is None:
@@ -301,10 +301,6 @@ def skill_table(found: ComparisonResults) -> Table:
         "identification period.",
         brief=(0, 2, 3, 6, 7),
     )
-
-
-def _labels(found: ComparisonResults) -> list[str]:
-    return short_labels([one.label for one in found.columns])
 
 
 def _span(lower: float, upper: float) -> str:

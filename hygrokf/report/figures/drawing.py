@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -420,8 +421,6 @@ def name_rows(axes: Axes, labels: Sequence[str]) -> None:
 
 def empty(axes: Axes, sentence: str) -> None:
     """Axes that say in one sentence why they are empty."""
-    import textwrap
-
     axes.set_axis_off()
-    text = "\n".join(textwrap.wrap(sentence, 34))
+    text = textwrap.fill(sentence, 34)
     axes.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, transform=axes.transAxes)

@@ -7,6 +7,7 @@ They raise `drawing.NothingToShow` with one sentence where their data are missin
 from __future__ import annotations
 
 import itertools
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -105,7 +106,8 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
         axes.set_ylim(-reach, reach)
         axes.locator_params(axis="x", nbins=5)
         short = unit.replace("% of the rated power", "% of rated")
-        axes.set_xlabel(_two_lines(f"{words(name)} [{short or '1'}]"), fontsize=rcParams["xtick.labelsize"])
+        label = textwrap.fill(f"{words(name)} [{short or '1'}]", 27)
+        axes.set_xlabel(label, fontsize=rcParams["xtick.labelsize"])
         axes.set_ylabel(error_label(quantity))
         if name == chosen[0]:
             axes.set_title(TITLE[quantity])
@@ -138,12 +140,6 @@ def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str
     best = dict.fromkeys([name for name in first if name in rank])
     best |= dict.fromkeys(sorted(rank, key=lambda name: -rank[name]))
     return [name for name in hours.drivers if name in list(best)[:DRIVERS]]
-
-
-def _two_lines(text: str, width: int = 27) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, width))
 
 
 def _shares(value: np.ndarray, count: int = 12) -> np.ndarray:
@@ -333,7 +329,7 @@ def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> 
             axes: Axes, name: str, shown: tuple[CrossCorrelation | None, ...], reach: float
         ) -> None:
             correlation(axes, shown, COLOURS, reach)
-            axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
+            axes.set_title(textwrap.fill(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
 
         drawn.append(partial(spectrum, quantity=quantity, shown=(base.periodogram, wider.periodogram)))
         for name in best:
