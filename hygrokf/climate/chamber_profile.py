@@ -37,24 +37,29 @@ NOT_REPRODUCED = (
 
 @dataclass(frozen=True, eq=False)
 class ChamberSequence:
-    """A sequence of a chamber (n,) hour by hour, as it was computed.
+    """A sequence of a chamber, hour by hour.
 
-    Temperature [°C] and relative humidity [%] of the chamber and of the site; `day_s` (n,) [s since 1970,
-    UTC] when the day began.  `shift` δ [1/K]; `factor` the acceleration exp(E_a δ/k_B) [1]; `cut` share of
-    hours [1] at a limit of the chamber's temperature; `ageing_h` of the whole [h at the reference];
-    `reached` whether it ages as much as the years of service.
+    `hour` of the test; temperature [°C] and relative humidity [%] of the chamber, and of the site in the same
+    hours; `day` when each day began, UTC.  `shift_per_K` δ; `acceleration` exp(E_a δ/k_B) [1] before the
+    chamber's limits; `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the
+    years of service.
     """
 
+    hour: tuple[int, ...]
     temperature_degC: np.ndarray
     relative_humidity_percent: np.ndarray
     site_temperature_degC: np.ndarray
     site_humidity_percent: np.ndarray
-    day_s: np.ndarray
-    shift: float
-    factor: float
-    cut: float
-    ageing_h: float
+    day: tuple[str, ...]
+    shift_per_K: float
+    acceleration: float
+    share_at_chamber_limit: float
     reached: bool
+
+    @property
+    def courses(self) -> dict[str, np.ndarray]:
+        """The temperatures and humidities by name."""
+        return {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)}
 
 
 @dataclass(frozen=True)
@@ -108,32 +113,13 @@ class Closeness:
 
 
 @dataclass(frozen=True, eq=False)
-class ChamberProfile:
-    """The test profile of a region, hour by hour.
+class ChamberProfile(ChamberSequence):
+    """The test profile of a region, and what it reproduces of the site."""
 
-    `hour` of the test; temperature [°C] and relative humidity [%] of the chamber, and of the site in the same
-    hours; `day` when each day began, UTC.  `shift_per_K` δ; `acceleration` [1] before the chamber's limits;
-    `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the years of service.
-    """
-
-    hour: tuple[int, ...]
-    temperature_degC: np.ndarray
-    relative_humidity_percent: np.ndarray
-    site_temperature_degC: np.ndarray
-    site_humidity_percent: np.ndarray
-    day: tuple[str, ...]
-    shift_per_K: float
-    acceleration: float
-    share_at_chamber_limit: float
-    reached: bool
     closeness: Closeness
 
     def __post_init__(self) -> None:
-        courses = (
-            self.temperature_degC, self.relative_humidity_percent, self.site_temperature_degC,
-            self.site_humidity_percent,
-        )  # fmt: skip
-        if found := [one.shape for one in courses if one.shape != (len(self.hour),)]:
+        if found := [one.shape for one in self.courses.values() if one.shape != (len(self.hour),)]:
             raise ValueError(f"expected a value for each of {len(self.hour)} hours, found {found[0]}")
 
 
@@ -142,18 +128,9 @@ def build_profile(
 ) -> ChamberProfile:
     """The test profile from all days of a climate; arguments as for `chamber_sequence` and `closeness`."""
     made = chamber_sequence(days, ageing.value, plan)
+    shown = {name: np.round(one, 2) for name, one in made.courses.items()}
     return ChamberProfile(
-        tuple(range(len(made.temperature_degC))),
-        np.round(made.temperature_degC, 2),
-        np.round(made.relative_humidity_percent, 2),
-        np.round(made.site_temperature_degC, 2),
-        np.round(made.site_humidity_percent, 2),
-        tuple(stamp_text(one) for one in made.day_s[::DAY_H]),
-        made.shift,
-        made.factor,
-        made.cut,
-        made.reached,
-        closeness(made, days, plan, ageing, service_cycles),
+        **{**vars(made), **shown}, closeness=closeness(made, days, plan, ageing, service_cycles)
     )
 
 
@@ -183,13 +160,10 @@ def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> C
             shift = 0.5 * (low + high)
             low, high = (shift, high) if aged(shift) < target else (low, shift)
     warm, damp = set_points(celsius, percent, shift, plan.chamber)
-    cut = np.isclose(warm, plan.chamber.temperature_degC[1]) | np.isclose(
-        warm, plan.chamber.temperature_degC[0]
-    )
+    cut = np.isclose(warm[:, None], plan.chamber.temperature_degC).any(axis=1)
     return ChamberSequence(
-        warm, damp, celsius, percent, np.repeat(chosen.start_s, DAY_H)[:length], shift,
-        float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), aged(shift),
-        reached,
+        tuple(range(len(warm))), warm, damp, celsius, percent, tuple(map(stamp_text, chosen.start_s)), shift,
+        float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), reached,
     )  # fmt: skip
 
 
@@ -245,8 +219,9 @@ def closeness(
     own_rate = law.rate(*_in_si(sequence.temperature_degC, sequence.relative_humidity_percent))
     site = shares(days.temperature_degC, days.relative_humidity_percent)
     site_ageing = shares(days.temperature_degC, days.relative_humidity_percent, all_rate)
+    aged = float(own_rate.sum())
     years = [
-        sequence.ageing_h / max(one, 1e-300)
+        aged / max(one, 1e-300)
         for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
     per_year = YEAR_H / len(celsius)
@@ -255,7 +230,7 @@ def closeness(
     wet = days.relative_humidity_percent > WET_PERCENT
     test_wet = sequence.relative_humidity_percent > WET_PERCENT
     return Closeness(
-        Ageing(sequence.ageing_h, plan.service_years * ageing.value, *years),
+        Ageing(aged, plan.service_years * ageing.value, *years),
         _distance(shares(celsius, percent), site),
         _distance(shares(celsius, percent, own_rate), site_ageing),
         SiteAndTest(float(wet.mean()), float(test_wet.mean())),

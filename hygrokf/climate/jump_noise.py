@@ -71,7 +71,9 @@ def shots_from_innovations(
         return ()
     rates, reads, air, variance = _linear(model, fit.values, inputs, state)
     noise = np.diag(np.array(model.noise(fit.values), dtype=float))
-    warms = _reaches(rates, air)
+    warms = air != 0.0
+    for _ in range(len(air)):  # also through other states
+        warms = warms | (rates[warms] != 0.0).any(axis=0)
     means = [i for i, name in enumerate(model.states) if name not in model.own_states]
     found: list[Shots] = []
     for output, states in (("temperature", warms), ("humidity", ~warms)):
@@ -135,14 +137,6 @@ def _linear(
     return rates, reads, air, np.array([float(outputs[name][1]) for name in model.outputs])
 
 
-def _reaches(rates: np.ndarray, air: np.ndarray) -> np.ndarray:
-    """Which states (n,) the cabinet's temperature depends on, at once or in time."""
-    reached = air != 0.0
-    for _ in range(len(air)):
-        reached = reached | (rates[reached] != 0.0).any(axis=0)
-    return reached
-
-
 def _share(
     rates: np.ndarray,
     reads: np.ndarray,
@@ -156,9 +150,13 @@ def _share(
     """Excess kurtosis [1/h] of an output's innovations for each hour between shots of the states' noise."""
     from scipy.linalg import expm
 
-    transition, whole = _step(rates, noise, step_h)
-    transition[:, means] = 0.0  # a running mean begins anew after every reading
     n = len(rates)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -rates, np.diag(noise), rates.T
+    block = expm(block * step_h)  # Van Loan 1978
+    transition = block[n:, n:].T
+    whole = transition @ block[:n, n:]
+    transition[:, means] = 0.0  # a running mean begins anew after every reading
     covariance = whole + 1e-9 * np.eye(n)
     for _ in range(SETTLED):
         spread = reads @ covariance @ reads.T + np.diag(variance)
@@ -177,15 +175,3 @@ def _share(
         columns = expm(rates * (0.5 * step_h * (1.0 + node))) * np.sqrt(noise * states)
         total += 0.5 * step_h * weight * float(((rows @ columns) ** 4).sum())
     return 3.0 * total / float(spread[place, place]) ** 2
-
-
-def _step(rates: np.ndarray, noise: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Transition (n, n) and noise covariance (n, n) over a step [h].  Source: Van Loan 1978."""
-    from scipy.linalg import expm
-
-    n = len(rates)
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -rates, np.diag(noise), rates.T
-    block = expm(block * step_h)
-    transition = block[n:, n:].T
-    return transition, transition @ block[:n, n:]

@@ -1,13 +1,15 @@
-"""Limits of a requirement specification, and whether a climate keeps to them.
+"""Limits of a requirement specification or of a standard's class, and whether a climate keeps to them.
 
-docs/how_to/climate_limits.toml is an example.
+docs/how_to/climate_limits.toml is an example.  Of classes only those whose numbers are in public documents.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,6 +18,7 @@ from hygrokf.climate.bounds import Bounded, bounded
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of, steepness
 from hygrokf.data.toml_form import across, read_toml_form, setting
+from hygrokf.errors import HygrokfError
 
 QUANTITIES = {
     "temperature_degC": "°C",
@@ -51,10 +54,7 @@ class Limit:
     @property
     def quantity_words(self) -> str:
         """The quantity in words, without its unit."""
-        for tail in ("_degC", "_percent_per_h", "_percent", "_g_m3", "_K_per_h"):
-            if self.quantity.endswith(tail):
-                return self.quantity.removesuffix(tail).replace("_", " ")
-        return self.quantity
+        return re.sub("_(degC|percent_per_h|percent|g_m3|K_per_h)$", "", self.quantity).replace("_", " ")
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,77 @@ class Exceedance(Limit):
 def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
     """Limits from a TOML file; raises FormFault with everything that is wrong."""
     return tuple(one.stated() for one in read_toml_form(LimitsForm, path).limit)
+
+
+class ClassFault(HygrokfError):
+    """A name that is neither a file of limits nor a known class."""
+
+
+@dataclass(frozen=True)
+class ClimateClass:
+    """A class of climatic conditions: the limits of a standard that public documents state.
+
+    name: standard and class. edition: of the standard. levels: quantity, side and level of each limit, no
+        hour of a year may lie beyond them. sources: of the levels. lacking: what the class limits besides,
+        without a public number.
+    """
+
+    name: str
+    edition: str
+    levels: tuple[tuple[str, str, float], ...]
+    sources: tuple[str, ...]
+    lacking: tuple[str, ...]
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """The limits, each named after the class."""
+        made = (Limit("", quantity, side, level) for quantity, side, level in self.levels)
+        return tuple(Limit(f"{self.name}: {one.words()}", one.quantity, one.side, one.level) for one in made)
+
+
+CLASSES = (
+    ClimateClass(
+        "IEC 60721-3-3 3K3",
+        "2nd edition (1994), replaced in 2019 by an edition with other classes",
+        (
+            ("temperature_degC", "above", 40.0),
+            ("temperature_degC", "below", 5.0),
+            ("relative_humidity_percent", "above", 85.0),
+            ("relative_humidity_percent", "below", 5.0),
+        ),
+        (
+            "temperature and humidity: data sheet of the WiFi Fan Controller Rev 3.3, "
+            "github.com/zeroflow/wifi-fancontroller",
+            "humidity: KEB COMBIVERT G6, installation manual, page 9",
+        ),
+        ("absolute humidity", "rate of change of temperature"),
+    ),
+)
+"""The known classes; docs/how_to/climate.md shows them with their sources."""
+
+
+def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
+    """Limits of a file or of a class.
+
+    given: path of a TOML file, or the name of a class, with or without its standard: "IEC 60721-3-3 3K3",
+        "EN 60721-3-3 3K3", "3K3".
+
+    Raises FormFault for a file with faults, ClassFault for an unknown name.
+    """
+    path = Path(given)
+    if path.suffix == ".toml" or path.exists():
+        return read_limits(path)
+    for one in CLASSES:
+        standard, _, letters = one.name.removeprefix("IEC ").rpartition(" ")
+        pattern = rf"(((DIN|EN|IEC|BS|ISO)\s+)*{re.escape(standard)}\s+(class\s+)?)?{letters}"
+        if re.fullmatch(pattern, str(given).strip(), re.IGNORECASE):
+            return one.limits
+    names = ", ".join(one.name for one in CLASSES)
+    raise ClassFault(
+        f'limits "{given}": expected a file of limits (.toml) or one of the classes {names}; the numbers of '
+        "other classes are not in public documents: write those of your copy of the standard into a file, "
+        "see docs/how_to/climate.md"
+    )
 
 
 def _doubled(limits: Sequence[Limit]) -> list[str]:

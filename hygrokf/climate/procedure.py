@@ -320,6 +320,11 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
     if not ranges:
         return []
     made = course(fit, record)
+    units = {  # with meaning; factor and offset from the model's unit; decimals
+        "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
+        "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
+        "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
+    }
     said = []
     for name, key in IDENTIFIED_ON.items():
         if key not in ranges or name not in fit.design.model.inputs:
@@ -330,7 +335,7 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
         outside = (value < low - beyond) | (value > high + beyond)
         share = float(outside.mean()) if len(value) else 0.0
         if share > SAID_FROM:
-            words, factor, offset, digits = _units(fit)[name]
+            words, factor, offset, digits = units[name]
             ends = (factor * one + offset for one in (low, high, float(np.min(value)), float(np.max(value))))
             a, b, least, most = (f"{one:.{digits}f}" for one in ends)
             said.append(
@@ -338,12 +343,3 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
                 f"identified (here {least} … {most}): the model is extrapolated"
             )
     return said
-
-
-def _units(fit: Fit) -> dict[str, tuple[str, float, float, int]]:
-    """By input: unit with meaning, factor and offset from the model's unit, decimals."""
-    return {
-        "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
-        "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
-        "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
-    }

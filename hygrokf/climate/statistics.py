@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -166,9 +166,9 @@ class Hours:
         known, step = self.year.known, self.year.step_h
         return {n: excursions(one & known, step) for n, one in beyond.items() if one is not None}
 
-    def count(self, where: np.ndarray) -> np.ndarray:
-        """Hours a year (N,) of the scope in which a condition (N, T) holds."""
-        return where[:, self.chosen].sum(axis=1) * self.per_year
+    def count(self, where: np.ndarray | None) -> np.ndarray | None:
+        """Hours a year (N,) of the scope in which a condition (N, T) holds; None where it is not known."""
+        return None if where is None else where[:, self.chosen].sum(axis=1) * self.per_year
 
 
 @dataclass(frozen=True)
@@ -190,35 +190,21 @@ class Statistic:
     compared: bool = False
 
 
-def _hours(hours: Hours) -> np.ndarray:
-    return np.full(len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year)
+def _mean(hours: Hours, quantity: str) -> np.ndarray | None:
+    value = hours.courses.get(quantity)
+    if value is None:
+        return None
+    return value[:, hours.chosen].mean(axis=1) if hours.chosen.any() else np.full(len(value), np.nan)
 
 
-def _mean_of(quantity: str) -> Callable[[Hours], np.ndarray | None]:
-    def mean(hours: Hours) -> np.ndarray | None:
-        value = hours.courses.get(quantity)
-        if value is None:
-            return None
-        return value[:, hours.chosen].mean(axis=1) if hours.chosen.any() else np.full(len(value), np.nan)
-
-    return mean
+def _more_humid(hours: Hours, percent: float) -> np.ndarray | None:
+    value = hours.courses.get("relative_humidity_percent")
+    return None if value is None else value > percent
 
 
 def _wetness(hours: Hours) -> np.ndarray | None:
-    percent = hours.courses.get("relative_humidity_percent")
-    if percent is None:
-        return None
-    return hours.count((percent > WET_PERCENT) & (hours.courses["temperature_degC"] > 0.0))
-
-
-def _saturation(hours: Hours) -> np.ndarray | None:
-    humidity = hours.year.relative_humidity
-    return None if humidity is None else hours.count(humidity > 1.0)
-
-
-def _condensation(hours: Hours) -> np.ndarray | None:
-    condensing = hours.year.condensing
-    return None if condensing is None else hours.count(condensing)
+    humid = _more_humid(hours, WET_PERCENT)
+    return None if humid is None else hours.count(humid & (hours.courses["temperature_degC"] > 0.0))
 
 
 def _ageing(hours: Hours) -> np.ndarray | None:
@@ -229,21 +215,11 @@ def _ageing(hours: Hours) -> np.ndarray | None:
     return hours.law.rate(hours.year.temperature_K[:, hours.chosen], damp).sum(axis=1) * hours.per_year
 
 
-def _beyond(
-    quantity: str, side: Literal["above", "below"], level: float
-) -> Callable[[Hours], np.ndarray | None]:
-    def beyond(hours: Hours) -> np.ndarray | None:
-        value = hours.courses.get(quantity)
-        return None if value is None else value > level if side == "above" else value < level
-
-    return beyond
-
-
 EXCURSIONS: dict[str, tuple[str, Callable[[Hours], np.ndarray | None]]] = {
-    "humidity_above_80": ("humidity above 80 %", _beyond("relative_humidity_percent", "above", 80.0)),
-    "humidity_above_95": ("humidity above 95 %", _beyond("relative_humidity_percent", "above", 95.0)),
-    "temperature_above_40": ("temperature above 40 °C", _beyond("temperature_degC", "above", 40.0)),
-    "temperature_below_0": ("temperature below 0 °C", _beyond("temperature_degC", "below", 0.0)),
+    "humidity_above_80": ("humidity above 80 %", partial(_more_humid, percent=80.0)),
+    "humidity_above_95": ("humidity above 95 %", partial(_more_humid, percent=95.0)),
+    "temperature_above_40": ("temperature above 40 °C", lambda h: h.courses["temperature_degC"] > 40.0),
+    "temperature_below_0": ("temperature below 0 °C", lambda h: h.courses["temperature_degC"] < 0.0),
     "condensation": ("condensation", lambda hours: hours.year.condensing),
 }
 """Conditions whose stretches are counted: words, and the instants (N, T) at which they hold."""
@@ -256,30 +232,22 @@ EXCURSION_PARTS = {
 """The numbers of each excursion: ending of the name, and heading of the column."""
 
 
-def _of_excursion(name: str, part: str) -> Callable[[Hours], np.ndarray | None]:
-    def found(hours: Hours) -> np.ndarray | None:
-        if name not in hours.stretches:
-            return None
-        number, mean, longest = hours.stretches[name]
-        if part == "number":
-            return number * hours.per_year / hours.year.step_h
-        return mean if part == "mean_length_h" else longest
-
-    def total(hours: Hours) -> np.ndarray | None:
-        beyond = EXCURSIONS[name][1](hours)
-        return None if beyond is None else hours.count(beyond)
-
-    return total if part == "h" else found
+def _of_excursion(hours: Hours, name: str, part: str) -> np.ndarray | None:
+    if part == "h":
+        return hours.count(EXCURSIONS[name][1](hours))
+    if name not in hours.stretches:
+        return None
+    number, mean, longest = hours.stretches[name]
+    if part == "number":
+        return number * hours.per_year / hours.year.step_h
+    return mean if part == "mean_length_h" else longest
 
 
-def _rate_of(quantity: str, share: float) -> Callable[[Hours], np.ndarray | None]:
-    def rate(hours: Hours) -> np.ndarray | None:
-        steep = hours.steep.get(quantity)
-        if steep is None:
-            return None
-        return np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
-
-    return rate
+def _rate(hours: Hours, quantity: str, share: float) -> np.ndarray | None:
+    steep = hours.steep.get(quantity)
+    if steep is None:
+        return None
+    return np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
 
 
 def _cycles_from(place: int) -> Callable[[Hours], np.ndarray]:
@@ -287,32 +255,37 @@ def _cycles_from(place: int) -> Callable[[Hours], np.ndarray]:
 
 
 STATISTICS: tuple[Statistic, ...] = (
-    Statistic("hours", "hours", "h/a", _hours, weather=False),
-    Statistic("mean_temperature_degC", "mean temperature", "°C", _mean_of("temperature_degC"),
+    Statistic("hours", "hours", "h/a",
+        lambda hours: np.full(len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year),
+        weather=False),
+    Statistic("mean_temperature_degC", "mean temperature", "°C", partial(_mean, quantity="temperature_degC"),
         compared=True),
     Statistic("mean_relative_humidity_percent", "mean relative humidity", "%",
-        _mean_of("relative_humidity_percent"), compared=True),
+        partial(_mean, quantity="relative_humidity_percent"), compared=True),
     Statistic("mean_absolute_humidity_g_m3", "mean absolute humidity", "g/m³",
-        _mean_of("absolute_humidity_g_m3")),
+        partial(_mean, quantity="absolute_humidity_g_m3")),
     Statistic("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness, compared=True),
-    Statistic("saturation_h", "relative humidity above 100 %", "h/a", _saturation),
-    Statistic("condensation_h", "condensation on the cold surface", "h/a", _condensation, compared=True),
+    Statistic("saturation_h", "relative humidity above 100 %", "h/a",
+        lambda hours: hours.count(_more_humid(hours, 100.0))),
+    Statistic("condensation_h", "condensation on the cold surface", "h/a",
+        lambda hours: hours.count(hours.year.condensing), compared=True),
     Statistic("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing, weather=False,
         compared=True),
     *(
-        Statistic(f"{name}_{part}", words, unit, _of_excursion(name, part), "excursion")
+        Statistic(f"{name}_{part}", words, unit, partial(_of_excursion, name=name, part=part),
+            "excursion")
         for name, (words, _) in EXCURSIONS.items()
         for part, unit in EXCURSION_PARTS.items()
         if (name, part) != ("condensation", "h")  # it is in every scope
     ),
     Statistic("temperature_rate_99_K_per_h", "rate of temperature, exceeded 1 % of the time", "K/h",
-        _rate_of("temperature_degC", 0.99), "rate"),
+        partial(_rate, quantity="temperature_degC", share=0.99), "rate"),
     Statistic("temperature_rate_largest_K_per_h", "largest rate of temperature", "K/h",
-        _rate_of("temperature_degC", 1.0), "rate"),
+        partial(_rate, quantity="temperature_degC", share=1.0), "rate"),
     Statistic("relative_humidity_rate_99_percent_per_h", "rate of humidity, exceeded 1 % of the time", "%/h",
-        _rate_of("relative_humidity_percent", 0.99), "rate"),
+        partial(_rate, quantity="relative_humidity_percent", share=0.99), "rate"),
     Statistic("relative_humidity_rate_largest_percent_per_h", "largest rate of humidity", "%/h",
-        _rate_of("relative_humidity_percent", 1.0), "rate"),
+        partial(_rate, quantity="relative_humidity_percent", share=1.0), "rate"),
     *(
         Statistic(f"temperature_cycles_from_{least:g}_K_number",
             f"temperature cycles of {least:g} K and more", "1/a", _cycles_from(place), "rate")

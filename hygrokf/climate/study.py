@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 TABLE = "climate.csv"
 UNITS = {one.name: one.unit for one in STATISTICS}
 """Of the numbers of a climate, by name."""
+LIMIT_UNITS = {"hours": "h/a", "number": "1/a", "longest_h": "h"}
+"""Of the numbers of a limit."""
 
 
 @dataclass(frozen=True)
@@ -172,11 +174,11 @@ class Study:
             for scope, numbers in region.scopes.items():
                 for name, one in numbers.items():
                     weather = region.outside.get(name, math.nan) if scope == "all" else math.nan
-                    yield _row(region.name, scope, name, one, weather)
+                    yield StudyRow(region.name, scope, name, **vars(one), outside=weather)
             for limit in region.limits:
-                parts = {"hours": limit.hours, "number": limit.number, "longest_h": limit.longest_h}
-                for part, one in parts.items():
-                    yield _row(region.name, "limit", f"{limit.name}: {part}", one)
+                for part in LIMIT_UNITS:
+                    name, numbers = f"{limit.name}: {part}", vars(getattr(limit, part))
+                    yield StudyRow(region.name, "limit", name, **numbers, outside=math.nan)
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
@@ -194,20 +196,11 @@ class Study:
         import pandas as pd
 
         frame = pd.DataFrame(list(self.rows()), columns=StudyRow._fields)
-        frame["unit"] = [_unit(scope, name) for scope, name in zip(frame.scope, frame.statistic, strict=True)]
+        frame["unit"] = [
+            LIMIT_UNITS[name.rpartition(": ")[2]] if scope == "limit" else UNITS.get(name, "1")
+            for scope, name in zip(frame.scope, frame.statistic, strict=True)
+        ]
         return with_units(frame.set_index(list(StudyRow._fields[:3])), {})
-
-
-def _unit(scope: str, statistic: str) -> str:
-    """The unit of a row's numbers."""
-    if scope == "limit":
-        return {"hours": "h/a", "number": "1/a", "longest_h": "h"}[statistic.rpartition(": ")[2]]
-    return UNITS.get(statistic, "1")
-
-
-def _row(region: str, scope: str, statistic: str, one: Bounded, outside: float = math.nan) -> StudyRow:
-    bounds = (one.lower, one.upper, one.mean_lower, one.mean_upper)
-    return StudyRow(region, scope, statistic, one.value, *bounds, one.between_years, outside)
 
 
 def _expect_shape(shape: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:

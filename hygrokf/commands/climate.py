@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,39 +93,29 @@ def _run(options: argparse.Namespace) -> int:
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.data.structured import plain
     from hygrokf.report.climate_page import climate_blocks, write_climate_report
-    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, CLIMATE)
-    read = _inputs(options)
-    for region in read.regions:
+    fit, regions, power, limits, plan = _inputs(options)
+    for region in regions:
         for warning in region.weather.warnings:
             activity().note(f"warning: {region.name}: {warning}")
-    with Progress(4 * len(read.regions) + 1) as progress:
+    with Progress(4 * len(regions) + 1) as progress:
         with faults_of(options.fit):
             study = climate_profile(
-                read.fit, read.regions, read.power, limits=read.limits, plan=read.plan,
-                members=options.members, seed=options.seed, surface=options.surface, progress=progress,
+                fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
+                surface=options.surface, progress=progress,
             )  # fmt: skip
         progress("draw the report")
         page = write_climate_report(study, options.out)
-    return show_reported(page, plain(study), page_text(climate_blocks(study)), options.json)
+    return show_reported(page, plain(study), climate_blocks(study), options.json)
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    """What the files of a command line hold."""
-
-    fit: Fit
-    power: Record | PowerCurve | None
-    limits: tuple[Limit, ...]
-    plan: ProfilePlan | None
-    regions: list[Region]
-
-
-def _inputs(options: argparse.Namespace) -> _Inputs:
-    """What the files hold.  Raises UserFault with the faults of all of them."""
+def _inputs(
+    options: argparse.Namespace,
+) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[Limit, ...], ProfilePlan | None]:
+    """What the files of a command line hold.  Raises UserFault with the faults of all of them."""
     from hygrokf.climate.chamber import read_test_plan
-    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.limits import limits_of
     from hygrokf.climate.power import read_power_curve
     from hygrokf.climate.region import read_power, read_region
 
@@ -154,7 +143,7 @@ def _inputs(options: argparse.Namespace) -> _Inputs:
             regions.append(read_region(name, files, power))
     if faults:
         raise UserFault("\n".join(faults))
-    return _Inputs(fit, power, limits, plan, regions)
+    return fit, regions, power, limits, plan
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:

@@ -73,7 +73,6 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
 
 def _run(options: Namespace) -> int:
     from hygrokf.report.comparison_page import comparison_blocks, write_comparison
-    from hygrokf.report.terminal import page_text
     from hygrokf.transfer.comparison import compare, comparison_column
 
     expect_own_directory(options.out, COMPARISON)
@@ -101,7 +100,7 @@ def _run(options: Namespace) -> int:
     with Progress(1) as progress:
         progress("draw the report")
         page = write_comparison(found, options.out)
-    return show_reported(page, found.results, page_text(comparison_blocks(found.results)), options.json)
+    return show_reported(page, found.results, comparison_blocks(found.results), options.json)
 
 
 VERB = Verb("compare", "put cases, models or ambient sources side by side, with bounds", _arguments, _run)

@@ -7,10 +7,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hygrokf.commands.activity import Loudness, activity
 from hygrokf.data.files import DISCOVERY, FIT, RESULTS, is_stream
 from hygrokf.errors import HygrokfError
+
+if TYPE_CHECKING:
+    from hygrokf.report.blocks import Page
 
 FOUND, USER_FAULT, INTERRUPTED = 1, 2, 130
 """Exit status where the command ran and found a fault, after an input error, and after an interruption."""
@@ -83,9 +87,12 @@ def show(found: object, text: str, as_json: bool) -> None:
     print(result_text(found) if as_json else text, end="" if as_json else "\n")
 
 
-def show_reported(page: Path, found: object, text: str, as_json: bool) -> int:
-    """Print a result and, on standard error, the path of its page; returns the exit status 0."""
-    show(found, text, as_json)
+def show_reported(page: Path, found: object, blocks: Page, as_json: bool, more: str = "") -> int:
+    """Print a result, as JSON or as the text of its page with what there is `more` to say, and on standard
+    error the path of the page; returns the exit status 0."""
+    from hygrokf.report.terminal import page_text
+
+    show(found, page_text(blocks) + more, as_json)
     activity().note(f"report: {page}")
     return 0
 

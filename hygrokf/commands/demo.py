@@ -20,7 +20,6 @@ def _arguments(parser: ArgumentParser) -> None:
 def _run(options: Namespace) -> int:
     from hygrokf.cases.synthetic import synthetic_turbine, write_case
     from hygrokf.report.fit_page import fit_blocks
-    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, FIT)
     former = options.out / "case.toml"
@@ -32,7 +31,7 @@ def _run(options: Namespace) -> int:
     activity().note(f"synthetic turbine written: {case}")
     fit = identified(record_of(case), case)
     page = written(fit, options.out)
-    return show_reported(page, fit.results, page_text(fit_blocks(fit.results, {})), options.json)
+    return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
 
 
 VERB = Verb("demo", "make a synthetic turbine, fit it, evaluate and report it", _arguments, _run)

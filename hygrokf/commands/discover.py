@@ -29,7 +29,6 @@ def _run(options: Namespace) -> int:
     from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.procedure import BUDGET, discover
     from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
-    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, DISCOVERY)
     own = own_causes(options.library)
@@ -46,7 +45,7 @@ def _run(options: Namespace) -> int:
     with Progress(1) as progress:
         progress("draw the report")
         page = write_discovery_report(found, options.out)
-    return show_reported(page, found.results, page_text(discovery_blocks(found.results)), options.json)
+    return show_reported(page, found.results, discovery_blocks(found.results), options.json)
 
 
 VERB = Verb(

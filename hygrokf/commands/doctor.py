@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import FOUND, show
 from hygrokf.commands.inputs import load_causes
 from hygrokf.commands.track import add_tracked, tracked_config
 from hygrokf.commands.verb import Verb, add_json, add_library
-
-if TYPE_CHECKING:
-    from hygrokf.live.sources.stream import Stream
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,26 +41,22 @@ def _duration(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Check; the exit status is 1 where there is a fault."""
-    from hygrokf.live.doctor.examination import as_data, as_text, examine
-
+    """Check, or try payloads; the exit status is 1 where there is a fault, or where no payload gave a
+    reading."""
     load_causes(options.library)
     config = tracked_config(options)
     if options.tried is not None:
-        return _try(options, config.streams)
+        from hygrokf.live.doctor import payloads
+
+        tried = payloads.try_payloads(config.streams, options.tried, options.wait)
+        show(payloads.as_data(tried), payloads.as_text(tried), options.json)
+        return 0 if any(one.used for one in tried) else FOUND
+    from hygrokf.live.doctor.examination import as_data, as_text, examine
+
     file = next((path for path in options.what if path.suffix == ".toml"), None)
     found = examine(config, file, options.wait, not options.no_page, options.notify)
     show(as_data(found), as_text(found), options.json)
     return FOUND if any(one.level == "fault" for one in found) else 0
-
-
-def _try(options: argparse.Namespace, streams: Sequence[Stream]) -> int:
-    """Try payloads; the exit status is 1 where none gave a reading."""
-    from hygrokf.live.doctor.payloads import as_data, as_text, try_payloads
-
-    found = try_payloads(streams, options.tried, options.wait)
-    show(as_data(found), as_text(found), options.json)
-    return 0 if any(one.used for one in found) else FOUND
 
 
 VERB = Verb(

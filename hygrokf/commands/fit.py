@@ -46,7 +46,6 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.report.fit_page import fit_blocks
-    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, FIT)
     former = _record_of_the_fit_in(options.out)
@@ -56,7 +55,7 @@ def _run(options: Namespace) -> int:
     if former and former != record.name:
         activity().note(f"note: --out {options.out}: replaces the fit of {printable(former)}")
     page = written(fit, options.out)
-    return show_reported(page, fit.results, page_text(fit_blocks(fit.results, {})), options.json)
+    return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
 
 
 def _record_of_the_fit_in(out: Path) -> str:

@@ -31,7 +31,6 @@ def _run(options: Namespace) -> int:
     from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
-    from hygrokf.report.terminal import page_text
 
     expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:
@@ -45,7 +44,7 @@ def _run(options: Namespace) -> int:
 
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
     data = {"rows": [dict(row) for row in found.results.rows]}
-    show_reported(found.page, data, page_text(fleet_blocks(found.results)), options.json)
+    show_reported(found.page, data, fleet_blocks(found.results), options.json)
     return FOUND if found.missing else 0
 
 

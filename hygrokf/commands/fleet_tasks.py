@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hygrokf.cases.case_file import read_case
 from hygrokf.commands.inputs import own_causes, source_model, stored_fit
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
@@ -20,8 +21,11 @@ from hygrokf.fleet.job import Job, Outcome, Row, Work
 from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.running import FleetRun, run_jobs
 from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS, ClimateOptions, DiscoverOptions, FitOptions
+from hygrokf.identification.fit import write_fit
 from hygrokf.modelling.design import PARTS
+from hygrokf.report.fit_page import write_report
 from hygrokf.report.fleet_page import write_fleet_report
+from hygrokf.report.transfer_page import write_transfer
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
@@ -55,19 +59,14 @@ def run_fleet(
     Returns the table (`results`, the same on processes and on a cluster), the outcomes, and the path of the
     page.  Raises FleetFault where there is no cluster, ClassFault for limits of an unknown class.
     """
-    _expect_classes(plan)
+    from hygrokf.climate.limits import limits_of
+
+    for one in plan.options.get("limits", ()):
+        if not Path(one).is_file():  # a name that is that of no known class ends here, before any work
+            limits_of(one)
     found = run_jobs(plan, out, do_task, workers=workers, cluster=cluster, say=say)
     write_fleet_report(out)
     return found
-
-
-def _expect_classes(plan: Plan) -> None:
-    """Raise ClassFault, before any work, for limits that are the name of no known class."""
-    from hygrokf.climate.classes import limits_of
-
-    for one in plan.options.get("limits", ()):
-        if not Path(one).is_file():
-            limits_of(one)
 
 
 def do_task(job: Job) -> Row:
@@ -77,8 +76,6 @@ def do_task(job: Job) -> Row:
 
 def _fit(job: Job) -> Row:
     """Identify the models of a case, as `hygrokf fit` does."""
-    from hygrokf.cases.case_file import read_case
-    from hygrokf.identification.fit import write_fit
     from hygrokf.identification.procedure import identify
 
     record, options = read_case(job.case), FitOptions(**job.options)
@@ -91,8 +88,6 @@ def _fit(job: Job) -> Row:
     )
     write_fit(fit, job.folder)
     if options.report:
-        from hygrokf.report.fit_page import write_report
-
         write_report(job.folder)
     found = fit.results
     return {
@@ -143,7 +138,6 @@ def _of_scores(found: Scored) -> dict[str, Cell]:
 
 def _discover(job: Job) -> Row:
     """Find what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
-    from hygrokf.cases.case_file import read_case
     from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
@@ -171,7 +165,6 @@ def _discover(job: Job) -> Row:
 
 def _evaluate(job: Job) -> Row:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
-    from hygrokf.cases.case_file import read_case
     from hygrokf.identification.fit_on_record import evaluate
 
     fit, record = stored_fit(*_model(job)), read_case(job.case)
@@ -200,8 +193,6 @@ def _model(job: Job) -> tuple[Path, list[Path]]:
 
 def _transfer(job: Job) -> Row:
     """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
-    from hygrokf.cases.case_file import read_case
-    from hygrokf.report.transfer_page import write_transfer
     from hygrokf.transfer.procedure import transfer_fit
 
     record = read_case(job.case)
@@ -231,8 +222,7 @@ def _transfer(job: Job) -> Row:
 def _climate(job: Job) -> Row:
     """Simulate the climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate`
     does."""
-    from hygrokf.cases.case_file import read_case
-    from hygrokf.climate.classes import limits_of
+    from hygrokf.climate.limits import limits_of
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report

@@ -39,7 +39,7 @@ def _arguments(parser: ArgumentParser) -> None:
 def _run(options: Namespace) -> int:
     from hygrokf.cases.case_file import CaseFault, read_case
     from hygrokf.drafting.draft import draft_case
-    from hygrokf.report.draft_text import draft_text
+    from hygrokf.report.record_text import draft_text
 
     expect_file(options.out)
     if options.out.exists():
@@ -58,4 +58,3 @@ def _run(options: Namespace) -> int:
 
 
 VERB = Verb("init", "draft a case file from exports, with its doubts as comments", _arguments, _run)
-"""The command."""

@@ -25,7 +25,6 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.identification.turbine_type import TurbineType, pool_types
-    from hygrokf.report.terminal import page_text
     from hygrokf.report.transfer_page import transfer_blocks, write_transfer
     from hygrokf.transfer.procedure import transfer_fit
     from hygrokf.transfer.results import transfer_results
@@ -49,7 +48,7 @@ def _run(options: Namespace) -> int:
     with Progress(1) as progress:
         progress("draw the report")
         page, results = write_transfer(found, options.out, pooled), transfer_results(found, pooled)
-    return show_reported(page, results, page_text(transfer_blocks(results)) + unpooled, options.json)
+    return show_reported(page, results, transfer_blocks(results), options.json, unpooled)
 
 
 VERB = Verb(

@@ -26,7 +26,7 @@ from hygrokf.data.files import (
     write_text_whole,
 )
 from hygrokf.data.result_file import result_text
-from hygrokf.data.structured import Cell, JsonObject
+from hygrokf.data.structured import Cell
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.likelihood import RatesFault
@@ -80,19 +80,6 @@ class Job:
     options: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""
 
-    def to_json(self) -> JsonObject:
-        """The job as plain data, for another process (`from_json`)."""
-        paths = {name: None if (p := getattr(self, name)) is None else str(p) for name in _PATHS}
-        return {**vars(self), "options": dict(self.options), **paths}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Job:
-        """The job of `to_json`."""
-        return cls(**{**data, **{n: None if data[n] is None else Path(data[n]) for n in _PATHS}})
-
-
-_PATHS = ("case", "folder", "fit")
-
 
 Work: TypeAlias = Callable[[Job], Row]
 """The function that does a job: it writes results into the job's folder and returns the columns of its task;
@@ -114,15 +101,6 @@ class Outcome:
     @property
     def status(self) -> str:
         return str(self.row["status"])
-
-    def to_json(self) -> JsonObject:
-        """The outcome as plain data, for another process (`from_json`)."""
-        return {"row": dict(self.row), "seconds": self.seconds}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Outcome:
-        """The outcome of `to_json`."""
-        return cls(data["row"], float(data["seconds"]))
 
 
 def outcome(
@@ -179,7 +157,7 @@ def _source_files(case: Path) -> list[str]:
 def finished(job: Job) -> Outcome | None:
     """The outcome on disk where the same work has been done; None where it failed or differs."""
     try:
-        found = Outcome.from_json(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
+        found = Outcome(**json.loads((job.folder / ROW).read_text(encoding="utf-8")))
         same = found.row["key"] == job.key and found.turbine == job.turbine and found.status == DONE
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
@@ -196,7 +174,7 @@ def begin(job: Job) -> None:
 def keep(job: Job, found: Outcome) -> None:
     """Write the row; from then on the job is done.  Make the folder where a process died before it did."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    write_text_whole(job.folder / ROW, result_text(found.to_json()))
+    write_text_whole(job.folder / ROW, result_text(found))
 
 
 def perform(job: Job, work: Work) -> Outcome:

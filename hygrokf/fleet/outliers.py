@@ -118,21 +118,16 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spre
         z = (logs - center) / np.sqrt(
             scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
         )
-        p = np.minimum(1.0, quantities * family_chance(np.abs(z)))
+        largest = _largest(len(logs))
+        beyond = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
+        p = np.minimum(1.0, quantities * ((beyond + 1.0) / (len(largest) + 1.0)))
     return Spread(compared, tuple(named), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
-
-
-def family_chance(z: np.ndarray) -> np.ndarray:
-    """Chance (N,) that the largest |z| of N normal numbers, scaled by their own median deviation, is as
-    large."""
-    largest = _largest(len(z))
-    beyond = len(largest) - np.searchsorted(largest, z, side="left")
-    return (beyond + 1.0) / (len(largest) + 1.0)
 
 
 @cache
 def _largest(count: int) -> np.ndarray:
-    """Largest |z| of so many normal numbers in each of many draws, in order."""
+    """Largest |z| of so many normal numbers, scaled by their own median deviation, in each of many draws, in
+    order."""
     random = np.random.default_rng(SEED)
     draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
     largest = np.empty(draws)

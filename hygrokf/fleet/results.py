@@ -79,16 +79,9 @@ def table_csv(task: str, rows: Sequence[Row]) -> str:
     names = list(columns_of(task))
     writer.writerow(names)
     for row in rows:
-        writer.writerow([_cell(row.get(name)) for name in names])
+        cells = (row.get(name) for name in names)
+        writer.writerow([str(one).lower() if isinstance(one, bool) else one for one in cells])
     return buffer.getvalue()
-
-
-def _cell(value: Cell) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import os
+import pickle
 import queue
 import signal
 import subprocess
@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -176,10 +177,10 @@ WAIT_S = 30.0
 _one_at_a_time = threading.Lock()
 
 
-def perform_batch(jobs: Sequence[JsonObject], work: Work) -> list[JsonObject]:
-    """What a worker of the cluster runs: some jobs, one after the other, as plain data."""
+def perform_batch(jobs: Sequence[Job], work: Work) -> list[Outcome]:
+    """What a worker of the cluster runs: some jobs, one after the other."""
     with _one_at_a_time:  # a worker with several threads receives several batches
-        return [perform(Job.from_json(job), work).to_json() for job in jobs]
+        return [perform(job, work) for job in jobs]
 
 
 def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
@@ -197,7 +198,8 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcom
     where the scheduler ends before the work.
     """
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
+        from distributed import as_completed as outcomes_of
     except ImportError:
         raise FleetFault("--dask", ["needs dask.distributed: pip install 'hygrokf[cluster]'"]) from None
     with _quiet(), _client(Client, address) as client:
@@ -205,22 +207,21 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcom
         sent = {}
 
         def send(batch: Sequence[Job]) -> object:
-            future = client.submit(perform_batch, [job.to_json() for job in batch], work, pure=False)
+            future = client.submit(perform_batch, batch, work, pure=False)
             sent[future.key] = batch
             return future
 
-        coming = as_completed([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
+        coming = outcomes_of([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
         for future in coming:
             batch = sent.pop(future.key)
             if future.status == "finished":
-                yield from map(Outcome.from_json, future.result())
+                yield from future.result()
             elif future.status != "error":  # the worker's death is an error; this is the scheduler's
                 raise FleetFault(
                     f"--dask {address}",
                     [
-                        "the scheduler ended before the work was done, or is no longer reachable (the "
-                        "tasks are "
-                        f"{future.status}); finished turbines are kept: start a scheduler with workers, "
+                        "the scheduler ended before the work was done, or is no longer reachable (the tasks "
+                        f"are {future.status}); finished turbines are kept: start a scheduler with workers, "
                         "and run the same command again"
                     ],
                 )
@@ -302,12 +303,12 @@ def cores() -> int:
 def answer_jobs(work: Work) -> int:
     """What the process runs: do the jobs of the standard input until it ends; returns the exit status 0."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interrupted parent ends this process
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # other prints must not stand among the answers
-    for line in sys.stdin:
-        found = perform(Job.from_json(json.loads(line)), work)
-        answers.write(json.dumps(found.to_json()) + "\n")
-        answers.flush()
+    with suppress(EOFError):
+        while True:
+            pickle.dump(perform(pickle.load(sys.stdin.buffer), work), answers)
+            answers.flush()
     return 0
 
 
@@ -318,45 +319,31 @@ def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Outc
     it; the job is tried once more, and is `lost` if that process dies too.  When the caller stops early all
     processes end.
     """
-    todo: queue.SimpleQueue[Job] = queue.SimpleQueue()
-    for job in jobs:
-        todo.put(job)
-    done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
     crew = [_Worker(work) for _ in range(min(workers, len(jobs)))]
-    threads = [threading.Thread(target=_serve, args=(one, todo, done), daemon=True) for one in crew]
-    for thread in threads:
-        thread.start()
+    idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+    for one in crew:
+        idle.put(one)
+
+    def done(job: Job) -> Outcome:
+        worker = idle.get()
+        try:
+            for _ in range(ATTEMPTS):
+                if (found := worker.ask(job)) is not None:
+                    return found
+            return outcome(job, LOST, reason=worker.epitaph)
+        finally:
+            idle.put(worker)
+
+    pool = ThreadPoolExecutor(len(crew))
     try:
-        for _ in jobs:
-            found = done.get()
-            if isinstance(found, BaseException):
-                raise found
-            yield found
+        for future in as_completed([pool.submit(done, job) for job in jobs]):
+            yield future.result()
     finally:
         for one in crew:
             one.dismiss()
-        for thread in threads:
-            thread.join()
-
-
-def _serve(
-    worker: _Worker, todo: queue.SimpleQueue[Job], done: queue.SimpleQueue[Outcome | BaseException]
-) -> None:
-    """Give a worker one job after the other."""
-    try:
-        while not worker.dismissed:
-            try:
-                job = todo.get_nowait()
-            except queue.Empty:
-                break
-            found = None
-            for _ in range(ATTEMPTS):
-                found = found or (None if worker.dismissed else worker.ask(job))
-            done.put(found or outcome(job, LOST, reason=worker.epitaph))
-    except BaseException as fault:  # the caller waits for an outcome of every job
-        done.put(fault)
-    finally:
-        worker.close()
+        pool.shutdown(cancel_futures=True)
+        for one in crew:
+            one.close()
 
 
 class _Worker:
@@ -366,7 +353,7 @@ class _Worker:
         self._work = work
         self.dismissed = False
         self.epitaph = ""
-        self._process: subprocess.Popen[str] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
         self._said = tempfile.TemporaryFile()
         self._lock = threading.Lock()
 
@@ -375,18 +362,16 @@ class _Worker:
         process = self._started()
         if process is None:
             return None
-        line = ""
         assert process.stdin is not None and process.stdout is not None
-        with suppress(OSError, ValueError):  # it may die while the job is written to it
-            process.stdin.write(json.dumps(job.to_json()) + "\n")
+        with suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):  # it may die over the job
+            pickle.dump(job, process.stdin)
             process.stdin.flush()
-            line = process.stdout.readline()
-        if line.endswith("\n"):
-            return Outcome.from_json(json.loads(line))
+            found: Outcome = pickle.load(process.stdout)
+            return found
         self.epitaph = _epitaph(self._reap(process), self._last_words())
         return None
 
-    def _reap(self, process: subprocess.Popen[str]) -> int:
+    def _reap(self, process: subprocess.Popen[bytes]) -> int:
         """Wait for a process to end; returns its exit status."""
         status = process.wait()
         for pipe in (process.stdin, process.stdout):
@@ -397,7 +382,7 @@ class _Worker:
             self._process = None
         return status
 
-    def _started(self) -> subprocess.Popen[str] | None:
+    def _started(self) -> subprocess.Popen[bytes] | None:
         with self._lock:  # a dismissed worker starts no process
             if self._process is None and not self.dismissed:
                 self._said.seek(0)
@@ -412,8 +397,6 @@ class _Worker:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=self._said,
-                    text=True,
-                    encoding="utf-8",
                     env={**os.environ, **ENVIRONMENT},
                 )
             return self._process

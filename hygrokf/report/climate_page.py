@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.study import RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
@@ -24,6 +23,7 @@ from hygrokf.report.blocks import (
     Prose,
     inherited_verdicts,
     method,
+    present,
     section,
     synthetic,
     table_or,
@@ -86,16 +86,17 @@ def climate_blocks(study: Study) -> Page:
     regions = study.regions
     several = len(regions) > 1
     cards = Cards(_region_cards(study) if several else _cards(regions[0], doubt_text(study)))
-    answer: tuple[Block, ...] = (cards,) if cards.cards else ()
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
     made_up = study.synthetic or any(one.synthetic for one in regions)
+    where = ", ".join(region.name for region in regions)
+    held = f"bounds hold {share_held(regions)} of single years"
     return Page(
         "Climate report",
         study.name.strip() or "unnamed model",
-        _about(study),
-        (
+        (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",),
+        present(
             *synthetic(made_up, SYNTHETIC_CLIMATE),
-            *answer,
+            cards if cards.cards else None,
             lead_of_climate(study),
         ),
         (
@@ -105,12 +106,6 @@ def climate_blocks(study: Study) -> Page:
         ),
         _method(study),
     )
-
-
-def _about(study: Study) -> tuple[str, ...]:
-    where = ", ".join(region.name for region in study.regions)
-    held = f"bounds hold {share_held(study.regions)} of single years"
-    return (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",)
 
 
 def doubt_text(study: Study) -> str:
@@ -194,7 +189,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
         *section(
             _heading(title, "weather and power"),
             Prose(weather_text(region)),
-            _statements(region),
+            Items(tuple(map(sentence, region.statements))),
         ),
         *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
         *section(
@@ -216,10 +211,6 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
 def _heading(title: str, words: str) -> str:
     """The heading of a region's section; a capital where no name stands before it."""
     return title + words if title else words[:1].upper() + words[1:]
-
-
-def _statements(region: RegionClimate) -> Items:
-    return Items(tuple(map(sentence, region.statements)))
 
 
 def weather_text(region: RegionClimate) -> str:
@@ -269,7 +260,8 @@ def _profile_text(profile: ChamberProfile) -> str:
 
 
 def _method(study: Study) -> tuple[Block, ...]:
-    surface = study.surface
+    surface, law = study.surface, study.plan.law
+    kind = "Peck's law" if law.humid else "Arrhenius' law"
     return method(
         "How this was computed",
         "Each member of the ensemble is the fitted model with parameters drawn from their estimated "
@@ -282,16 +274,9 @@ def _method(study: Study) -> tuple[Block, ...]:
         "In a model without condensation the air may exceed saturation; such hours count as wet. The "
         f"temperature of the cold surface where vapour condenses is the ambient's plus {surface.follows:g} "
         f"times the difference between cabinet air and ambient, plus {surface.offset_K:g} K.",
-        _law(study.plan.law),
-        f"Simulated by hygrokf {study.version}.",
-    )
-
-
-def _law(law: Acceleration) -> str:
-    kind = "Peck's law" if law.humid else "Arrhenius' law"
-    return (
         f"Ageing follows {kind}, rate ∝ RH^{law.humidity_exponent:g} exp(−{law.activation_energy_eV:g} "
         f"eV/kT), in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters "
         "describe a single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state the "
-        "parameters of your own mechanism."
+        "parameters of your own mechanism.",
+        f"Simulated by hygrokf {study.version}.",
     )

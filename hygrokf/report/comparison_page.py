@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from collections.abc import Sequence
@@ -40,7 +38,6 @@ from hygrokf.report.figures.comparison import (
 from hygrokf.report.fit_text import share_text
 from hygrokf.report.page import page_html
 from hygrokf.transfer.comparison import (
-    TABLE_HEAD,
     Comparison,
     ComparisonResults,
     ErrorDifference,
@@ -76,7 +73,8 @@ def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]
     if found is None:
         return write_text_whole(folder / REPORT, page_html(comparison_blocks(*read_comparison(folder))))
     courses = [one.course for one in found.columns]
-    text, table = result_text(found.results), comparison_csv(found.results)
+    text = result_text(found.results)
+    table = found.results.to_frame().to_csv(index=False, float_format="%.6g", lineterminator="\n")
     page = page_html(comparison_blocks(found.results, courses))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
@@ -99,22 +97,13 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
     return found, read_courses(path, len(found.columns), COMMAND)
 
 
-def comparison_csv(found: ComparisonResults) -> str:
-    """Every number of compare.json, one a line (`ComparisonResults.rows`)."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(TABLE_HEAD)
-    for row in found.rows():
-        writer.writerow(("" if math.isnan(v) else f"{v:.6g}") if isinstance(v, float) else v for v in row)
-    return buffer.getvalue()
-
-
 # --- the page --------------------------------------------------------------------------------
 
 
 def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) -> Page:
     """What a comparison says: which column errs less, and the courses, first."""
-    cards = _cards(found)
+    labels = [one.label for one in found.columns]
+    cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))
     scores = [scores_table(found, quantity) for quantity in SCORED]
     differences = [table for pair in found.differences if (table := differences_table(pair))]
     skill = skill_table(found)
@@ -138,11 +127,16 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
     )
     return Page(
         "Comparison",
-        _name([one.label for one in found.columns]),
-        (_about(found),),
+        " · ".join(labels) if len(labels) < 3 else f"{labels[0]} and {len(labels) - 1} others",
+        (
+            " · ".join(
+                f"{one.label}: fit {one.fit} on {one.case}{', identified there' * one.identified_here}"
+                for one in found.columns
+            ),
+        ),
         (
             *synthetic(found.synthetic, SYNTHETIC_RECORD),
-            cards,
+            Cards(cards or (Card("Comparison", "Nothing could be scored", wide=True, words=True),)),
             Figure(
                 "courses",
                 "Readings and simulations",
@@ -187,31 +181,11 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
     return (*tables[:MOST_PAIRS], _BOLD, *rest)
 
 
-def _name(labels: Sequence[str]) -> str:
-    return " · ".join(labels) if len(labels) < 3 else f"{labels[0]} and {len(labels) - 1} others"
-
-
-def _about(found: ComparisonResults) -> str:
-    """What each column combines."""
-    here = (", identified there" if one.identified_here else "" for one in found.columns)
-    return " · ".join(
-        f"{one.label}: fit {one.fit} on {one.case}{there}"
-        for one, there in zip(found.columns, here, strict=True)
-    )
-
-
 # --- the answer ------------------------------------------------------------------------------
 
 
-def _cards(found: ComparisonResults) -> Cards:
-    """One card for each quantity: the difference of two columns, or the column of several that errs least."""
-    cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))
-    if cards:
-        return Cards(cards)
-    return Cards((Card("Comparison", "Nothing could be scored", wide=True, words=True),))
-
-
 def _card(found: ComparisonResults, quantity: str) -> Card:
+    """The column that errs least in one quantity, and its differences from the others."""
     name, unit = QUANTITIES[quantity]
     period = "validation" if any(c.total("validation", quantity) for c in found.columns) else "whole"
     scored = {c.label: row.rmse for c in found.columns if (row := c.total(period, quantity)) is not None}
@@ -259,9 +233,9 @@ def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDiffer
 
 def scores_table(found: ComparisonResults, quantity: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
-    rows = []
+    labels, rows = short_labels([one.label for one in found.columns]), []
     for period in PERIODS:
-        for one, label in zip(found.columns, _labels(found), strict=True):
+        for one, label in zip(found.columns, labels, strict=True):
             total = one.total(period, quantity)
             if total is not None:
                 by_regime = one.scores[period][quantity]
@@ -303,8 +277,8 @@ def differences_table(pair: PairDifference) -> Table:
 
 def skill_table(found: ComparisonResults) -> Table:
     """Skill against each rule, in total, in validation (over the whole record where there is none)."""
-    rows = []
-    for one, label in zip(found.columns, _labels(found), strict=True):
+    labels, rows = short_labels([one.label for one in found.columns]), []
+    for one, label in zip(found.columns, labels, strict=True):
         for quantity in SCORED:
             period = next((p for p in _WHERE if one.total(p, quantity) is not None), None)
             if period is None:
@@ -327,10 +301,6 @@ def skill_table(found: ComparisonResults) -> Table:
         "identification period.",
         brief=(0, 2, 3, 6, 7),
     )
-
-
-def _labels(found: ComparisonResults) -> list[str]:
-    return short_labels([one.label for one in found.columns])
 
 
 def _span(lower: float, upper: float) -> str:

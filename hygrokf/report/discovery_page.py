@@ -139,11 +139,16 @@ def discovery_blocks(
         ),
     )
     gains = table_or(gains_table(found), "No errors of a free run are known.")
+    card = Card(
+        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
+        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
+        tone="open" if warned(found) else "plain",
+    )  # fmt: skip
     return Page(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         spans_text(before),
-        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((_verdict_card(found),)), *lead, gains),
+        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((card,)), *lead, gains),
         body,
         _method(found),
     )
@@ -159,15 +164,6 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
         return (f"{first} to {last}; nothing held out",)
     until = stamp_text(time[before.validation.argmax()])
     return (f"{first} to {last}; searched up to {until}, held out from there on",)
-
-
-def _verdict_card(found: DiscoveryResults) -> Card:
-    """The verdict with what speaks for it and what to do; of a single cause, with its confidence."""
-    return Card(
-        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
-        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
-        tone="open" if warned(found) else "plain",
-    )  # fmt: skip
 
 
 # --- sections --------------------------------------------------------------------------------
@@ -213,11 +209,10 @@ def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
     """The time constants of both models with their verdicts."""
     heading = "The time constants without and with the cause" if found.extended else "The time constants"
     base = "Time constants of the base model" if found.extended else "Time constants of the model"
-    verdicts = [inherited_verdicts(inherited(found.baseline.fit), base)]
+    models = [(found.baseline, base)]
     if found.extended is not None:
-        extended = "Time constants of the extended model"
-        verdicts.append(inherited_verdicts(inherited(found.extended.fit), extended))
-    return section(heading, *verdicts)
+        models.append((found.extended, "Time constants of the extended model"))
+    return section(heading, *(inherited_verdicts(inherited(one.fit), words) for one, words in models))
 
 
 def _left(found: DiscoveryResults) -> tuple[Block, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ from hygrokf.report.blocks import (
     synthetic,
     table_or,
 )
-from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.fit import FIGURES, figure_of
 from hygrokf.report.figures.identification import PRODUCT
 from hygrokf.report.fit_tables import (
     actuators_table,
@@ -104,7 +104,7 @@ def read_results(folder: Path) -> tuple[FitResults, dict[str, np.ndarray]]:
 
 def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     """What a fit says: the time constants with their verdicts and the validation period first."""
-    pictures = {one.name: one.of(fit, series) for one in FIGURES}
+    pictures = {name: figure_of(name, fit, series) for name in FIGURES}
     body = (
         *section("What is reliable", Prose(TERMS, "note"), _judgements(fit)),
         *section(
@@ -228,7 +228,9 @@ def _judgements(fit: FitResults) -> Verdicts | Prose:
     found = judgements(fit)
     rows = [*doubted(fit), *(one for one in found if one.about in PARTS)]
     more = [one for one in found if one.about not in PARTS]
-    more += [Judgement(CAUTION, sentence(line), "record") for line in _untold(fit, found)]
+    told = " ".join(one.sentence for one in found)  # a judgement begins with a capital
+    untold = [line for line in fit.statements if line[1:] not in told]
+    more += [Judgement(CAUTION, sentence(line), "record") for line in untold]
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
     rows += sorted(more, key=lambda one: order[one.kind])
     if not rows:
@@ -236,12 +238,6 @@ def _judgements(fit: FitResults) -> Verdicts | Prose:
     return Verdicts(
         tuple(Line(one.kind, one.sentence, one.reason, one.about in PARTS and not one.reason) for one in rows)
     )
-
-
-def _untold(fit: FitResults, found: Sequence[Judgement]) -> list[str]:
-    """Statements of the fit that no judgement repeats; a judgement begins with a capital."""
-    named = " ".join(one.sentence for one in found)
-    return [line for line in fit.statements if line[1:] not in named]
 
 
 def _innovations(fit: FitResults) -> tuple[Block, ...]:

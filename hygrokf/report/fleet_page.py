@@ -27,16 +27,15 @@ from hygrokf.identification.wording import (
 )
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
-    Banner,
     Block,
     Card,
     Cards,
     Details,
     Figure,
-    Heading,
     Page,
     Prose,
     Table,
+    method,
     section,
     synthetic,
     table_or,
@@ -89,6 +88,8 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     cards = Cards(tuple(_cards(fleet, found)))
     ranking = _ranking(task.ranking, task.compared, done, found)
     left_out = ", ".join(fleet.type_without)
+    made_up = sum(row.get("synthetic") is True for row in done)
+    which = "All records" if made_up == len(done) else f"{made_up} of {len(done)} records"
     body = (
         *_failures(fleet),
         *section("Outliers", _outliers(found)),
@@ -104,16 +105,14 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         f"Fleet report, {fleet.task}",
         one_line(fleet.name) or "unnamed fleet",
         (f"{sentence(task.meaning)} {moment(fleet.created)} UTC.",),
-        (*_banners(done), cards, *pictures[:1]),
+        (
+            *synthetic(made_up > 0, f"{which} were made by a computer. Nothing of them was measured."),
+            cards,
+            *pictures[:1],
+        ),
         body,
         _method(fleet),
     )
-
-
-def _banners(done: Sequence[Row]) -> tuple[Banner, ...]:
-    count = sum(row.get("synthetic") is True for row in done)
-    which = "All records" if count == len(done) else f"{count} of {len(done)} records"
-    return synthetic(count > 0, f"{which} were made by a computer. Nothing of them was measured.")
 
 
 # --- the answer ------------------------------------------------------------------------------
@@ -172,11 +171,6 @@ def _pictures(found: Sequence[Spread]) -> list[Figure]:
         caption = "Turbines far to the right have larger simulation errors."
         pictures.append(Figure("errors", "Free-run errors", caption, partial(figure_spreads, errors)))
     return pictures
-
-
-def _present(compared: Sequence[Compared], done: Sequence[Row]) -> list[Compared]:
-    """The quantities that any turbine has a value of."""
-    return [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
 
 
 # --- sections --------------------------------------------------------------------------------
@@ -348,7 +342,7 @@ def _set_aside(found: Sequence[Spread]) -> list[Prose]:
 def _ranking(
     column: str, compared: Sequence[Compared], done: Sequence[Row], found: Sequence[Spread]
 ) -> Table | None:
-    present = _present(compared, done)
+    present = [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
     if not present:
         return None
     key = [(-v if math.isfinite(v := number(row, column)) else math.inf) for row in done]
@@ -403,9 +397,8 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         f"with the largest distance in as many normal numbers ({DRAWS} simulated fleets at most). If "
         f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
         f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
-        f"not be "
-        "faulty: the turbine may have another site, operation or design.",
+        "not be faulty: the turbine may have another site, operation or design.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by hygrokf {fleet.version}; page written by hygrokf {__version__}.",
     )
-    return (Heading("Data and method"), *(Prose(line) for line in lines))
+    return method("Data and method", *lines)

@@ -65,11 +65,8 @@ def _symbol(text: str) -> Markup:
 
 def _group_starts(table: Table) -> set[int]:
     """The columns in which a group of a table begins."""
-    starts, at = set(), 0
-    for _, count in table.groups:
-        starts.add(at)
-        at += count
-    return starts
+    counts = [count for _, count in table.groups]
+    return {sum(counts[:place]) for place in range(len(counts))}
 
 
 def _drawn(figure: Figure) -> tuple[Markup | None, str]:

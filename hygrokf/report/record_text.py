@@ -1,14 +1,15 @@
-"""The summary of a record as text, for `hygrokf check`."""
+"""The summary of a record as text, for `hygrokf check`, and that of a drafted case, for `hygrokf init`."""
 
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 
 from hygrokf.cases.summary import RecordSummary, SignalSummary
-from hygrokf.data.record import Site
 from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
+from hygrokf.drafting.draft import Draft, DraftedSignal
 from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.alignment import Alignment, Lag
@@ -34,10 +35,14 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
         )
     )
     if found.signals:
-        yield _signals(found)
+        head: tuple[str, ...] = ("signal", "readings", "missing", "step", "gaps", "longest", "hold")
+        columns = (*head, "resolution", "mean (lowest … highest)")
+        yield Table("", columns, tuple(map(_signal, found.signals)), left=(0, 6, 8))
         yield _sources(found)
-    if found.comparisons:
-        yield _comparisons(found)
+    if found.comparisons:  # lags are minutes by the weather, positive where the first source is late
+        head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
+        rows = tuple(_comparison(one) for error in found.comparisons for one in error.alignments)
+        yield Table("", head, rows, left=(0, 1, 2, 4, 5))
     if found.actuators:
         yield Heading("logged actuators", 3)
         yield Items(tuple(one.statement for one in found.actuators))
@@ -54,24 +59,10 @@ def _heading(found: RecordSummary) -> str:
     parts = [f"{found.name}: {found.start} to {found.end}", f"{found.days:.1f} d"]
     if math.isfinite(found.rated_power_kW):
         parts.append(f"rated {found.rated_power_kW:g} kW")
-    if found.site is not None:
-        parts.append(_place(found.site))
+    if (site := found.site) is not None:
+        north, east = "N" if site.latitude_deg >= 0 else "S", "E" if site.longitude_deg >= 0 else "W"
+        parts.append(f"{abs(site.latitude_deg):g}°{north} {abs(site.longitude_deg):g}°{east}")
     return ", ".join(parts)
-
-
-def _place(site: Site) -> str:
-    north, east = "N" if site.latitude_deg >= 0 else "S", "E" if site.longitude_deg >= 0 else "W"
-    return f"{abs(site.latitude_deg):g}°{north} {abs(site.longitude_deg):g}°{east}"
-
-
-def _signals(found: RecordSummary) -> Table:
-    head = ("signal", "readings", "missing", "step", "gaps", "longest", "hold", "resolution")
-    return Table(
-        "",
-        (*head, "mean (lowest … highest)"),
-        tuple(_signal(one) for one in found.signals),
-        left=(0, 6, 8),
-    )
 
 
 def _signal(one: SignalSummary) -> tuple[str, ...]:
@@ -106,13 +97,6 @@ def _sources(found: RecordSummary) -> Table:
     return Table("", ("signal", "from", "to", "clock", "source"), rows, left=(0, 1, 2, 3, 4))
 
 
-def _comparisons(found: RecordSummary) -> Table:
-    """Lags are minutes by the weather, with bounds; positive where the first source is late."""
-    head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
-    rows = tuple(_comparison(one) for error in found.comparisons for one in error.alignments)
-    return Table("", head, rows, left=(0, 1, 2, 4, 5))
-
-
 def _comparison(one: Alignment) -> tuple[str, ...]:
     signal = signal_named(one.signal)
     unit = "K" if signal.display == "degC" else signal.display
@@ -127,3 +111,39 @@ def _lag(lag: Lag) -> str:
         return NONE
     value, low, high = (n / MINUTE_S for n in (lag.weather.value, lag.weather.low, lag.weather.high))
     return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"
+
+
+# --- a drafted case --------------------------------------------------------------------------
+
+
+def draft_text(found: Draft) -> str:
+    """A draft as tables for the terminal."""
+    return "\n\n".join(blocks_text(draft_blocks(found), WIDTH))
+
+
+def draft_blocks(found: Draft) -> Iterator[Block]:
+    """What a draft says: signals with their columns, doubts, and the next command."""
+    if found.signals:
+        head = ("signal", "column", "unit", "file", "score", "in the case as")
+        rows = tuple(
+            (one.signal, one.column, one.unit, one.file, f"{one.score:.2f}", _state(one))
+            for one in found.signals
+        )
+        yield Table("signals", head, rows, left=(0, 1, 2, 3, 5))
+    if found.lacks:
+        yield Heading(f"not found: {len(found.lacks)}", 3)
+        yield Items(found.lacks)
+    doubts = (*found.doubts, *(f"{one.signal}: {doubt}" for one in found.signals for doubt in one.doubts))
+    yield Heading(f"doubts: {len(doubts) or 'none'}", 3)
+    if doubts:
+        yield Items(doubts)
+    for copy in found.copies:
+        yield Prose(f"copy of a table, in a form that a case can name: {copy}")
+    yield Prose(f"case file: {found.case}, {len(found.left)} columns not used")
+    yield Prose(f"next: hygrokf check {shlex.quote(found.case)}")
+
+
+def _state(one: DraftedSignal) -> str:
+    if not one.active:
+        return "comment"
+    return ("compared" if one.compare else "signal") + (", to confirm" if one.doubts else "")

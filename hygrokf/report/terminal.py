@@ -74,9 +74,7 @@ def blocks_text(blocks: Iterable[Block], width: int | None = None) -> list[str]:
 def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
     """One block as lines of at most `width` columns."""
     match block:
-        case Heading():
-            return _paragraph(block.text, width)
-        case Prose():
+        case Heading() | Prose():
             return _paragraph(block.text, width)
         case Link():
             return _paragraph(f"{block.text} {block.file}", width)

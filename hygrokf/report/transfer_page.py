@@ -158,11 +158,7 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> P
         "Transfer",
         f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
-        (
-            *synthetic(made_up, SYNTHETIC_RECORD),
-            cards,
-            *pictures[:1],
-        ),
+        (*synthetic(made_up, SYNTHETIC_RECORD), cards, *pictures[:1]),
         tuple(body),
         method("Method", *METHOD, f"Judged by hygrokf {found.version}; page by hygrokf {__version__}."),
     )
@@ -191,7 +187,7 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
         f"{one.name}: which parameters transfer" if several else "What transfers",
         *reasons,
         table_or(groups_table(one), "No group of parameters could be judged."),
-        _notes(one),
+        Prose(" ".join(map(sentence, one.statements)), "note") if one.statements else None,
         Figure(
             f"parameters-{place}",
             "Parameters, own against the fit's",
@@ -217,10 +213,6 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
             ),
         ),
     )
-
-
-def _notes(one: TransferResult) -> Block | None:
-    return Prose(" ".join(sentence(line) for line in one.statements), "note") if one.statements else None
 
 
 # --- tables ----------------------------------------------------------------------------------
@@ -333,21 +325,20 @@ def type_table(found: TurbineType) -> Table:
     note = (
         "Spread: standard deviation from turbine to turbine beyond the uncertainty of the estimates (REML)."
     )
+    if alike:
+        note += (
+            " A spread of 0 means that the uncertainty of these turbines' own estimates explains their "
+            "differences, not that the next turbine is like them: a few turbines hardly determine the "
+            "spread, and the range of the next turbine is then too narrow."
+        )
     return Table(
         f"{len(found.turbines)} turbines: {', '.join(found.turbines)}",
         ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
         tuple(rows),
         left=(0, 5),
-        note=f"{note} {_ALIKE}" if alike else note,
+        note=note,
         brief=(0, 1, 2, 4, 5),
     )
-
-
-_ALIKE = (
-    "A spread of 0 means that the uncertainty of these turbines' own estimates explains their differences, "
-    "not that the next turbine is like them: a few turbines hardly determine the spread, and the range of "
-    "the next turbine is then too narrow."
-)
 
 
 def _with_se(value: float, se: float) -> str:

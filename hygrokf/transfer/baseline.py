@@ -120,7 +120,9 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     """
     statements = []
     if record.until_s is None:
-        until_s = _three_quarters(record)
+        cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
+        first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
+        until_s = float(first + EARLY_SHARE * (last - first))
         record = replace(record, until_s=until_s)
         statements.append(
             f"no `until` is stated: estimated on the first three quarters, up to {iso_time(until_s)}"
@@ -150,13 +152,6 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
     run = settled(base, values, prepare_run(base, record))
     return Baseline(origin, record, early, base, run, early_run, held, groups), statements
-
-
-def _three_quarters(record: Record) -> float:
-    """The end [s since 1970] of the first three quarters of the cabinet's readings."""
-    cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
-    first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
-    return float(first + EARLY_SHARE * (last - first))
 
 
 def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float]:

@@ -318,14 +318,11 @@ def _scored(one: Column, quantity: str, chosen: np.ndarray) -> Score:
     for name, rule in one.rules[quantity].items():
         both = resampled(time, np.column_stack([error, rule]))
         if both is not None:
-            skill = both.skill(0, 1) or (_skill(both.value), math.nan, math.nan)
+            alone = 1.0 - (both.value[0] / both.value[1]) ** 2 if both.value[1] > 0 else math.nan
+            skill = both.skill(0, 1) or (float(alone), math.nan, math.nan)
             rules[name] = RuleScore(both.n, float(both.value[1]), *skill)
     ends = drawn.bounds(0) or (math.nan, math.nan)
     return Score(int(chosen.sum()), float(drawn.value[0]), *ends, rules, drawn.blocks)
-
-
-def _skill(value: np.ndarray) -> float:
-    return float(1.0 - (value[0] / value[1]) ** 2) if value[1] > 0 else math.nan
 
 
 def _difference(a: Column, b: Column) -> PairDifference:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.estimation.confidence import positive_inverse
+from hygrokf.estimation.confidence import normal_quantile, positive_inverse
 from hygrokf.physics.model import Model
 
 THERMAL = "thermal time constant"
@@ -76,8 +76,6 @@ class Difference:
 
     def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
         """Difference of one parameter in its coordinate: (value, lower, upper)."""
-        from hygrokf.estimation.confidence import normal_quantile
-
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
         return float(self.value[i]), float(self.value[i] - reach), float(self.value[i] + reach)

@@ -225,16 +225,13 @@ def _scored(
             continue
         there = np.isfinite(columns).all(axis=1)
         table[quantity] = {
-            n: _set_error(np.where(there, e, np.nan), baseline.run.operating, drawn.bounds(i))
+            n: SetError(
+                **vars(rmse(np.where(there, e, np.nan), baseline.run.operating)), bounds=drawn.bounds(i)
+            )
             for i, (n, e) in enumerate(errors.items())
         }
         gains[quantity] = _gains(drawn, list(errors))
     return table, gains
-
-
-def _set_error(error: np.ndarray, operating: np.ndarray, bounds: tuple[float, float] | None) -> SetError:
-    found = rmse(error, operating)
-    return SetError(found.operation, found.standstill, found.total, found.n, bounds)
 
 
 def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, Gains]:

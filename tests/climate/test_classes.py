@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from builders.documents import document
 
-from hygrokf.climate.classes import CLASSES, ClassFault, limits_of
-from hygrokf.climate.limits import QUANTITIES, expect_names
+from hygrokf.climate.limits import CLASSES, QUANTITIES, ClassFault, expect_names, limits_of
 
 
 @pytest.mark.parametrize(

@@ -513,6 +513,9 @@ def test_figures_without_data_say_so() -> None:
         humidity_innovation=nothing,
     )
     one = single(findings(with_effect(base, "humidity", 1.1 * base.preheating)))
-    for draw in (figure_drivers, figure_day_hour, figure_innovations, lambda r: figure_episodes(r, one)):
+    for draw in (
+        lambda r: figure_drivers(r, (), None), figure_day_hour, figure_innovations,
+        lambda r: figure_episodes(r, one),
+    ):  # fmt: skip
         with pytest.raises(NothingToShow):
             draw(empty)

@@ -17,7 +17,7 @@ from hygrokf.identification.verdict import with_verdicts
 from hygrokf.identification.wording import decimals_for, percent, plain_number
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.fit import Picture
+from hygrokf.report.figures.fit import FIGURES
 from hygrokf.report.fit_page import ReportFault, fit_blocks, read_results, write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import Judgement, judgements, time_constant
@@ -32,7 +32,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing() -> None:
         raise NothingToShow("Not drawn.")
 
-    monkeypatch.setattr(Picture, "of", lambda one, fit, series: Figure(one.name, one.heading, "", nothing))
+    monkeypatch.setattr(
+        "hygrokf.report.fit_page.figure_of",
+        lambda name, fit, series: Figure(name, FIGURES[name][0], "", nothing),
+    )
 
 
 def _page(fit: dict, series: dict | None = None) -> _Page:

@@ -25,7 +25,6 @@ from hygrokf.identification.procedure import identify
 from hygrokf.report.blocks import Cards
 from hygrokf.report.comparison_page import (
     comparison_blocks,
-    comparison_csv,
     read_comparison,
     scores_table,
     summary,
@@ -84,9 +83,11 @@ def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
         compare([empty])
 
 
-def test_the_table_holds_every_number_of_the_json() -> None:
-    found = compare([made_column("a", 1), made_column("b", 2, scale=1.15)]).results
-    rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
+def test_the_table_holds_every_number_of_the_json(tmp_path) -> None:
+    made = compare([made_column("a", 1), made_column("b", 2, scale=1.15)])
+    write_comparison(made, tmp_path)
+    found, text = made.results, (tmp_path / "compare.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(text)))
     kinds = [row["kind"] for row in rows]
     # two columns, three periods, three regimes
     assert (

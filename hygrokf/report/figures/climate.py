@@ -99,16 +99,12 @@ def figure_duration(region: RegionClimate) -> Panels:
         ),
         height_in=2.4 if len(there) < 4 else 4.5,
         columns=min(3, len(there)),
-        handles=partial(_duration_handles, share_held([region])),
+        handles=lambda: [
+            line_handle(MEASURED, "cabinet, simulated", 0.9),
+            area_handle(MEASURED, f"{share_held([region])} of single years", 0.25, edgecolor=MEASURED),
+            line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
+        ],
     )
-
-
-def _duration_handles(share: str) -> list[Artist]:
-    return [
-        line_handle(MEASURED, "cabinet, simulated", 0.9),
-        area_handle(MEASURED, f"{share} of single years", 0.25, edgecolor=MEASURED),
-        line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
-    ]
 
 
 def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:

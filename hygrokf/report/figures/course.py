@@ -211,7 +211,7 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
         if end >= span[0] and start <= span[1]
     ]
     for middle, half in heated:
-        ends = [float(days(middle - half)), float(days(middle + half))]
+        ends = days(np.array([middle - half, middle + half]))
         axes.plot(ends, [1.04, 1.04], color=SIMULATED, linewidth=3.0)
     for middle, half in heated[:1]:
         late = middle > span[0] + 0.7 * (span[1] - span[0])
@@ -383,11 +383,9 @@ def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.
 
 
 def _residual_handles(validation: bool) -> list[Artist]:
-    handles = [
+    return [
         line_handle(MEASURED, "median"),
         area_handle(MEASURED, "middle half", 0.25),
         line_handle(MEASURED, "middle 90 %", 0.7),
+        *([line_handle(SIMULATED, "median in validation", 0, marker="D", markersize=3.2)] * validation),
     ]
-    if validation:
-        handles.append(line_handle(SIMULATED, "median in validation", 0, marker="D", markersize=3.2))
-    return handles

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -56,9 +57,7 @@ _STYLE: dict[str, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": False,
     "axes.formatter.useoffset": False,
-    "axes.unicode_minus": True,
     "grid.color": RULE,
     "grid.linewidth": 0.4,
     "xtick.labelsize": 7.0,
@@ -85,10 +84,8 @@ _STYLE: dict[str, Any] = {
     "lines.solid_capstyle": "butt",
     "patch.linewidth": 0.0,
     "hatch.linewidth": 0.4,
-    "figure.facecolor": "white",
     "savefig.facecolor": "white",
     "svg.fonttype": "none",
-    "path.simplify": True,
     "path.simplify_threshold": 0.15,
 }
 FONTS = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
@@ -145,7 +142,8 @@ def svg(figure: Figure, name: str) -> str:
     text = re.sub(
         r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S
     )
-    text = re.sub(r'(\b(?:d|x|y|points|x1|y1|x2|y2|width|height)=")([^"]*)"', _rounded, text)
+    places = r'\b(?:d|x|y|points|x1|y1|x2|y2|width|height)="[^"]*"'
+    text = re.sub(places, lambda found: re.sub(r"(\d+\.\d\d)\d+", r"\1", found[0]), text)
     text = re.sub(r" font-family: [^;\"]*;", "", text)
     text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.S)
     text = text.replace("<svg ", f'<svg font-family="{FONTS}" stroke-linejoin="round" ', 1)
@@ -161,10 +159,6 @@ def _save(figure: Figure, buffer: io.BytesIO | io.StringIO, **settings: Any) -> 
         # a name in letters that the layout's font lacks: the page's reader has a font for them
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         figure.savefig(buffer, **settings)
-
-
-def _rounded(match: re.Match[str]) -> str:
-    return match.group(1) + re.sub(r"(\d+\.\d\d)\d+", r"\1", match.group(2)) + '"'
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
@@ -427,8 +421,6 @@ def name_rows(axes: Axes, labels: Sequence[str]) -> None:
 
 def empty(axes: Axes, sentence: str) -> None:
     """Axes that say in one sentence why they are empty."""
-    import textwrap
-
     axes.set_axis_off()
-    text = "\n".join(textwrap.wrap(sentence, 34))
+    text = textwrap.fill(sentence, 34)
     axes.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, transform=axes.transAxes)

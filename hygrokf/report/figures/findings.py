@@ -125,7 +125,6 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
 
 
 def _largest(residuals: Residuals, quantity: str, start_s: float, end_s: float) -> float:
-    """Largest size of the error over a stretch of time [s]."""
     inside = (residuals.time_s >= start_s) & (residuals.time_s <= end_s)
     return float(np.nanmax(np.abs(residuals.error(quantity)[inside]), initial=0.0)) or 1.0
 
@@ -168,28 +167,24 @@ def _course(
 
 
 def _course_handles(overlaid: bool) -> list[Artist]:
-    handles = [
+    return [
         line_handle(MEASURED, "readings"),
         line_handle(SIMULATED, "simulated" + (", before" if overlaid else "")),
+        *([line_handle(AFTER, "after")] if overlaid else []),
         area_handle(SIMULATED, "95 % band", 0.15),
         line_handle(AMBIENT, "ambient"),
         area_handle(CONDITION, "under the condition"),
     ]
-    if overlaid:
-        handles.insert(2, line_handle(AFTER, "after"))
-    return handles
 
 
 def _lasting_handles(overlaid: bool) -> list[Artist]:
-    handles = [
+    return [
         line_handle(SIMULATED, f"daily mean{', before' * overlaid}"),
+        *([line_handle(AFTER, "after")] if overlaid else []),
         area_handle(SIMULATED, "middle 80 % of the day", 0.13),
         line_handle(INK, "mean of either part", 1.1, dashes=(5, 2)),
         area_handle(CONDITION, "where the finding is"),
     ]
-    if overlaid:
-        handles.insert(1, line_handle(AFTER, "after"))
-    return handles
 
 
 def _lasting(axes: Axes, residuals: Residuals, finding: Finding, after: Residuals | None) -> None:

@@ -76,7 +76,8 @@ def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:
         axes.plot(value[chosen], place[chosen], "o", color=colour, markersize=3.2 if named else 1.4, zorder=3)
     axes.set_ylim(-0.8, max(most, 2) - 0.2)
     if named:
-        axes.set_yticks(place, [_short(one.turbines[i]) for i in order])
+        names = [one.turbines[i] for i in order]
+        axes.set_yticks(place, [name if len(name) <= 18 else f"{name[:17]}…" for name in names])
         axes.tick_params(axis="y", length=0)
     else:
         axes.set_yticks([])
@@ -91,7 +92,3 @@ def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:
     else:
         axes.set_xlim(max(left, 0.5 * value.min()), right)
         logarithmic(axes, "x", 4)
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 18 else name[:17] + "…"

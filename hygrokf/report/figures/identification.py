@@ -151,9 +151,8 @@ def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) -> 
     power, difference, ambient = one.thinned()
     _cloud(axes, power, difference, ambient, edges)
     p = np.linspace(min(0.0, float(power.min())), max(1.0, float(power.max())), 60)
-    inside = [e for e in np.quantile(one.ambient, [0.1, 0.5, 0.9])]
     values, reference = _likelihood(fit)
-    for degrees in sorted({round(float(e)) for e in inside}):
+    for degrees in sorted({round(float(e)) for e in np.quantile(one.ambient, [0.1, 0.5, 0.9])}):
         colour = WARM_TO_COLD[int(_classes(np.array([degrees]), edges)[0])]
         curve = released(one.coefficients, "operation", p, degrees - one.reference)
         axes.plot(p, curve, color=colour, linewidth=1.6)

@@ -17,7 +17,7 @@ from hygrokf.report.climate_tables import share_held
 from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_regions
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.findings import drawable, events, figure_episodes
-from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.fit import figure_of
 from hygrokf.report.figures.residual_structure import figure_drivers, telling_drivers
 
 EPISODE_FIGURES = 3
@@ -38,7 +38,7 @@ REGIONS_CAPTION = (
 
 def lead_of_fit(series: Mapping[str, np.ndarray]) -> Figure:
     """Readings and free run after the identification period."""
-    return FIGURES[0].of(FitResults(), series)
+    return figure_of("validation", FitResults(), series)
 
 
 def lead_of_discovery(found: DiscoveryResults, before: Residuals | None, after: Residuals | None) -> Figure:

@@ -7,6 +7,7 @@ They raise `drawing.NothingToShow` with one sentence where their data are missin
 from __future__ import annotations
 
 import itertools
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -19,7 +20,6 @@ from hygrokf.discovery.residuals import (
     QUANTITIES,
     TEMPERATURE,
     UNITS,
-    Hours,
     Residuals,
     displayed,
     hourly,
@@ -78,19 +78,16 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 # --- over drivers ----------------------------------------------------------------------------
 
 
-def figure_drivers(
-    residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
-) -> Panels:
+def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residuals | None) -> Panels:
     """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
     shares; a row for each quantity, a column for each driver.
 
-    drivers: up to four names; without any, those along which the medians move most.
+    drivers: up to four names.
     """
     quantities = _known(residuals)
     early = hourly(residuals)
     late = hourly(after) if after is not None else None
-    chosen = [name for name in drivers if name in early.drivers] or _telling(early, quantities)
-    chosen = chosen[:DRIVERS]
+    chosen = [name for name in drivers if name in early.drivers]
     if not chosen:
         raise NothingToShow("No driver varies enough to hold the error against it.")
     from matplotlib import rcParams
@@ -109,7 +106,8 @@ def figure_drivers(
         axes.set_ylim(-reach, reach)
         axes.locator_params(axis="x", nbins=5)
         short = unit.replace("% of the rated power", "% of rated")
-        axes.set_xlabel(_two_lines(f"{words(name)} [{short or '1'}]"), fontsize=rcParams["xtick.labelsize"])
+        label = textwrap.fill(f"{words(name)} [{short or '1'}]", 27)
+        axes.set_xlabel(label, fontsize=rcParams["xtick.labelsize"])
         axes.set_ylabel(error_label(quantity))
         if name == chosen[0]:
             axes.set_title(TITLE[quantity])
@@ -126,11 +124,7 @@ def figure_drivers(
 def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
     """Up to four drivers: those named first, then those along which the medians spread most, in units of the
     error's own spread."""
-    hours = hourly(residuals)
-    return _telling(hours, _known(residuals), first)
-
-
-def _telling(hours: Hours, quantities: Sequence[str], first: Sequence[str] = ()) -> list[str]:
+    hours, quantities = hourly(residuals), _known(residuals)
     rank = {}
     for name, value in hours.drivers.items():
         if name == "preheating":
@@ -146,12 +140,6 @@ def _telling(hours: Hours, quantities: Sequence[str], first: Sequence[str] = ())
     best = dict.fromkeys([name for name in first if name in rank])
     best |= dict.fromkeys(sorted(rank, key=lambda name: -rank[name]))
     return [name for name in hours.drivers if name in list(best)[:DRIVERS]]
-
-
-def _two_lines(text: str, width: int = 27) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, width))
 
 
 def _shares(value: np.ndarray, count: int = 12) -> np.ndarray:
@@ -189,14 +177,12 @@ def _bands(axes: Axes, value: np.ndarray, error: np.ndarray, edges: np.ndarray) 
 
 def _band_handles(overlaid: bool) -> list[Artist]:
     before = "median" + (", before" if overlaid else "")
-    handles = [
+    return [
         line_handle(SIMULATED, before, 1.4, marker="o", markersize=2.4),
+        *([line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4)] if overlaid else []),
         area_handle(SIMULATED, "middle half", 0.30),
         area_handle(SIMULATED, "middle 80 %", 0.10),
     ]
-    if overlaid:
-        handles.insert(1, line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4))
-    return handles
 
 
 # --- course of the error ---------------------------------------------------------------------
@@ -321,23 +307,18 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
 # --- innovations -----------------------------------------------------------------------------
 
 
-def figure_innovations(
-    residuals: Residuals, after: Residuals | None = None, drivers: Sequence[str] = ()
-) -> Panels:
-    """Periodogram of the standardised innovations and their cross-correlations with drivers, by quantity.
-
-    drivers: up to three names; without any, those with the largest cross-correlations before.
-    """
+def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> Panels:
+    """Periodogram of the standardised innovations and, by quantity, their largest cross-correlations with
+    drivers."""
     quantities = _known(residuals, innovations=True)
     found = _diagnosed(residuals)
     later = _diagnosed(after) if after is not None else {}
-    columns = 1 + INPUTS
     drawn: list[Callable[[Axes], None]] = []
     for quantity in quantities:
         base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
         rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
-        best = [name for name in drivers if name in rows] or sorted(rows, key=lambda name: rows[name].p)
-        reach = max((correlation_reach(rows[name]) for name in best[:INPUTS]), default=0.1)
+        best = sorted(rows, key=lambda name: rows[name].p)[:INPUTS]
+        reach = max((correlation_reach(rows[name]) for name in best), default=0.1)
 
         def spectrum(axes: Axes, quantity: str, shown: tuple[Periodogram | None, ...]) -> None:
             periodogram(axes, shown, COLOURS)
@@ -348,17 +329,17 @@ def figure_innovations(
             axes: Axes, name: str, shown: tuple[CrossCorrelation | None, ...], reach: float
         ) -> None:
             correlation(axes, shown, COLOURS, reach)
-            axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
+            axes.set_title(textwrap.fill(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
 
         drawn.append(partial(spectrum, quantity=quantity, shown=(base.periodogram, wider.periodogram)))
-        for name in best[:INPUTS]:
+        for name in best:
             shown = (rows[name], wider.cross_correlation.get(name))
             drawn.append(partial(correlated, name=name, shown=shown, reach=reach))
-        drawn += [lambda axes: axes.set_axis_off()] * (columns - 1 - len(best[:INPUTS]))
+        drawn += [lambda axes: axes.set_axis_off()] * (INPUTS - len(best))
     return Panels(
         tuple(drawn),
         height_in=0.75 + 1.65 * len(quantities),
-        columns=columns,
+        columns=1 + INPUTS,
         handles=partial(_line_handles, after is not None),
     )
 
@@ -376,11 +357,9 @@ def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
 
 
 def _line_handles(overlaid: bool) -> list[Artist]:
-    handles = [
+    return [
         line_handle(SIMULATED, "innovations" + (", before" if overlaid else ""), 1.4),
+        *([line_handle(AFTER, "after", 1.4)] if overlaid else []),
         area_handle(QUIET, "95 % if white", 0.16),
         line_handle(INK, "95 %, all lags together", 0.7, dashes=(4, 2)),
     ]
-    if overlaid:
-        handles.insert(1, line_handle(AFTER, "after", 1.4))
-    return handles

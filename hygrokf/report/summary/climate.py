@@ -24,7 +24,7 @@ from hygrokf.report.climate_tables import (
 from hygrokf.report.discovery_text import listed
 from hygrokf.report.figures.climate import short_words
 from hygrokf.report.figures.lead import lead_of_climate
-from hygrokf.report.summary.content import Summary, drawable, first_actions, first_rows, made_by, named
+from hygrokf.report.summary.page import Summary, drawable, first_actions, first_rows, made_by, named
 
 
 def summary_of_climate(study: Study) -> Summary:

@@ -11,8 +11,7 @@ from hygrokf.report.discovery_page import spans_text
 from hygrokf.report.discovery_tables import gains_table
 from hygrokf.report.discovery_text import actions, headline, named_alone, reasons, warned
 from hygrokf.report.figures.lead import lead_of_discovery
-from hygrokf.report.summary.content import Summary, drawable, known, made_by, named
-from hygrokf.report.summary.remedies import LACKING, remedies
+from hygrokf.report.summary.page import LACKING, Summary, drawable, known, made_by, named, remedies
 
 
 def summary_of_discovery(

@@ -16,8 +16,7 @@ from hygrokf.report.blocks import SYNTHETIC_PAGE, Table
 from hygrokf.report.figures.lead import lead_of_fit
 from hygrokf.report.fit_page import period_text
 from hygrokf.report.fit_text import head, judgements, time_constant
-from hygrokf.report.summary.content import Summary, drawable, known, made_by, named
-from hygrokf.report.summary.remedies import remedies
+from hygrokf.report.summary.page import Summary, drawable, known, made_by, named, remedies
 
 
 def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary:
@@ -38,7 +37,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
         " ".join(f"{head(fit, name).rstrip(':.')}." for name in parts)
         or "This record determines no time constant.",
         max((found[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
-        tuple(_why(name, found[name]) for name in doubted),
+        tuple(sentence(f"{name} time constant, {found[name].sentence}") for name in doubted),
         _constants(fit, parts),
         drawable(lambda: lead_of_fit(series)),
         (*_uses(found), *remedies(reason for one in found.values() for reason in one.reasons)),
@@ -52,10 +51,6 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
 
 
 QUANTITIES_OF = {"thermal": "the temperature", "hygric": "the humidity"}
-
-
-def _why(name: str, verdict: Verdict) -> str:
-    return sentence(f"{name} time constant, {verdict.sentence}")
 
 
 def _uses(found: Mapping[str, Verdict]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 
 from hygrokf.climate.study import read_climate
@@ -23,10 +24,9 @@ from hygrokf.report.figures.drawing import FONTS, expect_matplotlib
 from hygrokf.report.fit_page import read_results
 from hygrokf.report.page import page_html
 from hygrokf.report.summary.climate import summary_of_climate
-from hygrokf.report.summary.content import Summary
 from hygrokf.report.summary.discovery import summary_of_discovery
 from hygrokf.report.summary.fit import summary_of_fit
-from hygrokf.report.summary.page import summary_blocks
+from hygrokf.report.summary.page import Summary, summary_blocks
 
 
 class SummaryFault(HygrokfError):
@@ -44,7 +44,8 @@ def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
     Raises SummaryFault that lists every result of another kind, and those whose directories share a name.
     """
     expect_matplotlib()
-    faults, plans, names = [], [], []
+    plans: list[Planned] = []
+    faults, names = [], []
     for path in results:
         file = _file_of(path)
         if file is None:
@@ -54,7 +55,7 @@ def planned(results: Sequence[Path], directory: Path | None) -> list[Planned]:
         own = file.name == FIT and (home / DISCOVERY).exists() and directory is None
         names.append(home.resolve().name)
         out = home if directory is None else directory if len(results) == 1 else directory / names[-1]
-        plans.append((_maker(file), out, BESIDE_SUMMARY if own else SUMMARY))
+        plans.append((partial(KINDS[file.name], home), out, BESIDE_SUMMARY if own else SUMMARY))
     if directory is not None:
         faults += [
             f"--out {directory}: expected directories of results with different names, found {name} twice"
@@ -109,25 +110,17 @@ def _faces() -> str:
     )
 
 
-def _fit(folder: Path) -> Summary:
-    return summary_of_fit(*read_results(folder))
-
-
 def _discovery(folder: Path) -> Summary:
     read = read_discovery(folder)
     return summary_of_discovery(read.results, read.before, read.after)
 
 
-def _climate(folder: Path) -> Summary:
-    return summary_of_climate(read_climate(folder))
-
-
-KINDS: Mapping[str, Callable[[Path], Summary]] = {DISCOVERY: _discovery, CLIMATE: _climate, FIT: _fit}
+KINDS: Mapping[str, Callable[[Path], Summary]] = {
+    DISCOVERY: _discovery,
+    CLIMATE: lambda folder: summary_of_climate(read_climate(folder)),
+    FIT: lambda folder: summary_of_fit(*read_results(folder)),
+}
 """By the file of a result; in a directory the first that is there."""
-
-
-def _maker(file: Path) -> Callable[[], Summary]:
-    return lambda: KINDS[file.name](file.parent)
 
 
 def _file_of(path: Path) -> Path | None:
