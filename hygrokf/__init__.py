@@ -40,8 +40,8 @@ _WHERE = {
     "filterpy_filter": "estimation.smoother",
     "thermal_system": "modelling.thermal_system",
     "discover": "discovery.procedure",
-    "Cause": "discovery.cause",
-    "cause_of": "discovery.cause",
+    "Cause": "discovery.library",
+    "cause_of": "discovery.library",
     "load_library": "discovery.own_causes",
     "compare": "transfer.comparison",
     "comparison_column": "transfer.comparison",
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from hygrokf.climate.procedure import climate_profile as climate_profile
     from hygrokf.commands.fleet_tasks import run_fleet as run_fleet
     from hygrokf.data.record import Record as Record
-    from hygrokf.discovery.cause import Cause as Cause
-    from hygrokf.discovery.cause import cause_of as cause_of
+    from hygrokf.discovery.library import Cause as Cause
+    from hygrokf.discovery.library import cause_of as cause_of
     from hygrokf.discovery.own_causes import load_library as load_library
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.errors import HygrokfError as HygrokfError

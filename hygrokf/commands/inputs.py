@@ -11,7 +11,7 @@ from hygrokf.commands.console import Progress, faults_of
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
-    from hygrokf.discovery.cause import Cause
+    from hygrokf.discovery.library import Cause
     from hygrokf.identification.fit import Fit
     from hygrokf.identification.turbine_type import TurbineType
 

@@ -145,9 +145,7 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
         basis = np.linalg.qr(rest)[0] if rest.shape[1] else rest
         x = white[:, mine] - basis @ (basis.T @ white[:, mine])
         score = x * (np.nan_to_num(known.standardised) * root)[:, None]
-        day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
-        daily = np.zeros((day.max() + 1, score.shape[1]))
-        np.add.at(daily, day, score)
+        daily = one.simulator.scene.readings[q].by_day(score)
         information += x.T @ x
         spread += daily.T @ daily
     return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())
@@ -249,10 +247,8 @@ def alike(best: Candidate, rival: Candidate) -> bool:
 
 def _daily(best: Estimate, rival: Estimate, quantity: str) -> np.ndarray:
     """(days,) by how much −2 ln L of the rival exceeds that of the best."""
-    day = np.floor(best.simulator.scene.readings[quantity].time_h / 24.0).astype(int)
-    found = np.zeros(day.max() + 1)
-    np.add.at(found, day, rival.filtered[quantity].terms - best.filtered[quantity].terms)
-    return found
+    terms = rival.filtered[quantity].terms - best.filtered[quantity].terms
+    return best.simulator.scene.readings[quantity].by_day(terms)
 
 
 def water(best: Candidate, rival: Candidate) -> bool:

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.discovery.candidates import Candidate
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
-from hygrokf.discovery.judgement import NOTICED, Judged, judged, scores
+from hygrokf.discovery.judgement import NOTICED, judged, scores
 from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, needed
 
 
@@ -26,7 +27,7 @@ class Conclusion:
     base: FinalSet
     extended: FinalSet | None
     accepted: tuple[Accepted, ...]
-    refuted: tuple[tuple[Candidate, Judged], ...]
+    refuted: tuple[tuple[Candidate, HeldOutTest], ...]
 
     @property
     def last(self) -> FinalSet:
@@ -61,7 +62,7 @@ def _judged(
     name: Accepted,
     extended: FinalSet,
     estimator: Estimator,
-) -> Judged:
+) -> HeldOutTest:
     """What held-out readings say of the extended model beside the one without a name."""
     others = [a.chosen for a in accepted if a is not name]
     without = base.estimate
@@ -76,7 +77,7 @@ def _judged(
     return verdict
 
 
-def _harm(one: Judged) -> float:
+def _harm(one: HeldOutTest) -> float:
     """By how much a name grows the errors, where it is refuted; without an effect it goes first."""
     if one.reason == "no_effect":
         return math.inf

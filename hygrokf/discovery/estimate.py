@@ -283,15 +283,21 @@ def _normal_equations(
         e, w = np.nan_to_num(known.standardised), known.weight
         matrix[np.ix_(there, there)] += white.T @ (white * w[:, None])
         gradient[there] -= white.T @ (w * e)
-    for i, place in enumerate(f.place):
-        p = one.simulator.parameters[place]
-        if p.prior is not None:
-            x = float(one.theta[place])
-            at, slope = (math.log(x), 1.0 / x) if p.prior.logarithmic else (x, 1.0)
-            slope *= x if f.logarithmic[i] else 1.0
-            matrix[i, i] += (slope / p.prior.sd) ** 2
-            gradient[i] += (at - p.prior.mean) / p.prior.sd**2 * slope
+    information, slope = of_priors(one, f)
+    matrix += np.diag(information)
+    gradient -= slope
     return matrix, gradient
+
+
+def of_priors(one: Estimate, f: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """(d,) information of the priors in the coordinates, and slopes of their log densities."""
+    information, slope = np.zeros((2, len(f.place)))
+    for i, place in enumerate(f.place):
+        prior, value = one.simulator.parameters[place].prior, float(one.theta[place])
+        if prior is not None:
+            unit = value if f.logarithmic[i] else 1.0
+            information[i], slope[i] = prior.information(value) * unit**2, prior.log_slope(value) * unit
+    return information, slope
 
 
 def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, damping: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from hygrokf.discovery.estimate import (
     estimate_at,
     fitted,
     frame,
+    of_priors,
     slopes,
     with_variances,
 )
@@ -126,16 +127,14 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
         root = np.sqrt(known.weight)
         white = known.whitened(columns) * root[:, None]
         score = white * (np.nan_to_num(known.standardised) * root)[:, None]
-        day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
-        daily = np.zeros((day.max() + 1, len(names)))
-        np.add.at(daily, day, score)
+        daily = one.simulator.scene.readings[q].by_day(score)
         information += white.T @ white
         # neighbouring days of a slow disturbance are not independent
         spread += daily.T @ daily
         for lag in (1, 2):
             cross = (1.0 - lag / 3.0) * daily[lag:].T @ daily[:-lag]
             spread += cross + cross.T
-    priors = _prior_information(one, f.place, f.logarithmic)
+    priors = np.diag(of_priors(one, f)[0])
     information += priors
     spread += priors
     told = np.diag(information) > UNDETERMINED
@@ -150,13 +149,3 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
         n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0
     )
     return names, found, flat
-
-
-def _prior_information(one: Estimate, place: np.ndarray, logarithmic: np.ndarray) -> np.ndarray:
-    found = np.zeros(len(place))
-    for i, at in enumerate(place):
-        p = one.simulator.parameters[at]
-        if p.prior is not None:
-            value = float(one.theta[at])
-            found[i] = p.prior.information(value) * (value if logarithmic[i] else 1.0) ** 2
-    return np.diag(found)

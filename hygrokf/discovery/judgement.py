@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import Reason
+from hygrokf.discovery.discovery_results import HeldOutTest, Reason
 from hygrokf.discovery.error_model import HUBER, Filtered, ahead, filtered, loss
 from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 
@@ -38,20 +38,6 @@ class Scores:
     simulated: np.ndarray
     run: Filtered
     held_out: np.ndarray
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A child against its parent on held-out readings, by quantity: z of the daily differences, growth of
-    ln squared error, root mean square errors of the free runs; days: with readings."""
-
-    z: Mapping[str, float]
-    growth: Mapping[str, float]
-    before: Mapping[str, float]
-    after: Mapping[str, float]
-    gain: float
-    days: int
-    reason: Reason
 
 
 def levelled(one: Estimate) -> Estimate:
@@ -88,9 +74,7 @@ def scores(one: Estimate) -> dict[str, Scores]:
         e = run.standardised
         held = np.isfinite(e) & ~r.identified
         deviance = float((np.log(run.variance[held]) + loss(e[held], HUBER)).sum())
-        found[q] = Scores(
-            squares, np.floor(r.time_h / 24.0).astype(int), deviance, one.simulated[q], run, held
-        )
+        found[q] = Scores(squares, r.day, deviance, one.simulated[q], run, held)
     return found
 
 
@@ -106,7 +90,7 @@ def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[s
 
 def judged(
     parent: Mapping[str, Scores], child: Mapping[str, Scores], spare: float = 0.0, factor: float = 1.0
-) -> Judged:
+) -> HeldOutTest:
     """A child beside its parent.
 
     spare: the child's evidence in days beyond what it needs; factor: evidence by that in days.  Held-out
@@ -142,4 +126,4 @@ def judged(
         reason = "worse"
     elif z and not any(v <= -WORSE_Z for v in z.values()) and spare + gain / factor < 0.0:
         reason = "no_gain"
-    return Judged(z, growth, before, after, gain, number, reason)
+    return HeldOutTest(z, growth, before, after, gain, number, reason)

@@ -73,10 +73,9 @@ def _daily_scores(one: Estimate) -> dict[tuple[str, str], np.ndarray]:
     for q, columns in slopes(one, f).items():
         known = one.filtered[q]
         score = known.whitened(columns) * (np.nan_to_num(known.standardised) * known.weight)[:, None]
-        day = np.floor(one.simulator.scene.readings[q].time_h / 24.0).astype(int)
-        daily = np.zeros((day.max() + 1, score.shape[1]))
-        np.add.at(daily, day, score)
-        read = np.bincount(day, np.isfinite(known.innovation)) > 0
+        readings = one.simulator.scene.readings[q]
+        daily = readings.by_day(score)
+        read = np.bincount(readings.day, np.isfinite(known.innovation)) > 0
         for i, place in enumerate(f.place):
             if columns[:, i].any():
                 found[q, one.simulator.names[place]] = daily[: np.flatnonzero(read)[-1] + 1, i]

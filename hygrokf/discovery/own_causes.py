@@ -17,9 +17,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.plugin_validation import declared_faults, exception_text, form_faults, is_feature
 from hygrokf.errors import HygrokfError
 from hygrokf.modelling.registry import Origin, admit, origins, withdraw

@@ -20,10 +20,9 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.estimate import Errors, Estimate
 from hygrokf.discovery.forms import Form, Ground, ground_of
-from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.scene import Scene, scene_of
 from hygrokf.discovery.screening import added, start_values, widened
 from hygrokf.discovery.simulator import Simulator

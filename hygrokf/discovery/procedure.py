@@ -20,7 +20,6 @@ from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate, brought
-from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.conclusion import Conclusion, concluded
 from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
@@ -33,16 +32,15 @@ from hygrokf.discovery.discovery_results import (
 )
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import ground_of
-from hygrokf.discovery.gains import gains
 from hygrokf.discovery.leftover import lines
-from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import FURTHER, Accepted, Found, search
 from hygrokf.discovery.starting_model import base_estimate
-from hygrokf.discovery.told import cause_found, evidence_of, refuted_cause
+from hygrokf.discovery.told import cause_found, evidence_of, gains, refuted_cause
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.verdict_terms import REJECT, Reason

@@ -265,8 +265,7 @@ class Hours:
     """Residuals in bins of equal length (n,).
 
     start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
-    error [K], [g/m³] and innovation [1]: quantity -> (n,); innovations keep unit variance. NaN without a
-    reading.
+    error [K], [g/m³]: quantity -> (n,), NaN without a reading.
     drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share
     of the bin with pre-heating; sensor_error: quantity -> (n,).
     """
@@ -274,7 +273,6 @@ class Hours:
     start_s: float
     step_h: float
     error: Mapping[str, np.ndarray]
-    innovation: Mapping[str, np.ndarray]
     drivers: Mapping[str, np.ndarray]
     operating: np.ndarray
     preheating: np.ndarray
@@ -295,17 +293,12 @@ class Hours:
         return (self.time_s / 3600.0) % 24.0
 
 
-def hourly(residuals: Residuals) -> Hours:
-    """The identification period in bins of an hour, or of the readings' step where that is longer."""
-    return binned(residuals, 1.0)
-
-
-def binned(residuals: Residuals, least_h: float) -> Hours:
+def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
     """The identification period in bins of a length [h], or of the readings' step where that is longer."""
     chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
-        raise ValueError("hourly: the period has no instants")
+        raise ValueError("binned: the period has no instants")
     read = np.isfinite(residuals.temperature_error[chosen]) | np.isfinite(residuals.humidity_error[chosen])
     step = float(np.median(np.diff(time[read]))) / 3600.0 if read.sum() > 1 else 1.0
     length = least_h * max(1, math.ceil(step / least_h - 0.05))
@@ -314,14 +307,12 @@ def binned(residuals: Residuals, least_h: float) -> Hours:
     place -= first
     count = int(place[-1]) + 1
 
-    def mean(values: np.ndarray, root: bool = False) -> np.ndarray:
+    def mean(values: np.ndarray) -> np.ndarray:
         values = np.asarray(values, dtype=float)[chosen]
         there = np.isfinite(values)
         number = np.bincount(place[there], minlength=count).astype(float)
         total = np.bincount(place[there], weights=values[there], minlength=count)
-        return np.divide(
-            total, np.sqrt(number) if root else number, out=np.full(count, np.nan), where=number > 0
-        )
+        return np.divide(total, number, out=np.full(count, np.nan), where=number > 0)
 
     def circular(values: np.ndarray) -> np.ndarray:
         return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
@@ -331,7 +322,6 @@ def binned(residuals: Residuals, least_h: float) -> Hours:
         start_s=first * 3600.0 * length,
         step_h=length,
         error={q: mean(residuals.error(q)) for q in QUANTITIES},
-        innovation={q: mean(residuals.innovation(q), root=True) for q in QUANTITIES},
         drivers={
             name: circular(value) if name.endswith("_direction") else mean(value)
             for name, value in residuals.drivers.items()

@@ -87,6 +87,17 @@ class Readings:
     def time_h(self) -> np.ndarray:
         return (self.time_s - self.time_s[0]) / HOUR_S
 
+    @property
+    def day(self) -> np.ndarray:
+        """(T,) days since the first reading."""
+        return np.floor(self.time_h / 24.0).astype(int)
+
+    def by_day(self, values: np.ndarray) -> np.ndarray:
+        """(days, …) sums of values (T, …)."""
+        found = np.zeros((self.day.max() + 1, *values.shape[1:]))
+        np.add.at(found, self.day, values)
+        return found
+
     def sampled(self, shown: np.ndarray) -> np.ndarray:
         """(T, lanes) of what is shown at the ends of the cells (K, lanes)."""
         if np.array_equal(self.begin, self.end):

@@ -22,9 +22,10 @@ from hygrokf.discovery.candidates import (
     lead,
     water,
 )
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, estimate_at, fitted
 from hygrokf.discovery.forms import Form, Setting
-from hygrokf.discovery.judgement import Judged, Scores, difference, judged, levelled, scores
+from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
 from hygrokf.discovery.screening import (
     Screened,
     added,
@@ -51,7 +52,7 @@ class Accepted:
     much the best of all others stayed behind, in days."""
 
     candidate: Candidate
-    judged: Judged
+    judged: HeldOutTest
     rivals: tuple[Candidate, ...]
     lead: float
 
@@ -71,7 +72,7 @@ class Found:
     base: Estimate
     final: Estimate
     accepted: tuple[Accepted, ...] = ()
-    refuted: tuple[tuple[Candidate, Judged], ...] = ()
+    refuted: tuple[tuple[Candidate, HeldOutTest], ...] = ()
     left: tuple[Candidate, ...] = ()
     beside: tuple[Candidate, ...] = ()
     not_judged: tuple[str, ...] = ()
@@ -112,7 +113,7 @@ class Search:
         self.searched = {cause: sum(len(f.grid) for f in one) for cause, one in self.forms.items()}
         self.parent = base
         self.accepted: list[Accepted] = []
-        self._refuted: list[tuple[Candidate, Judged]] = []
+        self._refuted: list[tuple[Candidate, HeldOutTest]] = []
         self.left: list[Candidate] = []
         self.beside: list[Candidate] = []
         self.not_judged: list[str] = []
@@ -136,9 +137,9 @@ class Search:
         )  # fmt: skip
 
     @property
-    def refuted(self) -> tuple[tuple[Candidate, Judged], ...]:
+    def refuted(self) -> tuple[tuple[Candidate, HeldOutTest], ...]:
         """The best refuted form of each cause that has no name in the end."""
-        best: dict[str, tuple[Candidate, Judged]] = {}
+        best: dict[str, tuple[Candidate, HeldOutTest]] = {}
         for one, verdict in sorted(self._refuted, key=lambda pair: -pair[0].strength):
             if one.cause not in self.names:
                 best.setdefault(one.cause, (one, verdict))
@@ -184,7 +185,7 @@ class Search:
         others = [a for a in self.accepted if a.candidate.cause != one.cause]
         return not one.lacking and one.strength >= needed(one, others)
 
-    def _judged(self, before: Mapping[str, Scores], one: Candidate) -> Judged:
+    def _judged(self, before: Mapping[str, Scores], one: Candidate) -> HeldOutTest:
         child = levelled(foreseen(self.parent, one))
         after, mine = scores(child), acts(one.form, self.parent.quantities)
         spare = one.in_days - needed(one, self.accepted)

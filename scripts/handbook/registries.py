@@ -8,9 +8,9 @@ from dataclasses import replace
 from functools import cache
 
 from handbook.docstrings import heading, prose_and_equations, rst, table
-from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.forms import Ground
 from hygrokf.discovery.library import LIBRARY as CAUSES
+from hygrokf.discovery.library import Cause
 from hygrokf.discovery.plugin_validation import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory

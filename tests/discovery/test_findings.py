@@ -20,7 +20,7 @@ from hygrokf.data.structured import plain
 from hygrokf.discovery.conditions import conditions
 from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.findings import MATERIAL, findings
-from hygrokf.discovery.residuals import Residuals, closed, duration_h, hourly, residuals, run_lengths
+from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
 from hygrokf.report.figures.findings import figure_episodes
@@ -275,7 +275,7 @@ def test_the_validation_period_is_left_alone() -> None:
     late = base.time_h > 40 * 24.0
     split = replace(base, validation=late)
     assert findings(with_effect(split, "temperature", 5.0 * late)) == []
-    assert len(hourly(split)) == 40 * 24 + 1
+    assert len(binned(split)) == 40 * 24 + 1
 
 
 def test_hardly_any_reading_gives_no_misfit() -> None:
@@ -289,7 +289,7 @@ def test_errors_do_not_choose_their_own_condition() -> None:
     """No condition may be made from readings: other errors, the same conditions."""
     base = made(11)
     other = with_effect(base, "humidity", np.sin(base.time_h))
-    for one, two in zip(conditions(hourly(base)), conditions(hourly(other)), strict=True):
+    for one, two in zip(conditions(binned(base)), conditions(binned(other)), strict=True):
         assert np.array_equal(one.bins, two.bins)
         assert np.array_equal(one.basis, two.basis, equal_nan=True)
 
@@ -297,12 +297,11 @@ def test_errors_do_not_choose_their_own_condition() -> None:
 # --- pieces ----------------------------------------------------------------------------------
 
 
-def test_bins_of_an_hour_are_means_and_keep_innovations_at_unit_variance() -> None:
+def test_bins_of_an_hour_are_means() -> None:
     base = made(0)
-    hours = hourly(base)
+    hours = binned(base)
     first = base.temperature_error[:4]
     assert hours.error["temperature"][0] == pytest.approx(np.nanmean(first))
-    assert np.nanvar(hours.innovation["temperature"]) == pytest.approx(1.0, abs=0.1)
     assert hours.hour[:3] == pytest.approx([0.5, 1.5, 2.5])
 
 

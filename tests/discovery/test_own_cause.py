@@ -22,8 +22,7 @@ from hygrokf.commands.main import main
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
-from hygrokf.discovery.cause import cause_of
-from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.library import LIBRARY, cause_of, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, load_library
 from hygrokf.discovery.plugin_validation import declared_faults, form_faults, trial_ground, trial_record
 from hygrokf.identification.fit import LibraryAbsent, read_fit

@@ -13,7 +13,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.discovery_results import LASTING_KINDS, DiscoveryResults, Finding
-from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, hourly
+from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, binned
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,
@@ -189,7 +189,7 @@ def _lasting_handles(overlaid: bool) -> list[Artist]:
 
 def _lasting(axes: Axes, residuals: Residuals, finding: Finding, after: Residuals | None) -> None:
     quantity = finding.quantity
-    hours = hourly(residuals)
+    hours = binned(residuals)
     axes.axhline(0.0, color=QUIET, linewidth=0.6)
     for one, colour in _before_after(residuals, after):
         day, mean, low, high = _daily(one, quantity)

@@ -21,8 +21,8 @@ from hygrokf.discovery.residuals import (
     TEMPERATURE,
     UNITS,
     Residuals,
+    binned,
     displayed,
-    hourly,
     words,
 )
 from hygrokf.evaluation.diagnosis import CrossCorrelation, OutputDiagnosis, Periodogram
@@ -85,8 +85,8 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
     drivers: up to four names.
     """
     quantities = _known(residuals)
-    early = hourly(residuals)
-    late = hourly(after) if after is not None else None
+    early = binned(residuals)
+    late = binned(after) if after is not None else None
     chosen = [name for name in drivers if name in early.drivers]
     if not chosen:
         raise NothingToShow("No driver varies enough to hold the error against it.")
@@ -124,7 +124,7 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
 def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
     """Up to four drivers: those named first, then those along which the medians spread most, in units of the
     error's own spread."""
-    hours, quantities = hourly(residuals), _known(residuals)
+    hours, quantities = binned(residuals), _known(residuals)
     rank = {}
     for name, value in hours.drivers.items():
         if name == "preheating":
