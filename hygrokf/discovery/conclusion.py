@@ -2,21 +2,27 @@
 bears out.
 
 Both sets are made by one estimator.  A name that held-out readings refute under these sets goes, and the
-choice is made again.
+choice is made again.  What is left are lines in the spectrum of the whitened errors, and in the daily scores
+of a named cause: a missing effect that no cause describes often has a rhythm, such as a tide, a weekly
+routine or a duty cycle.  Under a right model the ordinates of a periodogram are independent exponential
+numbers.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from hygrokf.discovery.candidates import Candidate
-from hygrokf.discovery.discovery_results import HeldOutTest
-from hygrokf.discovery.estimate import Estimate
+import numpy as np
+
+from hygrokf.discovery.candidates import Candidate, brought
+from hygrokf.discovery.discovery_results import HeldOutTest, Line
+from hygrokf.discovery.estimate import Estimate, frame, slopes
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
 from hygrokf.discovery.judgement import NOTICED, judged, scores
+from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, needed
 
 
@@ -82,3 +88,95 @@ def _harm(one: HeldOutTest) -> float:
     if one.reason == "no_effect":
         return math.inf
     return max(one.growth.values(), default=0.0) if one.reason else -math.inf
+
+
+SIGNIFICANT = 1e-4
+"""Chance of such a line without an effect, below which it is told."""
+BIN_H = 1.0
+NEIGHBOURS = 101
+FEWEST = 3 * NEIGHBOURS
+CYCLES = 4
+"""Cycles of a rhythm in the record at least: what comes less often is a course."""
+FEWEST_DAYS = 30
+
+
+def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
+    """Significant lines of an estimate, the least likely first; causes: cause → its own parameters."""
+    found = [line for q in one.quantities if (line := _in_errors(one, q)) is not None]
+    scores = _daily_scores(one)
+    for cause, names in causes.items():
+        for (q, name), daily in scores.items():
+            if name in names and (line := _in_days(q, cause, daily)) is not None:
+                found.append(line)
+    best: dict[tuple[str, str], Line] = {}
+    for line in sorted(found, key=lambda line: line.p):
+        best.setdefault((line.quantity, line.cause), line)
+    return list(best.values())
+
+
+def _in_errors(one: Estimate, quantity: str) -> Line | None:
+    """The strongest line of the whitened errors, against the mean of its neighbours."""
+    known, r = one.filtered[quantity], one.simulator.scene.readings[quantity]
+    seen = np.isfinite(known.innovation)
+    e = (known.standardised * known.weight)[seen]
+    hours = r.time_h[seen]
+    width = max(BIN_H, float(np.median(np.diff(hours)))) if len(hours) > 1 else BIN_H
+    place = ((hours - hours[0]) / width).astype(int)
+    total = np.bincount(place, e)
+    number = np.bincount(place)
+    mean = np.divide(total, np.sqrt(np.maximum(number, 1)))
+    power = np.abs(np.fft.rfft(mean - mean[number > 0].mean() * (number > 0))) ** 2
+    power = power[1:-1]
+    if len(power) < FEWEST:
+        return None
+    half = NEIGHBOURS // 2
+    sums = np.cumsum(np.pad(power, (half + 1, half), mode="reflect"))
+    around = (sums[NEIGHBOURS:] - sums[:-NEIGHBOURS] - power) / (NEIGHBOURS - 1)
+    ratio = power / np.maximum(around, 1e-300)
+    ratio[: CYCLES - 1] = 0.0
+    best = int(np.argmax(ratio))
+    # the neighbours' mean is itself uncertain: F with 2 and 2 (neighbours − 1) degrees of freedom
+    alone = (1.0 + ratio[best] / (NEIGHBOURS - 1)) ** (1.0 - NEIGHBOURS)
+    p = -math.expm1(len(power) * math.log1p(-min(alone, 1.0 - 1e-16)))
+    return Line(quantity, width * len(mean) / (best + 1), p) if p < SIGNIFICANT else None
+
+
+def _daily_scores(one: Estimate) -> dict[tuple[str, str], np.ndarray]:
+    """(days,) sums of the scores of every parameter, by quantity and name."""
+    f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
+    found = {}
+    for q, columns in slopes(one, f).items():
+        known = one.filtered[q]
+        score = known.whitened(columns) * (np.nan_to_num(known.standardised) * known.weight)[:, None]
+        readings = one.simulator.scene.readings[q]
+        daily = readings.by_day(score)
+        read = np.bincount(readings.day, np.isfinite(known.innovation)) > 0
+        for i, place in enumerate(f.place):
+            if columns[:, i].any():
+                found[q, one.simulator.names[place]] = daily[: np.flatnonzero(read)[-1] + 1, i]
+    return found
+
+
+def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
+    """The strongest line of daily scores by Fisher's g: the largest share of one ordinate."""
+    if len(daily) < FEWEST_DAYS:
+        return None
+    ranks = np.argsort(np.argsort(daily)) - 0.5 * (len(daily) - 1)  # single days must not decide
+    power = np.abs(np.fft.rfft(ranks)) ** 2
+    power = power[CYCLES : (len(daily) + 1) // 2]
+    if not power.sum() > 0.0:
+        return None
+    share = float(power.max() / power.sum())
+    p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
+    period = 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES)
+    return Line(quantity, period, p, cause) if p < SIGNIFICANT else None
+
+
+def what_is_left(ended: Conclusion) -> list[Line]:
+    """What is left in the errors of the last model, and in the daily scores of what is named."""
+    one, own = ended.last.estimate, {}
+    for accepted in ended.accepted:
+        new = {p.name for p in added(ended.base.estimate, accepted.candidate.estimate.simulator)}
+        mine = brought(accepted.candidate.form, one.simulator)
+        own[accepted.candidate.cause] = tuple(sorted(new & mine))
+    return lines(one, own)

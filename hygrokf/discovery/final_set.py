@@ -1,18 +1,25 @@
-"""The one set of parameters with which a model leaves the search, and its covariance.
+"""The one set of parameters with which a model leaves the search, its covariance, and both in the form of a
+`Fit`: for reports, climate, measures and the tracker.
 
 A whitened likelihood sees the fast part of an error and judges levels badly; least squares of the free run
 see the slow part and judge time constants badly where disturbances are slow.  Both are fitted to the first
 two thirds of the identification period; the one whose free run predicts the last third better gives the set.
+The filter that a file's other users run needs the sizes of its own disturbances beside; these maximise its
+likelihood with everything else held.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from hygrokf.data.clocks import shifted
+from hygrokf.data.progress import Progress
+from hygrokf.data.record import Record
 from hygrokf.discovery.estimate import (
     POLISH,
     Estimate,
@@ -25,6 +32,21 @@ from hygrokf.discovery.estimate import (
     with_variances,
 )
 from hygrokf.discovery.judgement import levelled
+from hygrokf.estimation.confidence import Uncertainty, wald_bounds
+from hygrokf.estimation.likelihood import Likelihood, RatesFault
+from hygrokf.estimation.optimiser import Estimate as FilterEstimate
+from hygrokf.estimation.optimiser import Objective, climb
+from hygrokf.identification.clock_offsets import clock_offsets
+from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.needed_inputs import without_input
+from hygrokf.identification.procedure import Basis, assemble_fit
+from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.identification.verdict import with_reasons, with_verdicts
+from hygrokf.identification.verdict_terms import Reason
+from hygrokf.modelling.design import CASCADE, Design
+from hygrokf.modelling.inputs import prepare_run
+from hygrokf.physics.parameters import Coordinates
 
 Estimator = Literal["likelihood", "output-error"]
 BETTER = 0.95
@@ -145,7 +167,97 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
     root = scale[:, None] * axes[:, seen] / size[seen]
     inverse = root @ (axes[:, seen] * scale[:, None]).T
     found = inverse @ spread @ inverse.T
-    flat = tuple(
-        n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0
-    )
+    flat = tuple(n for n, s, d in zip(names, share, np.diag(found), strict=True) if s > 0.01 or not d > 0.0)
     return names, found, flat
+
+
+RATE_STEP = 1.0
+"""Largest product of a rate and a sub-step: coarser ones change the disturbances' sizes alone."""
+
+
+def fit_of(
+    record: Record, final: FinalSet, say: Progress = lambda text: None, against: Sequence[Reason] = ()
+) -> Fit:
+    """A final set as a fit of the record, whose clocks are corrected as the set says.
+
+    against: reasons against the hygric constant, beside the fit's own.
+    Raises ValueError where the set is faster than a filter of the readings can follow.
+    """
+    try:
+        return _fit_of(record, final, say, against)
+    except RatesFault as fault:
+        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
+
+
+def _fit_of(record: Record, final: FinalSet, say: Progress, against: Sequence[Reason]) -> Fit:
+    record = shifted(record, *final.estimate.simulator.scene.shifts)
+    early = record.identification()
+    stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
+    basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
+    fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
+    results = with_verdicts(replace(fit.results, criterion=final.estimator))
+    return replace(fit, results=with_reasons(results, "hygric", against))
+
+
+def final_designs(final: FinalSet) -> tuple[Design, ...]:
+    """The designs of a set, whose controllers have the levels that were estimated."""
+    values, simulator = final.estimate.values, final.estimate.simulator
+    found = []
+    for one in simulator.designs:
+        features = dict(one.features)
+        for name in set(features) & set(simulator.controls):
+            levels = {"start": values[f"{name}_first"], "full": values[f"{name}_second"]}
+            features[name] = {**features[name], **levels}
+        found.append(replace(one, features=features))
+    return tuple(found)
+
+
+def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage:
+    """One likelihood at the set's values, with the set's covariance."""
+    say("sizes of the disturbances")
+    run = prepare_run(base, early)
+    likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
+    known = final.estimate.values
+    held = {
+        p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known
+    }
+    noise = Coordinates(base.model.parameters, held)
+    found = climb(Objective(likelihood, noise), noise.start())
+    values = {**noise.values(found.z)}
+    coordinates = Coordinates(base.model.parameters, {n: values[n] for n in noise.names})
+    estimate = FilterEstimate(
+        coordinates, coordinates.start(values), values, likelihood.value(values), found.objective,
+        found.converged, found.message, tuple(n for n in final.at_bounds if n in held),
+    )  # fmt: skip
+    spread = _uncertainty(final, coordinates)
+    bounds = {
+        name: wald_bounds(estimate, spread, name, LEVEL)
+        for name in TIME_CONSTANTS
+        if name in coordinates.names
+    }
+    say("clocks, and models without the input")
+    clock = clock_offsets(early, base, run, estimate, spread)
+    stated = base.humidity is not None and early[base.humidity].response_time_s is not None
+    without = {name: without_input(name, base.model, run, estimate) for name in bounds}
+    return Stage(base, run, estimate, spread, bounds, clock, response_stated=stated, without=without)
+
+
+def _inside(low: float, high: float, value: float) -> float:
+    return min(max(value, low), high)
+
+
+def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
+    """The covariance of a stage's parameters; logarithms where the coordinate is one."""
+    open_ = (*final.at_bounds, *final.flat)
+    names = tuple(n for n in coordinates.names if n in final.names and n not in open_)
+    place = [final.names.index(n) for n in names]
+    values: Mapping[str, float] = final.estimate.values
+    linear = final.estimate.linear
+    as_logarithm = [coordinates.parameter(n).positive and n in linear for n in names]
+    scale = np.array(
+        [1.0 / max(values[n], 1e-300) if log else 1.0 for n, log in zip(names, as_logarithm, strict=True)]
+    )
+    covariance = final.covariance[np.ix_(place, place)] * np.outer(scale, scale)
+    information = np.linalg.pinv(covariance)
+    factor = np.ones(len(names))
+    return Uncertainty(names, covariance, covariance, factor, final.flat, (), information)

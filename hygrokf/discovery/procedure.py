@@ -18,9 +18,8 @@ from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.as_fit import fit_of
-from hygrokf.discovery.candidates import SENSOR, THRESHOLD, WATER, Candidate, brought
-from hygrokf.discovery.conclusion import Conclusion, concluded
+from hygrokf.discovery.candidates import THRESHOLD, Candidate
+from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
     Exclusion,
@@ -30,15 +29,14 @@ from hygrokf.discovery.discovery_results import (
     Verdict,
     Work,
 )
+from hygrokf.discovery.final_set import fit_of
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import ground_of
-from hygrokf.discovery.leftover import lines
 from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import FURTHER, Accepted, Found, search
+from hygrokf.discovery.search import FURTHER, Found, search
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import cause_found, evidence_of, gains, refuted_cause
 from hygrokf.identification.fit import Fit
@@ -169,7 +167,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     before = after = residuals(base, record)
     extended = None
     if ended.extended is not None:
-        against = (WET_SENSOR,) if any(_wet(one) for one in ended.accepted) else ()
+        against = (WET_SENSOR,) if any(one.wet for one in ended.accepted) else ()
         extended = fit_of(record, ended.extended, say, against)
         after = residuals(extended, shifted(record, *ended.extended.estimate.simulator.scene.shifts))
     say("what is left")
@@ -183,7 +181,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         extended=None if extended is None else _scores(extended),
         estimator=ended.base.estimator,
         gains=gains(ended, before, after),
-        held_out_days=_days(before.time_s[before.validation]),
+        held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
         causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
         refuted=tuple(refuted_cause(one, judged, found.searched) for one, judged in ended.refuted),
@@ -206,21 +204,6 @@ def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
     if ended.accepted:
         return "ambiguous" if any(one.rivals for one in ended.accepted) else "named"
     return "refuted" if ended.refuted else "none"
-
-
-def what_is_left(ended: Conclusion) -> list[Line]:
-    """What is left in the errors of the last model, and in the daily scores of what is named."""
-    one, own = ended.last.estimate, {}
-    for accepted in ended.accepted:
-        new = {p.name for p in added(ended.base.estimate, accepted.candidate.estimate.simulator)}
-        mine = brought(accepted.candidate.form, one.simulator)
-        own[accepted.candidate.cause] = tuple(sorted(new & mine))
-    return lines(one, own)
-
-
-def _wet(one: Accepted) -> bool:
-    """Whether an error of the humidity sensor is told together with water."""
-    return one.candidate.cause == SENSOR and any(rival.cause in WATER for rival in one.rivals)
 
 
 def _rejected(
@@ -254,11 +237,6 @@ def _rejected(
 def _scores(fit: Fit) -> ModelScores:
     found = fit.results
     return ModelScores(found.rmse, found.baselines, found.time_constants, found.loglik, found.n_obs)
-
-
-def _days(time_s: np.ndarray) -> int:
-    """Days that have an instant."""
-    return len(np.unique(np.floor(time_s / DAY_S)))
 
 
 def _saturated(record: Record) -> float:

@@ -57,6 +57,11 @@ class Accepted:
     lead: float
 
     @property
+    def wet(self) -> bool:
+        """Whether an error of the humidity sensor is told together with water."""
+        return self.candidate.cause == SENSOR and any(rival.cause in WATER for rival in self.rivals)
+
+    @property
     def chosen(self) -> Chosen:
         return self.candidate.form, self.candidate.setting
 

@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.data.clocks import sources
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.candidates import SENSOR, WATER, Candidate, brought
+from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion
 from hygrokf.discovery.discovery_results import (
     CauseFound,
@@ -42,7 +42,6 @@ def cause_found(
     candidate = one.candidate
     cause = named(candidate.cause, library)
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
-    wet = candidate.cause == SENSOR and bool(set(rivals) & set(WATER))
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
@@ -55,8 +54,8 @@ def cause_found(
         evidence=evidence_of(candidate, searched, one.lead),
         held_out=one.judged,
         ambiguous_with=rivals,
-        separate_by=SECOND_SENSOR if wet else cause.separate_by,
-        remedy=SECOND_SENSOR if wet else _remedy(cause, candidate),
+        separate_by=SECOND_SENSOR if one.wet else cause.separate_by,
+        remedy=SECOND_SENSOR if one.wet else _remedy(cause, candidate),
     )
 
 

@@ -38,8 +38,7 @@ from hygrokf.report.blocks import (
     synthetic,
     table_or,
 )
-from hygrokf.report.figures.fit import FIGURES, figure_of
-from hygrokf.report.figures.identification import PRODUCT
+from hygrokf.report.figures.fit import FIGURES, PRODUCT, figure_of
 from hygrokf.report.fit_tables import (
     actuators_table,
     bands_table,

@@ -23,7 +23,7 @@ from hygrokf.identification.wording import (
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
-from hygrokf.report.figures.identification import PRODUCT
+from hygrokf.report.figures.fit import PRODUCT
 from hygrokf.report.fit_text import lead_words, method, p_value, range_of, simulated, time_constant
 from hygrokf.report.terminal import blocks_text
 

@@ -16,13 +16,15 @@ from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import to_si
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import SiteWeather, dew_point_of, place_text
-from hygrokf.weather.typical_year import (
+from hygrokf.weather.site_weather import (
     SHIFTED,
     WIND_HEIGHT_M,
     WIND_WARNING,
+    SiteWeather,
+    dew_point_of,
     hours_table,
     local_seconds,
+    place_text,
     placed_in_year,
 )
 

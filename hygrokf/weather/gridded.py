@@ -18,9 +18,8 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
-from hygrokf.weather.altitude import GRAVITY
 from hygrokf.weather.archive import MOST_BYTES
-from hygrokf.weather.site_weather import place_text
+from hygrokf.weather.site_weather import GRAVITY, place_text
 
 if TYPE_CHECKING:
     import xarray

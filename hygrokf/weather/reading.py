@@ -17,7 +17,6 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
-from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
 from hygrokf.weather.archive import kind_of
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
@@ -25,7 +24,7 @@ from hygrokf.weather.joining import joined
 from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.open_meteo import read_open_meteo
 from hygrokf.weather.reference_year import is_try, read_try
-from hygrokf.weather.site_weather import distance_km, place_text
+from hygrokf.weather.site_weather import LAPSE_RATE, SAID_FROM_M, at_altitude, distance_km, place_text
 
 _READERS: Mapping[str, Callable[[Path, Site | None, int | None], Record]] = {
     "era5": lambda file, site, year: read_era5(file, site),

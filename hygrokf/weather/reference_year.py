@@ -21,11 +21,11 @@ from hygrokf.physics.psychrometrics import (
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import SiteWeather
-from hygrokf.weather.typical_year import (
+from hygrokf.weather.site_weather import (
     SHIFTED,
     WIND_HEIGHT_M,
     WIND_WARNING,
+    SiteWeather,
     hours_table,
     local_seconds,
     placed_in_year,

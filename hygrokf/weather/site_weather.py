@@ -1,9 +1,14 @@
-"""The weather of a site in the making: columns of its file as series in SI units, faults and warnings."""
+"""The weather of a site in the making: columns of its file as series in SI units, faults and warnings; hours
+of a typical year in one calendar year; and the move from the height of a station or grid cell to that of the
+site."""
 
 from __future__ import annotations
 
+import calendar
+import dataclasses
 import math
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,8 +17,13 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import fitting_units, from_si, signal_named, to_si, unit_named
-from hygrokf.data.timestamps import HOUR_S
-from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.physics.psychrometrics import (
+    GAS_CONSTANT_DRY_AIR,
+    dew_point,
+    saturation_pressure_water,
+    vapour_pressure,
+)
 
 EARTH_RADIUS_KM = 6371.0
 _FURTHER_UNITS: dict[str, tuple[str, float]] = {
@@ -160,3 +170,170 @@ def place_text(latitude_deg: float, longitude_deg: float, site: Site | None = No
     if site is None:
         return text
     return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
+
+
+WIND_HEIGHT_M = 10.0
+"""[m] height of the wind in files of typical years."""
+SHIFTED = "the columns are shifted, or in other units"
+"""What impossible values mean in files of typical years."""
+WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
+
+
+def placed_in_year(
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, own: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Hours moved to one calendar year: their stamps, their columns, and warnings.
+
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: 1900 … 2200.
+    own: the years of the file in words, "" where it is that year.
+
+    29 February is a repetition of the 28th where the year needs it and the file has none; it is left out
+    where the year has none.  Raises TableFault for a year out of range.
+    """
+    if not 1900 <= year <= 2200:
+        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
+    month, day = stamps[:, 1], stamps[:, 2]
+    leap_day = (month == 2) & (day == 29)
+    before = np.flatnonzero((month == 2) & (day == 28))
+    keep, said = np.arange(len(month)), []
+    placed = stamps.copy()
+    placed[:, 0] = year
+    if calendar.isleap(year) and not leap_day.any() and len(before) == 24:
+        keep = np.insert(keep, before[-1] + 1, before)
+        placed = placed[keep]
+        placed[before[-1] + 1 : before[-1] + 25, 2] = 29
+        said.append(f"{year} is a leap year: 28 February is repeated as 29 February")
+    elif not calendar.isleap(year) and leap_day.any():
+        keep = np.flatnonzero(~leap_day)
+        placed = placed[keep]
+        said.append(f"{year} is not a leap year: 29 February is left out")
+    if own:
+        said.append(f"hours of {own} stand in {year}: a typical year, not the weather of {year}")
+    return placed, {name: one[keep] for name, one in columns.items()}, said
+
+
+def local_seconds(stamps: np.ndarray) -> np.ndarray:
+    """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
+    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
+    return days * DAY_S + stamps[:, 3] * HOUR_S
+
+
+def hours_table(
+    lines: Sequence[tuple[int, Sequence[str]]],
+    width: int,
+    used: Sequence[int],
+    date: Callable[[np.ndarray], Iterable[float]],
+    faults: list[str],
+    exact: bool = False,
+) -> np.ndarray:
+    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
+
+    lines: number and cells. width: of a line at least, or with `exact` of every line.
+    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
+    """
+    table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
+    wrong = []
+    for row, (number, cells) in zip(table, lines, strict=True):
+        try:
+            if len(cells) < width or (exact and len(cells) > width):
+                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
+            for column in used:
+                if column < len(cells) and cells[column].strip():
+                    row[column] = float(cells[column])
+                    if not np.isfinite(row[column]):
+                        raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
+            year, month, day, hour = (int(one) for one in date(row))
+            if not 1 <= hour <= 24:
+                raise ValueError(f"expected an hour 1 … 24, found {hour}")
+            if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
+                raise ValueError(f"expected a date, found {year}, {month}, {day}")
+            if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
+                raise ValueError(f"month {month} has no day {day}")
+        except ValueError as reason:
+            wrong.append(f"line {number}: {reason}")
+    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
+    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
+    return table
+
+
+GRAVITY = 9.80665
+"""[m/s²] standard acceleration of free fall; reanalyses use it for geopotential too."""
+LAPSE_RATE = 0.0065
+"""[K/m] decrease of temperature with height in the standard atmosphere (ICAO)."""
+SAID_FROM_M = 100.0
+"""[m] difference of height from which an uncorrected record has a warning: 0.65 K."""
+
+
+def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = LAPSE_RATE) -> np.ndarray:
+    """Pressure of the air at a height over that at another, p(z + Δz)/p(z) [-].
+
+    temperature: [K] any shape, at the lower of the two heights z. rise_m: [m] Δz, may be negative.
+    lapse_rate: [K/m] Γ, decrease of temperature with height.
+
+    Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz:
+    (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over
+    500 m.
+    """
+    kelvin = np.asarray(temperature, dtype=float)
+    if abs(lapse_rate) < 1e-9:
+        return np.exp(-GRAVITY * rise_m / (GAS_CONSTANT_DRY_AIR * kelvin))
+    return (1.0 - lapse_rate * rise_m / kelvin) ** (GRAVITY / (GAS_CONSTANT_DRY_AIR * lapse_rate))
+
+
+def at_altitude(
+    record: Record, altitude_m: float, from_m: float | None = None, lapse_rate: float = LAPSE_RATE
+) -> Record:
+    """A weather record moved to the height of the site.
+
+    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record; None:
+        that of its site.
+    lapse_rate: [K/m] decrease of temperature with height, -0.02 … 0.02.
+
+    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) is
+    kept, so that vapour pressure and pressure change by the same factor.  Where the cooled air would be
+    supersaturated, the dew point is set to the temperature (the rest condensed on the way up); a warning says
+    how often.  Sun, wind, cloud and rain do not change.  The lapse rate is a mean: that of single hours
+    differs, in winter inversions even in sign.
+
+    Raises ValueError where the record's height is not known, or a number is out of its range.
+    """
+    station_m = from_m
+    if station_m is None and record.site is not None:
+        station_m = record.site.altitude_m
+    if station_m is None:
+        raise ValueError(f"{record.name}: the height of this weather is not known; state it")
+    if not -0.02 <= lapse_rate <= 0.02:
+        raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
+    rise = altitude_m - station_m
+    site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
+    moved, warnings = [], []
+    for one in record.series:
+        value = one.value
+        if one.signal == "ambient_temperature":
+            value = value - lapse_rate * rise
+        elif one.signal in ("ambient_pressure", "ambient_dew_point_temperature"):
+            known = record["ambient_temperature"].known
+            before = np.interp(one.time, *known) if len(known[0]) else np.full(len(one), np.nan)
+            ratio = pressure_ratio(before, rise, lapse_rate)
+        if one.signal == "ambient_pressure":
+            value = value * ratio
+        elif one.signal == "ambient_dew_point_temperature":
+            vapour = saturation_pressure_water(value) * ratio
+            # supersaturation in the source, by rounding or packing, is no condensation on the way
+            limit = before - lapse_rate * rise + np.fmax(value - before, 0.0)
+            condensed = dew_point(vapour) > limit
+            value = np.where(condensed, limit, dew_point(vapour))
+            if condensed.any():
+                warnings.append(
+                    f"during the conversion to {altitude_m:g} m the air became saturated in "
+                    f"{100 * np.mean(condensed):.1f} % of the hours"
+                )
+        moved.append(dataclasses.replace(one, value=value))
+    warnings.insert(
+        0,
+        f"converted from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
+        "pressure, "
+        "mixing ratio kept",
+    )
+    return dataclasses.replace(record, series=tuple(moved), site=site, warnings=(*record.warnings, *warnings))

@@ -11,18 +11,18 @@ from types import FunctionType
 from battery.cases import Case, chosen
 from battery.tables import false_names, first_right
 from battery.trial import make, sources_hash
-from hygrokf.discovery.conclusion import Conclusion, concluded
+from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.procedure import verdict, what_is_left
+from hygrokf.discovery.procedure import verdict
 from hygrokf.discovery.search import search
 from hygrokf.discovery.starting_model import base_estimate
 
 CONSTANTS = (
     ("candidates", "THRESHOLD"), ("search", "FURTHER"), ("candidates", "CLOSE"), ("candidates", "CLOSE_Z"),
     ("candidates", "WATER_SHARE"), ("error_model", "HUBER"), ("judgement", "WORSE_Z"),
-    ("judgement", "WORSE_GROWTH"), ("judgement", "NOTICED"), ("leftover", "SIGNIFICANT"),
-    ("leftover", "CYCLES"), ("discovery_results", "CLASS_LIMIT"), ("final_set", "BETTER"),
+    ("judgement", "WORSE_GROWTH"), ("judgement", "NOTICED"), ("conclusion", "SIGNIFICANT"),
+    ("conclusion", "CYCLES"), ("discovery_results", "CLASS_LIMIT"), ("final_set", "BETTER"),
 )  # fmt: skip
 """Module of `hygrokf.discovery` and name; the share of saturated readings decides a remark alone."""
 CELLS = (

@@ -11,7 +11,7 @@ from illustrations.pages import DOCS, identified, save, synthetic_record
 def demo(directory: Path) -> None:
     """README's picture, and the profiles of docs/explanation/theory.md."""
     from hygrokf.report.figures.course import figure_excerpts
-    from hygrokf.report.figures.identification import figure_profiles
+    from hygrokf.report.figures.fit import figure_profiles
 
     record, _ = synthetic_record(1, directory)
     fit = identified(record)

@@ -11,9 +11,8 @@ import numpy as np
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.clocks import shifted
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.estimate import Estimate
-from hygrokf.discovery.final_set import final_estimator, final_set
+from hygrokf.discovery.final_set import final_estimator, final_set, fit_of
 from hygrokf.discovery.residuals import Residuals, residuals, root_mean_square
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.modelling.derived_inputs import clear_sky

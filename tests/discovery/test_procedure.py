@@ -23,9 +23,8 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.discovery.as_fit import fit_of
 from hygrokf.discovery.discovery_results import DiscoveryResults
-from hygrokf.discovery.final_set import final_set
+from hygrokf.discovery.final_set import final_set, fit_of
 from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.plugin_validation import IDENTIFIER

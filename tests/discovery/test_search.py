@@ -11,12 +11,11 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
-from hygrokf.discovery.as_fit import fit_of
+from hygrokf.discovery.conclusion import lines
 from hygrokf.discovery.estimate import Estimate
-from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set
+from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import Scores, judged, levelled, scores
-from hygrokf.discovery.leftover import lines
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.search import Found, search
 from hygrokf.discovery.starting_model import base_estimate, free_run_error

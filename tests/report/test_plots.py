@@ -19,8 +19,7 @@ from hygrokf.report.figures.course import (
     figure_temperature,
 )
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
-from hygrokf.report.figures.fit import FIGURES, figure_of
-from hygrokf.report.figures.identification import figure_heat_release, figure_profiles, released
+from hygrokf.report.figures.fit import FIGURES, figure_heat_release, figure_of, figure_profiles, released
 from hygrokf.report.figures.innovations import figure_innovations
 
 LIMIT = 300_000

@@ -35,9 +35,7 @@ from hygrokf.climate.limits import Exceedance, Limit
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
 from hygrokf.report.page import page_html
-from hygrokf.report.summary.climate import summary_of_climate
-from hygrokf.report.summary.discovery import summary_of_discovery
-from hygrokf.report.summary.fit import summary_of_fit
+from hygrokf.report.summary.contents import summary_of_climate, summary_of_discovery, summary_of_fit
 from hygrokf.report.summary.page import MOST_ACTIONS, MOST_ROWS, REMEDIES, Summary, summary_blocks
 from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.physics.psychrometrics import saturation_pressure_water
-from hygrokf.weather.altitude import at_altitude, pressure_ratio
+from hygrokf.weather.site_weather import at_altitude, pressure_ratio
 
 TIME = 3600.0 * np.arange(4)
 WARM = np.array([263.15, 278.15, 288.15, 303.15])

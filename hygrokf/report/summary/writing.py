@@ -23,9 +23,7 @@ from hygrokf.errors import HygrokfError
 from hygrokf.report.figures.drawing import FONTS, expect_matplotlib
 from hygrokf.report.fit_page import read_results
 from hygrokf.report.page import page_html
-from hygrokf.report.summary.climate import summary_of_climate
-from hygrokf.report.summary.discovery import summary_of_discovery
-from hygrokf.report.summary.fit import summary_of_fit
+from hygrokf.report.summary.contents import summary_of_climate, summary_of_discovery, summary_of_fit
 from hygrokf.report.summary.page import Summary, summary_blocks
 
 

@@ -1,15 +1,23 @@
-"""The summary of a climate."""
+"""The summaries of a fit, of a discovery and of a climate."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.study import RegionClimate, Study, profile_files
-from hygrokf.identification.verdict_terms import REJECT
-from hygrokf.identification.wording import NONE, sentence
-from hygrokf.report.blocks import Table
+from hygrokf.discovery.discovery_results import DiscoveryResults
+from hygrokf.discovery.residuals import Residuals
+from hygrokf.evaluation.scoring import SCORED
+from hygrokf.identification.fit_results import FitResults
+from hygrokf.identification.verdict import inherited, verdicts
+from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, VERDICTS, WORDS, Verdict
+from hygrokf.identification.wording import NONE, QUANTITIES, fixed, sentence
+from hygrokf.modelling.design import PARTS
+from hygrokf.report.blocks import SYNTHETIC_PAGE, Table
 from hygrokf.report.climate_page import SYNTHETIC_CLIMATE, TONES, doubt_text, weather_text
 from hygrokf.report.climate_tables import (
     compared_statistics,
@@ -21,10 +29,135 @@ from hygrokf.report.climate_tables import (
     span_text,
     value_and_bounds,
 )
-from hygrokf.report.discovery_text import listed
+from hygrokf.report.discovery_page import spans_text
+from hygrokf.report.discovery_tables import gains_table
+from hygrokf.report.discovery_text import actions, headline, listed, named_alone, reasons, warned
 from hygrokf.report.figures.climate import short_words
-from hygrokf.report.figures.lead import lead_of_climate
-from hygrokf.report.summary.page import Summary, drawable, first_actions, first_rows, made_by, named
+from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
+from hygrokf.report.fit_page import period_text
+from hygrokf.report.fit_text import head, judgements, time_constant
+from hygrokf.report.summary.page import (
+    LACKING,
+    Summary,
+    drawable,
+    first_actions,
+    first_rows,
+    known,
+    made_by,
+    named,
+    remedies,
+)
+
+
+def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary:
+    """How fast the cabinet follows: both time constants with verdicts, and the errors of the free run.
+
+    series: the arrays of `series.npz`.
+    """
+    found = verdicts(fit)
+    parts = [name for name in PARTS if name in found]
+    quantities = " and ".join(QUANTITIES_OF[name] for name in parts) or "the air"
+    doubted = [name for name in parts if found[name].verdict != BELIEVE]
+    return Summary(
+        "Summary of an identification",
+        named(fit.name),
+        f"How fast do {quantities} in the cabinet follow the weather and the operation?"
+        if len(parts) > 1
+        else f"How fast does {quantities} in the cabinet follow the weather and the operation?",
+        " ".join(f"{head(fit, name).rstrip(':.')}." for name in parts)
+        or "This record determines no time constant.",
+        max((found[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
+        tuple(sentence(f"{name} time constant, {found[name].sentence}") for name in doubted),
+        _constants(fit, parts),
+        drawable(lambda: lead_of_fit(series)),
+        (*_uses(found), *remedies(reason for one in found.values() for reason in one.reasons)),
+        (
+            ("Record", named(fit.name)),
+            *known("Period", period_text(fit)),
+            made_by(fit.version),
+        ),
+        synthetic=SYNTHETIC_PAGE if fit.synthetic else "",
+    )
+
+
+QUANTITIES_OF = {"thermal": "the temperature", "hygric": "the humidity"}
+
+
+def _uses(found: Mapping[str, Verdict]) -> tuple[str, ...]:
+    """Which time constants may be used."""
+    said = []
+    for kind in VERDICTS:
+        names = [name for name, one in found.items() if one.verdict == kind]
+        if not names:
+            continue
+        end, its, them = ("s", "their", "them") if len(names) > 1 else ("", "its", "it")
+        how = {
+            BELIEVE: f"can be used with {its} bounds: in simulations, forecasts and the climate of a site",
+            CAUTION: f"can be used if {its} bounds and the doubts above are stated with {them}",
+            REJECT: f"must not be used, nor what rests on {them}",
+        }[kind]
+        said.append(f"The {' and '.join(names)} time constant{end} {how}.")
+    return tuple(said)
+
+
+def _constants(fit: FitResults, parts: list[str]) -> Table:
+    """The time constants, then the errors of the free run."""
+    rows = []
+    for name in parts:
+        one = time_constant(fit, name)
+        bounds = f"{one.bounds.split(',')[0]} h" if one.closed else NONE
+        rows.append((f"{name} time constant", one.value, bounds, one.verdict.words))
+    kinds = {one.about: one.kind for one in judgements(fit)}
+    for quantity in SCORED:
+        late, early = (fit.errors(period, quantity).total for period in ("validation", "identification"))
+        if quantity in kinds and (late == late or early == early):
+            name, unit = QUANTITIES[quantity]
+            error, where = (late, "on new data") if late == late else (early, "on the data of the fit")
+            words = f"error of the simulated {name}, {where}"
+            rows.append((words, f"{fixed(error)} {unit}", "", WORDS[kinds[quantity]]))
+    return Table(
+        "The numbers",
+        ("", "value", "95 % bounds", "verdict"),
+        tuple(rows),
+        left=(0, 3),
+        note="A time constant is the time in which 63 % of a lasting change outside reach the cabinet.",
+    )
+
+
+def summary_of_discovery(
+    found: DiscoveryResults, before: Residuals | None, after: Residuals | None
+) -> Summary:
+    """What the model lacks: the cause with its confidence and gain, or that none is named.
+
+    before, after: residuals of the base and of the extended model.
+    """
+    return Summary(
+        "Summary of a discovery",
+        named(found.name),
+        "What does the model of this cabinet lack?",
+        f"{headline(found)}{named_alone(found)}.",
+        "",
+        tuple(map(sentence, reasons(found))),
+        gains_table(found),
+        drawable(lambda: lead_of_discovery(found, before, after)),
+        tuple(map(sentence, actions(found) or _otherwise(found))),
+        (
+            ("Record", named(found.name)),
+            *known("Period", " ".join(spans_text(before))),
+            made_by(found.version),
+        ),
+        "open" if warned(found) else "plain",
+        SYNTHETIC_PAGE if found.synthetic else "",
+    )
+
+
+def _otherwise(found: DiscoveryResults) -> tuple[str, ...]:
+    """What to do where the discovery states nothing: after a cause without a check, or a base model that is
+    wrong although no cause was found."""
+    if found.causes:
+        return ("use the extended model, fit.json beside the discovery, in the place of the base model",)
+    against = [reason for one in inherited(found.baseline.fit).values() for reason in one.reasons]
+    return ("do not rely on the base model", *(one for one in remedies(against) if one != LACKING))
 
 
 def summary_of_climate(study: Study) -> Summary:
