@@ -391,9 +391,7 @@ def _deviance(innovation: np.ndarray, variance: np.ndarray, bound: float) -> np.
     return np.sum(np.log(v) + loss(innovation[seen] / np.sqrt(v), bound), axis=0)
 
 
-def filtered(
-    course: Course, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER
-) -> Filtered:
+def filtered(course: Course, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:
     """Filter an error (T,), NaN where there is no reading, under variances (7,)."""
     count = len(residual)
     innovation, variance, predicted = (np.empty(count) for _ in range(3))

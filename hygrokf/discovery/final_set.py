@@ -219,7 +219,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
     known = final.estimate.values
     held = {
-        p.name: _inside(p.lower, p.upper, known[p.name]) for p in base.model.parameters if p.name in known
+        p.name: min(max(known[p.name], p.lower), p.upper) for p in base.model.parameters if p.name in known
     }
     noise = Coordinates(base.model.parameters, held)
     found = climb(Objective(likelihood, noise), noise.start())
@@ -240,10 +240,6 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     stated = base.humidity is not None and early[base.humidity].response_time_s is not None
     without = {name: without_input(name, base.model, run, estimate) for name in bounds}
     return Stage(base, run, estimate, spread, bounds, clock, response_stated=stated, without=without)
-
-
-def _inside(low: float, high: float, value: float) -> float:
-    return min(max(value, low), high)
 
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:

@@ -19,7 +19,7 @@ LEVELS = (
 )  # fmt: skip
 """Parameters that are the slow part of a simulation."""
 HORIZONS_H = (3.0, 12.0, 48.0)
-WORSE_Z = 2.0
+BETTER_Z = 2.0
 WORSE_GROWTH = 0.1
 NOTICED = 1.0
 """Squared whitened difference of two simulations below which held-out readings do not tell them apart."""
@@ -94,7 +94,8 @@ def judged(
     """A child beside its parent.
 
     spare: the child's evidence in days beyond what it needs; factor: evidence by that in days.  Held-out
-    readings refute a child if their likelihood takes more than is spare; what they give does not count.
+    readings refute a child if their likelihood and their errors take more than is spare; what they give does
+    not count.
     """
     z, growth, before, after, number = {}, {}, {}, {}, 0
     moved = difference(parent, child)
@@ -122,8 +123,9 @@ def judged(
         z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
     gain = sum(parent[q].deviance - child[q].deviance for q in parent)
     reason: Reason = ""
-    if any(v > WORSE_Z for v in z.values()) or any(v > WORSE_GROWTH for v in growth.values()):
+    taken = max(0.0, -gain) / factor + sum(max(0.0, v) ** 2 for v in z.values())
+    if any(v > WORSE_GROWTH for v in growth.values()):
         reason = "worse"
-    elif z and not any(v <= -WORSE_Z for v in z.values()) and spare + gain / factor < 0.0:
+    elif z and not any(v <= -BETTER_Z for v in z.values()) and taken > spare:
         reason = "no_gain"
     return HeldOutTest(z, growth, before, after, gain, number, reason)

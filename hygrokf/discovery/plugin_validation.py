@@ -229,9 +229,7 @@ def _faults_of(form: Form) -> list[str]:
     return faults
 
 
-def _nesting_faults(
-    one: Estimate, wider: Simulator, form: Form, start: Mapping[str, float]
-) -> Iterator[str]:
+def _nesting_faults(one: Estimate, wider: Simulator, form: Form, start: Mapping[str, float]) -> Iterator[str]:
     """Faults of a form that is not nested in the base, or has no effect beside it."""
     own = added(one, wider)
     null = {p.name: p.null for p in own if p.null is not None}

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hygrokf.data.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered, loss
-from hygrokf.discovery.estimate import Columns, Estimate, frame, slopes
+from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
@@ -54,6 +55,11 @@ class Parent:
     basis: Mapping[str, np.ndarray]
     error: Mapping[str, np.ndarray]
     columns: Columns
+
+    @cached_property
+    def left(self) -> dict[str, float]:
+        """By quantity, the squared errors that the parent's own parameters cannot imitate."""
+        return {q: float((_free_of(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()}
 
 
 def parent_of(one: Estimate) -> Parent:
@@ -262,19 +268,18 @@ def chord_gains(
         e = parent.error[q][:, None] - _whitened(one, q, y - one.simulated[q][:, None])
         left = _free_of(parent.basis[q], e)
         # what the parent's own step would gain is no gain of theirs
-        own = _free_of(parent.basis[q], parent.error[q][:, None])
-        gain += (own**2).sum() - (left**2).sum(axis=0)
+        gain += parent.left[q] - (left**2).sum(axis=0)
     return np.where(np.isfinite(gain), gain, -np.inf)
 
 
 def _clocks(parent: Parent, form: Form) -> list[Screened]:
-    one = parent.estimate
-    theta = one.theta[:, None]
-    found = []
+    """Shifts, where the parent's parameters follow by what the shifted inputs make of them: those of an input
+    that is an hour off have hardly an effect where they are."""
+    one, found, before = parent.estimate, [], sum(parent.left.values())
     for setting in form.grid:
         wider = widened(one, form, setting)
-        gain = chord_gains(parent, wider, theta, {}, set(one.quantities))
-        found.append(Screened(form, setting, {}, float(gain[0])))
+        moved = parent_of(estimate_at(wider, one.errors, one.theta, one.linear, one.variances))
+        found.append(Screened(form, setting, {}, before - sum(moved.left.values())))
     return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 
 

@@ -80,12 +80,10 @@ def base_estimate(record: Record) -> Estimate:
     begun = errors_of(simulator, guess, quantities)
     plain = fitted(estimate_at(simulator, begun, guess, plain=True), effort=LIGHT)
     later = errors_of(simulator, plain.theta, quantities)
-    found = min((_best(simulator, one, (plain.theta, guess)) for one in (later, begun)), key=_deviance)
+    found = min(
+        (_best(simulator, one, (plain.theta, guess)) for one in (later, begun)), key=lambda one: one.deviance
+    )
     return _driven(renewed(found))
-
-
-def _deviance(one: Estimate) -> float:
-    return one.deviance
 
 
 def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) -> Estimate:

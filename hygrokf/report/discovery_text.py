@@ -17,7 +17,7 @@ from hygrokf.discovery.discovery_results import (
     Settings,
 )
 from hygrokf.discovery.forms import IN_SUMMER
-from hygrokf.discovery.judgement import WORSE_GROWTH, WORSE_Z
+from hygrokf.discovery.judgement import WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
@@ -375,8 +375,8 @@ def refutation(one: HeldOutTest) -> str:
     if one.reason == "no_effect":
         return "in the final set of parameters it has no effect"
     if one.reason == "no_gain":
-        return "on held-out readings neither the errors fall nor the likelihood grows"
-    grown = [q for q in one.z if one.z[q] > WORSE_Z or one.growth.get(q, math.nan) > WORSE_GROWTH]
+        return "held-out readings take more of its evidence than is left over, and no errors fall clearly"
+    grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
     names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
     return f"with it the errors of the {names} on held-out readings grow"
 

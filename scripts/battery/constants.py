@@ -20,7 +20,7 @@ from hygrokf.discovery.starting_model import base_estimate
 
 CONSTANTS = (
     ("candidates", "THRESHOLD"), ("search", "FURTHER"), ("candidates", "CLOSE"), ("candidates", "CLOSE_Z"),
-    ("candidates", "WATER_SHARE"), ("error_model", "HUBER"), ("judgement", "WORSE_Z"),
+    ("candidates", "WATER_SHARE"), ("error_model", "HUBER"), ("judgement", "BETTER_Z"),
     ("judgement", "WORSE_GROWTH"), ("judgement", "NOTICED"), ("conclusion", "SIGNIFICANT"),
     ("conclusion", "CYCLES"), ("discovery_results", "CLASS_LIMIT"), ("final_set", "BETTER"),
 )  # fmt: skip
