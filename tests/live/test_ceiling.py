@@ -73,8 +73,7 @@ def test_a_reading_at_the_ceiling_leaves_what_drawn_readings_leave(moist: Record
     t, before = censored_instant(moist, planned)
     likelihood = planned.likelihood(unread(t))
     prior = likelihood.trace(planned.values, start=before).last
-    column = t.outputs.index(HUMIDITY)
-    predicted, row, variance = observation(likelihood, planned.values, 0, column, prior.mean)
+    predicted, row, variance = observation(likelihood, planned.values, 0, HUMIDITY, prior.mean)
     found = censored_trace(planned.likelihood(t), planned.values, before).last
     random = np.random.default_rng(8)
     drawn = random.multivariate_normal(prior.mean, prior.covariance, 400_000, method="eigh")

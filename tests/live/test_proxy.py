@@ -120,8 +120,8 @@ def test_a_browser_logs_in_through_nginx(service: Service, tmp_path: Path, unix:
         assert cookie.startswith("__Host-hygrokf_") and "; Secure" in cookie and "HttpOnly" in cookie
         answer = client.get("/api/fleet", headers={"X-Forwarded-Proto": "http"})
         assert [row["turbine"] for row in answer.json()["turbines"]] == ["T1"]
-        for name, value in HEADERS.items():
-            assert answer.headers.get_list(name) == [value]
+        for name, value in HEADERS:
+            assert answer.headers.get_list(name.decode()) == [value.decode()]
         assert client.get("/", headers={"Host": "evil.example"}).status_code == 421
         plain = httpx.get(f"http://127.0.0.1:{nginx.plain}/api/fleet")
         assert (plain.status_code, plain.headers["location"]) == (301, "https://127.0.0.1/api/fleet")

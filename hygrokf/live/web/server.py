@@ -26,6 +26,7 @@ from hygrokf.live.web.exchange import refusal
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 
 if TYPE_CHECKING:
+    import uvicorn
     from starlette.types import ASGIApp, Receive, Scope, Send
 
 START_S = 10.0
@@ -60,6 +61,7 @@ NAMED = 200
 class PageServer:
     """A running server; `port` is the actual one, also if port 0 was requested (0 at a Unix socket)."""
 
+    server: uvicorn.Server
     thread: threading.Thread
     url: str
     port: int
@@ -105,7 +107,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> Iterator[PageServer
             raise PageFault(f"the page did not start within {START_S:g} s; the log says why")
         port = 0 if settings.unix else listening.getsockname()[1]
         place = replace(settings, port=port).place
-        yield PageServer(thread, place if settings.unix else f"http://{place}/", port)
+        yield PageServer(server, thread, place if settings.unix else f"http://{place}/", port)
     finally:
         hub.close()
         server.should_exit = True
