@@ -261,7 +261,8 @@ def refuted_case() -> dict:
     """The plain data of a discovery whose cause held-out readings refute."""
     one = {
         "cause": "unlogged_heater", "form": "humidistat_standstill", "evidence": cause()["evidence"],
-        "held_out": _held_out(1.85, 2.4, "worse") | {"z": {"temperature": 4.4}},
+        "held_out": _held_out(1.85, 2.4, "worse")
+        | {"z": {"temperature": 4.4}, "growth": {"temperature": 0.52}},
     }  # fmt: skip
     return _without_causes() | {"verdict": "refuted", "refuted": [one]}
 
