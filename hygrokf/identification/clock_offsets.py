@@ -163,7 +163,8 @@ def _solved(
     to the offsets."""
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
-    cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted
+    # a model whose parameters are all open has no slopes
+    cross = slopes.reshape(len(flat), slopes.shape[-1]).T @ weighted
     carried = uncertainty.wald @ cross
     # in units of the prior's standard deviations
     values, vectors = np.linalg.eigh((flat.T @ weighted - cross.T @ carried) * np.outer(prior, prior))

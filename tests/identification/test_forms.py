@@ -15,7 +15,7 @@ from hygrokf import identify
 from hygrokf.data.record import Record, Series
 from hygrokf.data.structured import plain
 from hygrokf.engine.timeline import timeline
-from hygrokf.estimation.confidence import normal_quantile, part_shifts, uncertainty
+from hygrokf.estimation.confidence import Uncertainty, normal_quantile, part_shifts, uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.identification.clock_offsets import ONE_SYSTEM_S, TWO_SYSTEMS_S, clock_offsets, prior_s
@@ -277,6 +277,14 @@ def offsets(record, found):
     return clock_offsets(
         record, found.base, found.run, found.estimate, uncertainty(objective, found.estimate)
     )
+
+
+def test_clocks_of_an_estimate_whose_parameters_are_all_open_move_none_of_them(thermal_part):
+    record, found = thermal_part
+    nothing = np.empty((0, 0))
+    open_ = Uncertainty((), nothing, nothing, np.empty(0), (), (), nothing)
+    free = clock_offsets(record, found.base, found.run, found.estimate, open_)
+    assert len(free.sources) == len(offsets(record, found).sources) and free.shift == {}
 
 
 def test_a_source_whose_clock_is_known_exactly_has_no_offset(thermal_part):
