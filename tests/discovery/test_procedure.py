@@ -18,6 +18,7 @@ from plants.hidden import LIBRARY as HIDDEN
 from plants.hidden import hidden_plant
 from plants.paper import paper_case
 from plants.plant import Plant
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
@@ -93,6 +94,19 @@ def test_a_record_without_humidity_has_its_cause_and_the_vapours_cannot_show(sun
     assert (gain.quantity, gain.period) == ("temperature", "validation")
     assert gain.rmse_after < 0.8 * gain.rmse_before
     assert 0.0 < gain.lower < gain.rmse_before - gain.rmse_after < gain.upper
+
+
+def test_threads_of_linear_algebra_change_no_bit(sunny: Discovery, in_the_sun: Record) -> None:
+    seen: set[int] = set()
+
+    def look(text: str) -> None:
+        seen.update(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+
+    with threadpool_limits(2):
+        again = discover(in_the_sun, library=SUN, progress=look)
+        assert {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"} == {2}
+    assert seen == {1}
+    assert result_text(again.results) == result_text(sunny.results)
 
 
 def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
