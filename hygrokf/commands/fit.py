@@ -47,6 +47,11 @@ def _arguments(parser: ArgumentParser) -> None:
 def _run(options: Namespace) -> int:
     from hygrokf.report.fit_page import fit_blocks
 
+    if options.model and options.kind == "cascade":
+        raise UserFault(
+            "--kind cascade: expected joint or no --kind beside --model, whose mechanisms are estimated in "
+            "one filter; leave --kind out"
+        )
     expect_own_directory(options.out, FIT)
     former = _record_of_the_fit_in(options.out)
     record = record_of(options.case)

@@ -187,6 +187,9 @@ WRONG: dict[str, tuple] = {
     "no start": (f"{FIT} --starts 0", nothing, "--starts: expected a whole number from 1 on, found '0'"),
     "starts in words": (f"{FIT} --starts two", nothing, "expected a whole number from 1 on, found 'two'"),
     "unknown criterion": (f"{FIT} --criterion guess", nothing, "--criterion: ", "'guess'", "likelihood"),
+    "kind beside a model": (
+        f"{FIT} --kind cascade --model result", nothing, "--kind cascade: ", "joint", "leave --kind out"
+    ),
     "unknown kind": (f"{FIT} --kind both", nothing, "--kind: ", "'both'", "joint", "cascade"),
     "negative seed": ("demo --out made --seed -1", nothing, "--seed: expected a whole number from 0 on"),
     "nowhere to write": ("fit case.toml", nothing, "the following arguments are required: --out"),
