@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -13,9 +14,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from builders.documents import document
 from plants.as_record import to_record
 from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY, hidden_plant
 from scipy.stats import binomtest
+
+from hygrokf.discovery import candidates, error_model, estimate, search
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -349,3 +353,32 @@ def test_mistakes_are_told(words: str, said: str, capsys: pytest.CaptureFixture)
     with pytest.raises(SystemExit):
         part("command").main(words.split())
     assert said in capsys.readouterr().err
+
+
+def test_a_constant_is_varied_wherever_it_stands_and_comes_back() -> None:
+    constants = part("constants")
+    with constants.varied(constants.Variant("error_model", "HUBER", 2.0)):
+        assert (error_model.HUBER, estimate.HUBER) == (8.0, 8.0)
+        assert error_model.loss(np.array([6.0]))[0] == 36.0
+    assert (error_model.HUBER, estimate.HUBER) == (4.0, 4.0)
+    assert error_model.loss(np.array([6.0]))[0] == 32.0  # 8 · 6 − 16 beyond 4
+    with constants.varied(constants.Variant("candidates", "THRESHOLD", 0.5)):
+        assert (candidates.THRESHOLD, search.THRESHOLD) == (5.0, 5.0)
+    assert (candidates.THRESHOLD, search.THRESHOLD) == (10.0, 10.0)
+
+
+def test_every_constant_that_decides_is_varied_but_the_one_of_a_remark() -> None:
+    constants = part("constants")
+    page = document("discover_constants.md").read_text(encoding="utf-8").split("## ")[1]
+    stated = set(re.findall(r"^\| `(\w+)`: `(\w+)=", page, re.M))
+    assert stated - set(constants.CONSTANTS) == {("discovery_text", "MOST_SATURATED")}
+    assert set(constants.CONSTANTS) <= stated
+    assert {case.cell for case in constants.cases()} == {*constants.CELLS, "nothing"}
+
+
+def test_the_table_of_constants_counts_names_and_silence() -> None:
+    constants = part("constants")
+    null = {"variant": "HUBER x 2", "asked": [], "first": False, "false": 0, "verdict": "none"}
+    plant = {**null, "asked": [["solar_gain", 0]], "first": True, "false": 1, "verdict": "named"}
+    row = constants.table([plant, {**plant, "first": False, "false": 0}, null]).splitlines()[-1]
+    assert row == "| HUBER x 2 | 1 of 2 | 1 | 1 of 1 |"
