@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from hygrokf.data.tabular import with_units
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit_results import FitResults, TimeConstant
+from hygrokf.physics.model import fields_alone
 
 if TYPE_CHECKING:
     import pandas
@@ -25,7 +26,8 @@ Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refut
 """No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
 beside what is named; held-out readings refute every cause that was found."""
 Reason: TypeAlias = Literal["", "worse", "no_gain", "no_effect"]
-"""Why held-out readings refute a cause: its errors are larger, or neither they nor the likelihood gain."""
+"""Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
+spare; it has no effect in the final set."""
 Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
 """Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
 place to later ones; the budget ended the search; the record cannot show it."""
@@ -235,13 +237,7 @@ class ModelScores:
     @cached_property
     def fit(self) -> FitResults:
         """These numbers as the results of a fit, for functions that take those."""
-        return FitResults(
-            rmse=self.rmse,
-            baselines=self.baselines,
-            time_constants=self.time_constants,
-            loglik=self.loglik,
-            n_obs=self.n_obs,
-        )
+        return FitResults(**fields_alone(self))
 
 
 @dataclass(frozen=True)

@@ -356,7 +356,7 @@ def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[
 @of_vapour
 def sorption(ground: Ground) -> list[Form]:
     found = []
-    # a slab's skin is quicker than its slowest mode by so much
+    # the skin of a slab responds faster than its slowest mode by this factor
     skin = SLAB["sorbed_skin"][1]
     for slab, hours, limits in (
         (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),

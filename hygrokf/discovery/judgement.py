@@ -91,11 +91,13 @@ def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[s
 def judged(
     parent: Mapping[str, Scores], child: Mapping[str, Scores], spare: float = 0.0, factor: float = 1.0
 ) -> HeldOutTest:
-    """A child beside its parent.
+    """Compare a child with its parent on held-out readings.
 
-    spare: the child's evidence in days beyond what it needs; factor: evidence by that in days.  Held-out
-    readings refute a child if their likelihood and their errors take more than is spare; what they give does
-    not count.
+    spare: the child's evidence in days beyond what acceptance needs; factor: its evidence over that in days.
+
+    "worse": ln of a quantity's squared errors grows by more than `WORSE_GROWTH` on average.  "no_gain": no
+    quantity's errors fall by `BETTER_Z` standard errors, and the loss in 2 ln L, over `factor`, plus z² of
+    each quantity whose errors rise exceeds `spare`.
     """
     z, growth, before, after, number = {}, {}, {}, {}, 0
     moved = difference(parent, child)

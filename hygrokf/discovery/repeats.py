@@ -74,22 +74,23 @@ def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float,
     spans = {series.signal: found for series in own if (found := repeats(series))}
     for series in own if spans else ():
         value = series.value.copy()
-        for first, last in _joined(
+        mine = [
             span
             for other in own
             if other.source.split(",")[0] == series.source.split(",")[0]
             for span in spans.get(other.signal, ())
-        ):
+        ]
+        for first, last in joined(mine, PAUSE_S):
             value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
         record = record.replace_series(replace(series, value=value))
     return record, spans
 
 
-def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Stretches joined over pauses of up to `PAUSE_S`."""
+def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple[float, float]]:
+    """Stretches in order; those that overlap, or have a pause of up to `pause_s` between them, are one."""
     found: list[tuple[float, float]] = []
-    for first, last in sorted(spans):
-        if found and first - found[-1][1] <= PAUSE_S:
+    for first, last in sorted(map(tuple, spans)):
+        if found and first - found[-1][1] <= pause_s:
             found[-1] = (found[-1][0], max(last, found[-1][1]))
         else:
             found.append((first, last))

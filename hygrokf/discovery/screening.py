@@ -20,6 +20,7 @@ from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
+from hygrokf.discovery.repeats import joined
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
@@ -273,8 +274,10 @@ def chord_gains(
 
 
 def _clocks(parent: Parent, form: Form) -> list[Screened]:
-    """Shifts, where the parent's parameters follow by what the shifted inputs make of them: those of an input
-    that is an hour off have hardly an effect where they are."""
+    """The shifts that gain most, with the parent's parameters refitted to first order at each.
+
+    Their slopes are those of the shifted inputs: an input whose clock is an hour off may have no effect left
+    in the parent."""
     one, found, before = parent.estimate, [], sum(parent.left.values())
     for setting in form.grid:
         wider = widened(one, form, setting)
@@ -344,21 +347,10 @@ def _edged(
             place = mine.start + int(np.argmax(total[mine]))
             if total[place] > total[0]:
                 best[i] = trials[place][i]
-        spans = _apart(best)
+        spans = [list(span) for span in joined(best)]
     at = gains([spans])
     chosen = {name: EXCHANGES[int(np.argmax(gain[:, 0]))] for name, gain in at.items()}
     return spans, chosen, float(sum(gain.max() for gain in at.values()))
-
-
-def _apart(spans: list[list[float]]) -> list[list[float]]:
-    """Windows in order; those that overlap are one."""
-    found: list[list[float]] = []
-    for first, last in sorted(spans):
-        if found and first <= found[-1][1]:
-            found[-1][1] = max(found[-1][1], last)
-        else:
-            found.append([first, last])
-    return found
 
 
 @dataclass(frozen=True)

@@ -375,7 +375,7 @@ def refutation(one: HeldOutTest) -> str:
     if one.reason == "no_effect":
         return "in the final set of parameters it has no effect"
     if one.reason == "no_gain":
-        return "held-out readings take more of its evidence than is left over, and no errors fall clearly"
+        return "held-out readings speak against it more strongly than the others speak for it"
     grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
     names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
     return f"with it the errors of the {names} on held-out readings grow"

@@ -234,7 +234,7 @@ def test_a_refuted_cause_is_told_with_its_reason_and_numbers() -> None:
     assert "after selection" in text and "improves the prediction" not in text
     no_gain = refuted_case()
     no_gain["refuted"][0]["held_out"]["reason"] = "no_gain"
-    assert "held-out readings take more of its evidence than is left over" in words(no_gain)
+    assert "held-out readings speak against it more strongly than the others speak for it" in words(no_gain)
 
 
 def test_water_is_told_with_an_error_of_the_humidity_sensor() -> None:
