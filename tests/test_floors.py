@@ -17,6 +17,7 @@ from builders.house import (
     PLACE,
     ROOT,
     SHELVES,
+    bound_twice,
     folder,
     imports,
     known,
@@ -101,6 +102,17 @@ def test_modules_and_functions_are_short(name: str) -> None:
     assert not {place: count for place, count in lines.items() if count > 600}, "split these modules"
     found = {place: long for place, path in files.items() if (long := long_functions(path))}
     assert not found, "functions have at most 80 lines: split these"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_name_is_bound_once(name: str) -> None:
+    assert bound_twice(MODULES[name]) == set()
+
+
+def test_names_that_are_bound_twice_are_found(tmp_path: Path) -> None:
+    file = tmp_path / "some.py"
+    file.write_text("A = 1\nB: int = 2\ndef f():\n    A = 3\nA, C = 4, 5\nclass f: ...\n")
+    assert bound_twice(file) == {"A", "f"}
 
 
 def test_long_functions_are_found(tmp_path: Path) -> None:

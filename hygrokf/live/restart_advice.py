@@ -28,7 +28,7 @@ STAYS_H = 1.0
 
 
 LEVEL = 0.95
-"""Level of the bounds of the effect."""
+"""Level of the bounds of the heaters' effect (`Heating.bounds_K`)."""
 PREHEATING, PREHEATING_HEAT = "preheating", "preheating_heat"
 LOGGED, LOGGED_HEAT = "logged_heater", "logged_heater_heat"
 

@@ -63,6 +63,18 @@ def long_functions(path: Path, most: int = 80) -> set[str]:
     return {one.name for one in functions if (one.end_lineno or 0) - one.lineno >= most}
 
 
+def bound_twice(path: Path) -> set[str]:
+    """Names that a module binds more than once at its top level: the second silently replaces the first."""
+    found: list[str] = []
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found += [n.id for one in targets for n in ast.walk(one) if isinstance(n, ast.Name)]
+    return {name for name in found if found.count(name) > 1}
+
+
 def imports(path: Path, top_only: bool = False) -> Iterator[tuple[str, str, int]]:
     """(module, imported name or '', line) of all imports that run: those under TYPE_CHECKING do not."""
 

@@ -806,11 +806,11 @@ def test_opcua_servers_that_are_not_reached_or_refuse(
     nodes = {"ns=2;s=c": "Tcab"}
     server.add(nodes)
     nobody = opcua_source(f"opc.tcp://127.0.0.1:{free_port()}", nodes)
-    said(at_broker(nobody, 1.0), "fault", "nothing listens there", "check url")
+    said(at_broker(nobody, 1.0), "fault", "nothing listens there", "check url, certificates")
     (folder / "pw").write_text("wrong")
     (folder / "pw").chmod(0o644)
     found = at_broker(opcua_source(server.url, nodes), 1.0)
-    said(found, "fault", "the server refuses the user", "check url")
+    said(found, "fault", "the server refuses the user", "check url, certificates")
     said(found, "doubt", "every user of this machine can read", "chmod")
     (folder / "pw").write_text("right")
     shown = Connection.server_time

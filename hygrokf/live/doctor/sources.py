@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     import psycopg
 
 BACK_S = DAY_S
-"""Length of the requested history [s]."""
+"""Length of the history that is requested of an OPC UA server [s]."""
 ASKED = 20
 """Largest number of nodes whose history is requested."""
-REACH = "check url, certificates and user of this [[source]], and that the server runs"
+REACH_SERVER = "check url, certificates and user of this [[source]], and that the server runs"
 
 
 def opcua_checks(
@@ -72,7 +72,7 @@ async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) 
         found = stamp_check(about, statistics.lag_s, fresh=False)
         return checks + ([found] if found else [])
     except ConnectionFault as error:
-        return [fault(about, str(error), REACH)]
+        return [fault(about, str(error), REACH_SERVER)]
     finally:
         await connection.close()
 
@@ -166,11 +166,9 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
 
 TAIL = 4_000_000
 """[bytes] read from the end of a file."""
-
-
-REACH = "check url, password and query of this [[source]], and that the server runs"
+REACH_DATABASE = "check url, password and query of this [[source]], and that the server runs"
 MOST_ROWS = 20_000
-"""Rows examined at most."""
+"""Rows of a database's query that are examined at most."""
 SPANS_S = (600.0, 2.0 * HOUR_S, DAY_S, 30.0 * DAY_S)
 """How far back rows are looked for [s]: the shortest span that has any."""
 
@@ -319,9 +317,9 @@ def postgres_checks(
     try:
         yield from _postgres_checks(source, statistics, about)
     except SourceFault as error:
-        yield fault(about, str(error), REACH)
+        yield fault(about, str(error), REACH_DATABASE)
     except Exception as error:  # of the driver, which only the source imports
-        yield fault(about, f"the query cannot be run: {reason_of(error)}", REACH)
+        yield fault(about, f"the query cannot be run: {reason_of(error)}", REACH_DATABASE)
 
 
 def _postgres_checks(source: PostgresQuery, statistics: PayloadStatistics, about: str) -> Iterator[Check]:
