@@ -13,18 +13,15 @@ from hygrokf.commands import (
     check,
     climate,
     compare,
-    completion,
     demo,
     discover,
     doctor,
     evaluate,
-    export,
     fit,
     fleet,
     help,
     init,
     report,
-    restore,
     simulate,
     store,
     summary,
@@ -39,8 +36,8 @@ from hygrokf.version import __version__
 
 VERBS = (
     demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
-    climate.VERB, compare.VERB, transfer.VERB, export.VERB, track.VERB, doctor.VERB, restore.VERB, store.VERB,
-    report.VERB, summary.VERB, help.VERB, completion.VERB,
+    climate.VERB, compare.VERB, transfer.VERB, store.EXPORT, track.VERB, doctor.VERB, store.RESTORE,
+    store.STORE, report.VERB, summary.VERB, help.HELP, help.COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 

@@ -1,4 +1,5 @@
-"""`hygrokf store`: what is done with the store of a live tracker that does not run."""
+"""What is done with the store of a live tracker: `hygrokf export` writes it as files, `hygrokf restore` puts
+a copy in its place, `hygrokf store` works on one whose tracker does not run."""
 
 from __future__ import annotations
 
@@ -6,11 +7,112 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from hygrokf.commands.console import UserFault, show
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.console import UserFault, expect_directory, show
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 
 
-def _arguments(parser: argparse.ArgumentParser) -> None:
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
+    )
+    add_out(parser, "directory for the files, one per table")
+    parser.add_argument(
+        "--format", choices=("csv", "parquet"), default="csv", help="format of the files (default csv)"
+    )
+    parser.add_argument("--turbine", metavar="NAME", help="only this turbine (default: all)")
+    parser.add_argument(
+        "--since",
+        type=_moment,
+        default=None,
+        metavar="ISO",
+        help="from this time on (UTC if it has no zone)",
+    )
+    parser.add_argument("--until", type=_moment, default=None, metavar="ISO", help="before this time")
+    add_json(parser)
+
+
+def _moment(text: str) -> float:
+    """An ISO 8601 time as seconds since 1970; UTC where it names no zone."""
+    from datetime import UTC, datetime
+
+    try:
+        found = datetime.fromisoformat(text)
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(
+            f"expected a time such as 2026-01-31 or 2026-01-31T12:00:00Z, found {text!r}"
+        ) from None
+
+
+def _export(options: argparse.Namespace) -> int:
+    from hygrokf.live.storage.export import export
+    from hygrokf.live.storage.store import open_store
+
+    expect_directory(options.out)
+    times = {name: at for name in ("since", "until") if (at := getattr(options, name)) is not None}
+    store = open_store(options.store, read_only=True)
+    try:
+        counts = export(store, options.out, options.format, options.turbine, **times)
+    finally:
+        store.close()
+    text = "\n".join(f"{n} rows written: {options.out / name}.{options.format}" for name, n in counts.items())
+    show({"rows": counts}, text, options.json)
+    return 0
+
+
+EXPORT = Verb(
+    "export", "export the data of a live tracker to CSV or Parquet files", _export_arguments, _export
+)
+
+
+def _restore_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("copy", type=Path, metavar="COPY", help="the copy: of VACUUM INTO, or of pg_dump")
+    parser.add_argument(
+        "--store",
+        required=True,
+        metavar="URL",
+        help="sqlite:PATH, which is replaced; postgresql://USER@HOST/NAME, of which the commands are shown",
+    )
+    add_json(parser)
+
+
+def _restore(options: argparse.Namespace) -> int:
+    from hygrokf.data.timestamps import stamp_text
+    from hygrokf.live.defaults import store_at
+    from hygrokf.live.storage.restore import postgres_commands, restore_sqlite
+    from hygrokf.live.storage.schema import VERSION
+    from hygrokf.live.storage.sqlite import path_of
+
+    url = store_at(options.store)
+    if not url.startswith("sqlite:"):
+        if not options.copy.is_file():
+            raise UserFault(f"{options.copy}: there is no such file; name the copy of a store")
+        commands = postgres_commands(options.copy, url)
+        head = "# end every tracker of this database, then run as a role that may create databases:"
+        show({"commands": commands}, "\n".join([head, *commands]), options.json)
+        return 0
+    found = restore_sqlite(options.copy, path_of(url))
+    newest = "none" if found.newest_s is None else stamp_text(found.newest_s)
+    lines = [
+        f"restored: {found.store} from {options.copy} ({found.turbines} turbines, newest reading {newest})",
+        *(f"kept: {path}" for path in found.kept),
+        "start the tracker: its sources go on from the places that the copy holds",
+    ]
+    data = {
+        "store": str(found.store),
+        "version": VERSION,
+        "turbines": found.turbines,
+        "newest": found.newest_s,
+        "kept": [str(path) for path in found.kept],
+    }
+    show(data, "\n".join(lines), options.json)
+    return 0
+
+
+RESTORE = Verb("restore", "put a copy in the place of a live tracker's store", _restore_arguments, _restore)
+
+
+def _store_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "action",
         choices=("refilter",),
@@ -22,7 +124,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     add_library(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
+def _store(options: argparse.Namespace) -> int:
     from hygrokf.commands.inputs import load_causes
     from hygrokf.live.config import read_config
     from hygrokf.live.refilter import refilter
@@ -47,4 +149,4 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-VERB = Verb("store", "filter the stored readings of a live tracker anew", _arguments, _run)
+STORE = Verb("store", "filter the stored readings of a live tracker anew", _store_arguments, _store)

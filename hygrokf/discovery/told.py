@@ -25,7 +25,7 @@ from hygrokf.discovery.discovery_results import (
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import FinalSet
 from hygrokf.discovery.library import Cause, named
-from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals
+from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, root_mean_square
 from hygrokf.discovery.search import Accepted, foreseen
 from hygrokf.physics.parameters import Parameter
 
@@ -185,7 +185,7 @@ def _driven(
     def error(one: Estimate) -> float:
         r = one.simulator.scene.readings[quantity]
         chosen = np.where(r.identified != held_out, r.value - one.simulated[quantity], np.nan)
-        return _root(_outside(r.time_s, chosen, spans))
+        return root_mean_square(_outside(r.time_s, chosen, spans))
 
     return error(ended.base.estimate), error(ended.last.estimate)
 
@@ -194,7 +194,7 @@ def _gain(
     quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
 ) -> Gain:
     lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
-    return Gain(quantity, period, _root(old), _root(new), lower, upper, *driven)
+    return Gain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:
@@ -205,13 +205,8 @@ def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, f
     if not len(which) or which.max() < 1:
         return math.nan, math.nan
     # by the delta method: d rmse = d (mean square) / (2 rmse)
-    a, b = _root(old[both]), _root(new[both])
+    a, b = root_mean_square(old[both]), root_mean_square(new[both])
     each = old[both] ** 2 / max(2.0 * a, 1e-12) - new[both] ** 2 / max(2.0 * b, 1e-12)
     daily = np.bincount(which, each - each.mean())
     reach = NORMAL_95 * math.sqrt(float(daily @ daily)) / len(each)
     return a - b - reach, a - b + reach
-
-
-def _root(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan

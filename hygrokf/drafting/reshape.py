@@ -23,6 +23,7 @@ _TAG = re.compile(
 _VALUE = re.compile(r"value|wert|reading|messwert| state ")
 _UNIT = re.compile(r"^ (unit|units|einheit) $")
 _LOGGER_QUANTITIES = 3
+"""Temperature, humidity and dew point: a logger has no more."""
 _LABEL = re.compile(
     r"(?:^|[ _.\-])((?:wtg|wt|wea|wec|turbine|t|w|k|r)[ _\-]?0*\d{1,5})(?=[ _.\-]|$)", re.IGNORECASE
 )

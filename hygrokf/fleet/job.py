@@ -80,6 +80,16 @@ class Job:
     options: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""
 
+    def __post_init__(self) -> None:
+        for name in ("case", "folder", "fit"):
+            if (path := getattr(self, name)) is not None:
+                object.__setattr__(self, name, Path(path))
+
+    def __reduce__(self) -> tuple[type[Job], tuple[object, ...]]:
+        # paths as text: earlier versions of Python on a cluster cannot read those that 3.13 pickles
+        paths = (str(self.case), str(self.folder), None if self.fit is None else str(self.fit))
+        return Job, (self.turbine, self.task, *paths, dict(self.options), self.key)
+
 
 Work: TypeAlias = Callable[[Job], Row]
 """The function that does a job: it writes results into the job's folder and returns the columns of its task;
@@ -157,7 +167,8 @@ def _source_files(case: Path) -> list[str]:
 def finished(job: Job) -> Outcome | None:
     """The outcome on disk where the same work has been done; None where it failed or differs."""
     try:
-        found = Outcome(**json.loads((job.folder / ROW).read_text(encoding="utf-8")))
+        data = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
+        found = Outcome(data["row"], float(data["seconds"]))
         same = found.row["key"] == job.key and found.turbine == job.turbine and found.status == DONE
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

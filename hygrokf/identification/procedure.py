@@ -98,7 +98,9 @@ def identify(
     progress: called with each step in words; True: shows them as one line, also in a notebook.
     prior: gives priors of a design's parameters, from other turbines of the type (`TurbineType.prior`).
     model: a fit whose model takes the place of the base model, such as `Discovery.extended`; its values are
-        the first start, and its mechanisms are estimated in one filter, of kind "joint".
+        the first start, and its mechanisms are estimated in one filter, of kind "joint".  Other forms of the
+        model are not compared: the bounds hold within this one.  `criterion` and `prior` cannot be set beside
+        it.
 
     Returns the fit: time constants [h] with bounds in `results.time_constants`.
     Raises ValueError for unknown options, and for records from which nothing can be identified.
@@ -109,11 +111,12 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     record = mask(record)  # nothing to do for a record of `read_case` and `read_frames`
     early = record.identification()
+    if model is not None:
+        _expect_model(model, criterion, prior, early)
     with reporting(progress, "identify") as say:
-        if model is None:
-            basis = identify_stages(early, kind, starts, profiles, say, prior)
-        else:
-            basis = _identify_model(early, model, starts, profiles, say)
+        if model is not None:
+            return assemble_fit(record, _identify_model(early, model, starts, profiles, say), {}, say=say)
+        basis = identify_stages(early, kind, starts, profiles, say, prior)
         say("output-error fit")
         simulated = output_errors(early, basis.whole, basis.values)
         return assemble_fit(record, basis, simulated, criterion, say)
@@ -187,14 +190,46 @@ def identify_stages(
     return Basis(kind, tuple(stages), tuple(driven), regression)
 
 
+def _expect_model(model: Fit, criterion: str, prior: object, early: Record) -> None:
+    """Check a model to identify, and what stands beside it.  Raises ValueError that lists all faults."""
+    faults, name = [], model.design.humidity
+    if prior is not None:
+        faults.append("prior: expected none beside model, whose design has priors of its own; leave it out")
+    if criterion != "likelihood":
+        faults.append(
+            f"criterion: expected 'likelihood' beside model, whose further mechanisms a free-run fit lacks, "
+            f"found {criterion!r}"
+        )
+    found = int(np.isfinite(early[name].value).sum()) if name and name in early else 0
+    if name and found < FEWEST_READINGS:
+        faults.append(
+            f"{name}: expected at least {FEWEST_READINGS} readings in the identification period for the "
+            f"model of {model.name}, found {found}; add them, or leave model out"
+        )
+    if faults:
+        raise ValueError("; ".join(faults))
+
+
 def _identify_model(early: Record, model: Fit, starts: int, profiles: bool, say: Progress) -> Basis:
-    """Estimate the model of a fit on the identification period, beginning at its values."""
+    """Estimate the model of a fit on the identification period, with this record's loggers, beginning at its
+    values."""
     from hygrokf.identification.steady_state import heat_release_regression
 
     expect_readings(early)
-    base = read_as(model.design, early)
+    given = model.design
+    own = design(early, kind=JOINT, power_order=given.power_order)
+    loggers = {n: s for n, s in own.mechanisms if n.endswith("_sensor")}
     words = f"the model and its first start are those of the fit {model.name} by {model.results.criterion}"
-    base = replace(base, statements=(*base.statements, words))
+    made = replace(
+        own,
+        mechanisms=tuple(
+            (n, {**s, **{key: loggers[n][key] for key in ("accuracy", "resolution")}} if n in loggers else s)
+            for n, s in given.mechanisms
+        ),
+        averaged={}, humidity=given.humidity, holds=given.holds, features=given.features, priors=given.priors,
+        statements=(*own.statements, words, "other forms of the model were not compared"),
+    )  # fmt: skip
+    base = read_as(made, early)
     found = estimate_design(early, base, starts, say, model.values)
     stage = assess_stage(early, found, profiles, say)
     return Basis(JOINT, (stage,), (early,), heat_release_regression(early))

@@ -40,7 +40,7 @@ from hygrokf.report.blocks import (
     synthetic,
     table_or,
 )
-from hygrokf.report.figures.fleet import figure_spreads
+from hygrokf.report.figures.comparison import figure_spreads
 from hygrokf.report.page import page_html
 from hygrokf.report.transfer_page import type_section
 from hygrokf.version import __version__

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from hygrokf.cases.summary import RecordSummary, SignalSummary
 from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
-from hygrokf.drafting.draft import Draft, DraftedSignal
 from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.alignment import Alignment, Lag
+
+if TYPE_CHECKING:
+    from hygrokf.drafting.draft import Draft, DraftedSignal
 
 NONE = "-"
 WIDTH = 1000

@@ -28,7 +28,7 @@ def fleet(directory: Path) -> None:
     from hygrokf.commands.main import main as hygrokf
     from hygrokf.fleet.outliers import spreads
     from hygrokf.fleet.tasks import TASKS
-    from hygrokf.report.figures.fleet import figure_spreads
+    from hygrokf.report.figures.comparison import figure_spreads
 
     text = (DOCS / "how_to" / "fleet.md").read_text(encoding="utf-8").partition("## Outliers")[0]
     here = {}

@@ -90,8 +90,9 @@ def test_what_is_out_of_reach_is_said() -> None:
     plan = ProfilePlan(48, 50, chamber=Chamber(temperature_degC=(-20.0, 60.0)))
     made = chamber_sequence(DAYS, AGEING, plan)
     found = closeness(made, DAYS, plan, bounded(np.full((1, 50), AGEING)), np.array([200.0, 100.0, 2.0]))
-    assert not made.reached and found.ageing.test_h < 50 * AGEING
-    assert found.ageing.years == pytest.approx(found.ageing.test_h / AGEING) and found.ageing.years < 50
+    aged = LAW.rate(made.temperature_degC + 273.15, made.relative_humidity_percent / 100).sum()
+    assert not made.reached and aged < 50 * AGEING and found.ageing.test_h == pytest.approx(aged)
+    assert found.ageing.years == pytest.approx(aged / AGEING) and found.ageing.years < 50
     with pytest.raises(ValueError, match="no day of the weather"):
         chamber_sequence(DAYS.take(np.arange(0)), 1.0, plan)
 

@@ -13,8 +13,8 @@ import pytest
 from builders.command_line import EVALUATE, FIT, SIMULATE, environment, interrupted, run
 
 from hygrokf.commands.activity import Activity, Loudness, activity, running
-from hygrokf.commands.completion import SHELLS
 from hygrokf.commands.console import Progress
+from hygrokf.commands.help import SHELLS
 from hygrokf.commands.main import VERBS, _parser
 from hygrokf.commands.verb import parsers_of
 

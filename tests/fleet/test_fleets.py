@@ -73,6 +73,7 @@ def test_a_plan_has_every_turbine_with_the_whole_set_of_options(park: Path) -> N
     }  # fmt: skip
     jobs = plan.jobs(park / "out")
     assert pickle.loads(pickle.dumps(jobs)) == jobs
+    assert b"pathlib" not in pickle.dumps(jobs), "other versions of Python do not read the paths of this one"
 
 
 def test_models_are_named_by_turbine_or_for_all(park: Path) -> None:
@@ -294,6 +295,9 @@ def test_changed_data_are_done_again_and_nothing_of_before_is_left(
     first = perform(job, do_task)
     assert finished(job) == first and perform(job, do_task) == first
     assert first.row["key"] == rows_of(serial[1])["T2"]["key"]
+    for seconds, there in (("x", None), ([1], None), (None, None), (first.seconds, first)):
+        (job.folder / "row.json").write_text(json.dumps({"row": dict(first.row), "seconds": seconds}))
+        assert finished(job) == there, "a damaged row is work to be done again"
     (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
     assert finished(job) is None

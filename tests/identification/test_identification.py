@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,21 @@ def test_the_model_of_a_fit_is_estimated_from_its_values(record, fit):
     for part in ("thermal", "hygric"):
         entry = fit.results.time_constants[part]
         assert entry.lower_h < joint.results.time_constants[part].value_h < entry.upper_h
+
+
+def test_what_does_not_go_with_a_model_is_refused_all_at_once(record, fit):
+    dry = without(record, "cabinet_relative_humidity")
+    with pytest.raises(ValueError, match=r"prior: expected none .*criterion: expected 'like") as fault:
+        identify(dry, model=fit, criterion="simulation", prior=lambda one: {})
+    assert re.search(r"cabinet_relative_humidity: expected at least .* found 0; add them", str(fault.value))
+
+
+def test_a_model_is_estimated_with_the_loggers_of_its_record(record, fit):
+    coarse = replace(record["cabinet_temperature"], accuracy=2.0, resolution=1.0)
+    other = identify(record.replace_series(coarse), model=fit, starts=1, profiles=False)
+    settings = dict(other.design.mechanisms)["temperature_sensor"]
+    assert (settings["accuracy"], settings["resolution"]) == (2.0, 1.0)
+    assert "other forms of the model were not compared" in other.results.statements
 
 
 def test_validation_readings_touch_nothing(record, fit):

@@ -74,7 +74,7 @@ def _sensor(
     if longest_response_h is not None:
         time = Parameter(
             response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
-            meaning="time time in which the sensor covers 63 % of a step",
+            meaning="time in which the sensor covers 63 % of a step",
         )  # fmt: skip
         parameters.append(time)
     return Mechanism(
