@@ -36,7 +36,6 @@ from hygrokf.estimation.confidence import Uncertainty, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.optimiser import Estimate as FilterEstimate
 from hygrokf.estimation.optimiser import Objective, climb
-from hygrokf.identification.clock_offsets import clock_offsets
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.needed_inputs import without_input
@@ -195,7 +194,9 @@ def _fit_of(record: Record, final: FinalSet, say: Progress, against: Sequence[Re
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
     fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
-    results = with_verdicts(replace(fit.results, criterion=final.estimator))
+    # offsets of clocks follow to first order from a maximum of the filter's likelihood, which this is not
+    said = (*fit.results.statements, "the bounds do not count what the clocks' errors may add")
+    results = with_verdicts(replace(fit.results, criterion=final.estimator, statements=said))
     return replace(fit, results=with_reasons(results, "hygric", against))
 
 
@@ -235,11 +236,10 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
         for name in TIME_CONSTANTS
         if name in coordinates.names
     }
-    say("clocks, and models without the input")
-    clock = clock_offsets(early, base, run, estimate, spread)
+    say("models without the input")
     stated = base.humidity is not None and early[base.humidity].response_time_s is not None
     without = {name: without_input(name, base.model, run, estimate) for name in bounds}
-    return Stage(base, run, estimate, spread, bounds, clock, response_stated=stated, without=without)
+    return Stage(base, run, estimate, spread, bounds, response_stated=stated, without=without)
 
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:
