@@ -181,7 +181,7 @@ def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.n
     def sd(name: str) -> float:
         return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
 
-    inside, outside = sd("cabinet_temperature"), _ambient_sd(record, "ambient_temperature")
+    inside, outside = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
     warm = np.asarray(s["temperature_simulated"], dtype=float)
     result = {TEMPERATURE: np.full(len(warm), math.hypot(inside, outside))}
     moist = np.asarray(s["relative_humidity_simulated"], dtype=float)
@@ -195,9 +195,9 @@ def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.n
         parts = [
             1e3 * absolute_humidity(1.0, kelvin) * sd("cabinet_relative_humidity"),
             1e3 * absolute_humidity_slope_temperature(humidity, kelvin) * inside,
-            1e3 * absolute_humidity(1.0, air) * _ambient_sd(record, "ambient_relative_humidity"),
+            1e3 * absolute_humidity(1.0, air) * ambient_sd(record, "ambient_relative_humidity"),
             np.full(len(kelvin), 1e3 * sd("cabinet_absolute_humidity")),
-            np.full(len(kelvin), 1e3 * _ambient_sd(record, "ambient_absolute_humidity")),
+            np.full(len(kelvin), 1e3 * ambient_sd(record, "ambient_absolute_humidity")),
         ]
         square[there] = np.sum([part**2 for part in parts], axis=0)
     result[HUMIDITY] = np.sqrt(square)
@@ -210,7 +210,7 @@ _CABINET_SIBLING = {
 }
 
 
-def _ambient_sd(record: Record, name: str) -> float:
+def ambient_sd(record: Record, name: str) -> float:
     """Standard deviation of an ambient sensor; without a stated accuracy that of the cabinet's sensor."""
     if name not in record:
         return 0.0

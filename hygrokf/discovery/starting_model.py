@@ -11,7 +11,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.error_model import filtered
 from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, errors_of, estimate_at, fitted
 from hygrokf.discovery.forms import AMBIENT_HUMIDITY, MechanismSettings
-from hygrokf.discovery.residuals import NORMAL_95
+from hygrokf.discovery.residuals import ambient_sd
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
 from hygrokf.discovery.simulator import Simulator, Work
 from hygrokf.identification.steady_state import heat_release_regression
@@ -47,7 +47,7 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
         return heat, None
     additions: list[MechanismSettings] = [("breathed_air", {"form": "temperature"})]
     priors = {"breathed_gain": (0.0, GAIN_SD, False)}
-    sd = accuracy_of(early[AMBIENT_HUMIDITY]) / NORMAL_95 if AMBIENT_HUMIDITY in early else 0.0
+    sd = ambient_sd(early, AMBIENT_HUMIDITY)
     if sd > 0.0:
         additions.append(("breathed_air", {"form": "humidity"}))
         priors["breathed_humidity_offset"] = (0.0, sd, False)

@@ -7,6 +7,7 @@ import math
 import pickle
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from plants.paper import paper_case
 from plants.plant import Plant
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
@@ -31,7 +34,7 @@ from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.plugin_validation import IDENTIFIER
 from hygrokf.discovery.procedure import WET_SENSOR, Discovery, discover
 from hygrokf.discovery.screening import parent_of, screened
-from hygrokf.discovery.starting_model import base_estimate
+from hygrokf.discovery.starting_model import base_designs, base_estimate
 from hygrokf.discovery.told import confidence
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
@@ -120,6 +123,22 @@ def test_every_number_of_a_cause_is_told(sunny: Discovery) -> None:
     assert cause.held_out.days == 12 and cause.held_out.improvement > 0.2 and not cause.held_out.reason
     heat = cause.parameters["solar_heat"]
     assert heat.lower < heat.value < heat.upper and heat.unit == "K/(kW/m2)" and heat.null == 0.0
+
+
+def test_a_discovery_without_a_cause_leaves_a_sound_constant_sound(tmp_path: Path) -> None:
+    """The synthetic turbine hides nothing; its base model's constants are believed, as those of its fit."""
+    found = discover(read_case(write_case(synthetic_turbine(), tmp_path)), library=SUN)
+    assert found.results.verdict == "none"
+    for part, one in found.base.results.time_constants.items():
+        assert one.verdict != REJECT and one.upper_h < 1.3 * one.lower_h, part
+
+
+def test_the_ambient_humidity_may_be_off_by_the_accuracy_that_the_cabinets_sensor_has() -> None:
+    record = identified(hidden_plant(9101, "solar_gain", days=40.0))
+    unstated = replace(record["ambient_relative_humidity"], accuracy=None)
+    for one in (record, record.replace_series(unstated)):
+        vapour = base_designs(one)[1]
+        assert vapour is not None and vapour.priors["breathed_humidity_offset"][1] > 0.005
 
 
 def test_nothing_rests_on_an_error_of_the_humidity_sensor_that_may_be_water() -> None:
