@@ -14,7 +14,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, estimate_at, fitted, frame, slopes
+from hygrokf.discovery.estimate import (
+    LIGHT,
+    POLISH,
+    Columns,
+    Estimate,
+    acting,
+    estimate_at,
+    fitted,
+    frame,
+    slopes,
+)
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
 from hygrokf.discovery.simulator import Simulator
@@ -104,8 +114,7 @@ def estimated(
 
 
 def free_of(one: Estimate, form: Form) -> list[str]:
-    mine = acts(form, one.quantities)
-    return [name for name in one.simulator.names if set(one.simulator.affects(name)) & mine]
+    return acting(one, acts(form, one.quantities))
 
 
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:

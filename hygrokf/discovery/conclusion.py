@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.candidates import Candidate, brought
+from hygrokf.discovery.candidates import Candidate, acts, brought
 from hygrokf.discovery.discovery_results import HeldOutTest, Line
 from hygrokf.discovery.estimate import Estimate, frame, slopes
-from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set
+from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fitted_by
 from hygrokf.discovery.judgement import NOTICED, judged, scores
 from hygrokf.discovery.screening import added
 from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, needed
@@ -55,9 +55,9 @@ def concluded(found: Found) -> Conclusion:
                 tuple(replace(a, judged=v) for a, v in zip(accepted, verdicts, strict=True)),
                 tuple(refuted),
             )
-        refuted.append((accepted[worst].candidate, verdicts[worst]))
-        del accepted[worst]
-        one = composed(found.base, [a.chosen for a in accepted], one)
+        gone = accepted.pop(worst).candidate
+        refuted.append((gone, verdicts[worst]))
+        one = composed(found.base, [a.chosen for a in accepted], one, acts(gone.form, one.quantities))
     return Conclusion(final_set(found.base, final_estimator(found.base)), None, (), tuple(refuted))
 
 
@@ -73,7 +73,8 @@ def _judged(
     others = [a.chosen for a in accepted if a is not name]
     without = base.estimate
     if others:
-        without = final_set(composed(start, others, extended.estimate), estimator).estimate
+        moved = acts(name.candidate.form, start.quantities)
+        without = fitted_by(composed(start, others, extended.estimate, moved), estimator, moved)
     child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
     after, one = scores(child), name.candidate
     earlier = list(itertools.takewhile(lambda a: a is not name, accepted))

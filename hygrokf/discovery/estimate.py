@@ -191,6 +191,11 @@ def fitted(
     return one
 
 
+def acting(one: Estimate, quantities: Collection[str]) -> list[str]:
+    """The parameters that act on some quantities."""
+    return [name for name in one.simulator.names if set(one.simulator.affects(name)) & set(quantities)]
+
+
 def _blocks(one: Estimate, free: set[str]) -> list[tuple[str, ...]]:
     """The quantities that free parameters act on, together where one acts on several."""
     acting = [set(one.simulator.affects(name)) & set(one.quantities) for name in free]

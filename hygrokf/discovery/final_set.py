@@ -11,7 +11,7 @@ likelihood with everything else held.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,9 +20,11 @@ import numpy as np
 from hygrokf.data.clocks import shifted
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
     Estimate,
+    acting,
     errors_of,
     estimate_at,
     fitted,
@@ -38,12 +40,12 @@ from hygrokf.estimation.optimiser import Estimate as FilterEstimate
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.needed_inputs import without_input
+from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
 from hygrokf.identification.verdict_terms import Reason
-from hygrokf.modelling.design import CASCADE, Design
+from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.parameters import Coordinates
 
@@ -92,7 +94,7 @@ def final_estimator(*models: Estimate) -> Estimator:
     ratios = []
     for one in models:
         early = _until(one, EARLY)
-        by_likelihood, by_output = _fitted_by(early, "likelihood"), _fitted_by(early, "output-error")
+        by_likelihood, by_output = fitted_by(early, "likelihood"), fitted_by(early, "output-error")
         for q in one.quantities:
             r = one.simulator.scene.readings[q]
             late = r.identified & ~early.simulator.scene.readings[q].identified & np.isfinite(r.value)
@@ -107,7 +109,7 @@ def final_estimator(*models: Estimate) -> Estimator:
 
 def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
-    made = _fitted_by(one, estimator)
+    made = fitted_by(one, estimator)
     names, covariance, flat = sandwich(
         with_variances(replace(made, plain=True)) if estimator == "output-error" else made
     )
@@ -119,10 +121,12 @@ def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     return FinalSet(made, estimator, names, covariance, at, flat)
 
 
-def _fitted_by(one: Estimate, estimator: str) -> Estimate:
+def fitted_by(one: Estimate, estimator: Estimator, moved: Collection[str] | None = None) -> Estimate:
+    """An estimator's parameters, in the quantities that moved (all)."""
+    free = None if moved is None else acting(one, moved)
     if estimator == "likelihood":
-        return levelled(fitted(one))
-    plain = fitted(with_variances(replace(one, plain=True)), effort=POLISH)
+        return levelled(fitted(one, free))
+    plain = fitted(with_variances(replace(one, plain=True)), free, POLISH)
     return replace(estimate_at(plain.simulator, one.errors, plain.theta, one.linear), plain=False)
 
 
@@ -170,6 +174,8 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
     return names, found, flat
 
 
+SIZE_TOLERANCE = 0.05
+"""Gain in ln L of a further step below which the sizes of the filter's disturbances are found."""
 RATE_STEP = 1.0
 """Largest product of a rate and a sub-step: coarser ones change the disturbances' sizes alone."""
 
@@ -223,7 +229,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
         p.name: min(max(known[p.name], p.lower), p.upper) for p in base.model.parameters if p.name in known
     }
     noise = Coordinates(base.model.parameters, held)
-    found = climb(Objective(likelihood, noise), noise.start())
+    found = climb(Objective(likelihood, noise), noise.start(), tolerance=SIZE_TOLERANCE)
     values = {**noise.values(found.z)}
     coordinates = Coordinates(base.model.parameters, {n: values[n] for n in noise.names})
     estimate = FilterEstimate(
@@ -238,8 +244,34 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     }
     say("models without the input")
     stated = base.humidity is not None and early[base.humidity].response_time_s is not None
-    without = {name: without_input(name, base.model, run, estimate) for name in bounds}
+    without = {name: without_input(final.estimate, name) for name in bounds}
     return Stage(base, run, estimate, spread, bounds, response_stated=stated, without=without)
+
+
+def without_input(one: Estimate, name: str) -> WithoutInput:
+    """The best simulation in which the input of a time constant does not act, beside the model's own maximum
+    of the likelihood."""
+    from scipy.special import chdtri
+
+    (q,) = one.simulator.affects(name)
+    scene, simulator = one.simulator.scene, one.simulator
+    time, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
+    if "vapour" in scene.readings:
+        r = scene.readings["vapour"]
+        vapour[np.clip(np.searchsorted(scene.edges_s, r.time_s), 0, len(time) - 1)] = r.value
+    names = [n for n in simulator.cell_model(q).inputs if n != TEMPERATURE]
+    inputs = {n: scene.at_edges(n, simulator.owner(n)) for n in names}
+    free, found = acting(one, [q]), []
+    own = fitted(one, free)
+    required = float(chdtri(len(free), CHANCE))
+    for words, moved, fixed in alternatives(name, inputs, time, scene.drive, vapour):
+        still = scene.with_inputs([(n, simulator.owner(n), value) for n, value in moved.items()])
+        other = replace(simulator, scene=still, _cells={})
+        theta = other.vector({**own.values, **fixed})
+        begun = estimate_at(other, errors_of(other, theta, one.quantities), theta, own.linear)
+        end = fitted(begun, [n for n in free if n not in fixed])
+        found.append(WithoutInput(words, end.deviances[q] - own.deviances[q], required))
+    return min(found, key=lambda other: other.gain)
 
 
 def _uncertainty(final: FinalSet, coordinates: Coordinates) -> Uncertainty:

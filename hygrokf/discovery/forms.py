@@ -27,6 +27,9 @@ AMBIENT_HUMIDITY = "ambient_relative_humidity"
 SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
 inputs."""
+OPEN = (-0.95, 50.0)
+"""Relative change of the exchange through an open door: beyond it the vapour follows the ambient between two
+readings, however fast."""
 DATES = 23
 SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
@@ -235,7 +238,8 @@ def doors(ground: Ground) -> list[Form]:
         return []
     return [
         Form("door_opening", "windows", (("open_loss", {}),), _joint(ground, ("open_exchange", {})),
-             (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), together=True, windows=True)
+             (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), limits={"door_exchange": OPEN},
+             together=True, windows=True)
     ]  # fmt: skip
 
 

@@ -177,7 +177,7 @@ class Scene:
     def at_edges(self, name: str, design: Design) -> np.ndarray:
         """(F,) an input at the edges of parts; that of a mean over the part that ends there."""
         value = self._unmoved(name, design)
-        mine = [one for one in self.shifts if one.source == self._source(name)]
+        mine = [one for one in self.shifts if one.source == self.source(name)]
         if not mine:
             return value
         later = sum(self._later(one, self.edges_s) for one in mine)
@@ -189,7 +189,7 @@ class Scene:
             return np.full(len(time_s), shift.seconds)
         return shift.seconds * summer_time(time_s, in_america(self.record))
 
-    def _source(self, name: str) -> str:
+    def source(self, name: str) -> str:
         """The source whose clock stamps an input; empty where there is none."""
         signal = SIGNAL_OF.get(name, "active_power" if name.startswith("power_") else name)
         if name == "ambient_absolute_humidity":
@@ -215,8 +215,10 @@ class Scene:
 
     def with_inputs(self, given: Sequence[tuple[str, Design, np.ndarray]]) -> Scene:
         """The scene in which inputs of designs have other values (F,) at the edges of parts."""
+        found, unknown = self._base()
+        base = {**found, **{name: value for name, _, value in given if name in found}}
         values = {_key(name, design.features.get(name)): value for name, design, value in given}
-        return replace(self, _cache={"": self._base(), **values})
+        return replace(self, _cache={"": (base, unknown), **values})
 
     def cells(self, inputs: Sequence[str], designs: Sequence[Design]) -> Cells:
         """The inputs of a model over the cells."""
@@ -229,7 +231,7 @@ class Scene:
         return Cells(self.cell_h, means, edges)
 
     def _over_cells(self, name: str, design: Design, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-        source = self._source(name)
+        source = self.source(name)
         moved = [[one.seconds, one.summer] for one in self.shifts if one.source == source]
         drive = id(self.drive) if name == TEMPERATURE else 0
         key = json.dumps([name, design.features.get(name), moved, drive, straight], default=float)

@@ -63,13 +63,14 @@ class Parent:
         return {q: float((_free_of(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()}
 
 
-def parent_of(one: Estimate) -> Parent:
-    """A parent's own columns; those of parameters that are held at a limit imitate nothing."""
+def parent_of(one: Estimate, quantities: Sequence[str] | None = None) -> Parent:
+    """A parent's own columns, by quantity (all); those of parameters that are held at a limit imitate
+    nothing."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
     z = f.coordinates(one.theta)
     near = AT_LIMIT * (f.upper - f.lower)
     basis, error, kept = {}, {}, {}
-    for q, columns in slopes(one, f).items():
+    for q, columns in slopes(one, f, quantities).items():
         kept[q] = {one.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
         known = one.filtered[q]
         root = np.sqrt(known.weight)
@@ -278,10 +279,12 @@ def _clocks(parent: Parent, form: Form) -> list[Screened]:
 
     Their slopes are those of the shifted inputs: an input whose clock is an hour off may have no effect left
     in the parent."""
-    one, found, before = parent.estimate, [], sum(parent.left.values())
+    one, found = parent.estimate, []
+    mine = [q for q in one.quantities if form.clock in one.simulator.clocks(q)]
+    before = sum(parent.left[q] for q in mine)
     for setting in form.grid:
         wider = widened(one, form, setting)
-        moved = parent_of(estimate_at(wider, one.errors, one.theta, one.linear, one.variances))
+        moved = parent_of(estimate_at(wider, one.errors, one.theta, one.linear, one.variances), mine)
         found.append(Screened(form, setting, {}, before - sum(moved.left.values())))
     return sorted((s for s in found if s.gain >= LEAST), key=lambda s: -s.gain)[:FOLLOWED]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from hygrokf.discovery.candidates import (
@@ -23,7 +23,7 @@ from hygrokf.discovery.candidates import (
     water,
 )
 from hygrokf.discovery.discovery_results import HeldOutTest
-from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, estimate_at, fitted
+from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, acting, estimate_at, fitted
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
 from hygrokf.discovery.screening import (
@@ -181,7 +181,7 @@ class Search:
             self.parent = child
             taken |= mine
         if taken:
-            self.parent = renewed(self.parent)
+            self.parent = renewed(self.parent, taken)
             for q in taken:
                 self._known.version[q] = self._known.version.get(q, 0) + 1
         return bool(taken) or again
@@ -199,14 +199,17 @@ class Search:
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the others, under the renewed error models."""
         for one in list(self.accepted):
+            if self.spent:
+                break
             others = [a for a in self.accepted if a is not one]
-            without = composed(self.base, [a.chosen for a in others], self.parent)
+            mine = acts(one.candidate.form, self.parent.quantities)
+            without = composed(self.base, [a.chosen for a in others], self.parent, mine)
             again = candidate(without, self.parent, *one.chosen, self.searched[one.candidate.cause])
             if self._earns(again):
                 continue
             self.left.append(again)
-            self.accepted, self.parent = others, renewed(without)
-            for q in acts(one.candidate.form, self.parent.quantities):
+            self.accepted, self.parent = others, renewed(without, mine)
+            for q in mine:
                 self._known.version[q] += 1
 
     def candidates(self) -> list[Candidate]:
@@ -307,13 +310,15 @@ def search(
     return Search(base, forms, say, budget).run()
 
 
-def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate) -> Estimate:
-    """The base with some causes, fitted from a larger model's values under the same error models."""
+def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate, moved: Collection[str]) -> Estimate:
+    """The base with some causes, fitted from a larger model's values under the same error models in the
+    quantities that moved."""
     one = base
     for form, setting in chosen:
         one = replace(one, simulator=widened(one, form, setting))
     theta = one.simulator.vector(near.values)
-    return fitted(estimate_at(one.simulator, near.errors, theta, near.linear, near.variances))
+    made = estimate_at(one.simulator, near.errors, theta, near.linear, near.variances)
+    return fitted(made, acting(made, moved))
 
 
 def foreseen(parent: Estimate, one: Candidate) -> Estimate:

@@ -118,6 +118,11 @@ class Simulator:
             found = [q for q, one in zip(by, self.designs, strict=False) if control in one.model.inputs]
         return tuple(found)
 
+    def clocks(self, quantity: str) -> set[str]:
+        """The sources whose clocks a quantity's inputs and its readings have."""
+        inputs = self.cell_model(quantity).inputs
+        return {self.scene.source(name) for name in (TEMPERATURE, *inputs)}
+
     # -- runs ------------------------------------------------------------------------------------------------
     def cell_model(self, quantity: str) -> CellModel:
         """The models that a quantity needs."""
@@ -204,9 +209,13 @@ class Simulator:
         """(P,) of values by name; a parameter without one has no effect, or its start."""
         return np.array([values.get(p.name, p.start if p.null is None else p.null) for p in self.parameters])
 
+    def owner(self, name: str) -> Design:
+        """The design whose input this is."""
+        return next((one for one in self.designs if name in one.model.inputs), self.heat)
+
     def column(self, name: str, settings: Mapping[str, Any]) -> np.ndarray:
         """(K,) means over the cells of an own input under some settings of its feature."""
-        owner = next(one for one in self.designs if name in one.model.inputs)
+        owner = self.owner(name)
         made = replace(owner, features={**owner.features, name: settings})
         return self.scene.column(name, made)
 

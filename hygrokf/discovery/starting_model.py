@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.discovery.error_model import filtered
-from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, errors_of, estimate_at, fitted
+from hygrokf.discovery.error_model import Course, filtered
+from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, acting, errors_of, estimate_at, fitted
 from hygrokf.discovery.forms import AMBIENT_HUMIDITY, MechanismSettings
 from hygrokf.discovery.residuals import ambient_sd
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
@@ -115,22 +115,28 @@ def _driven(one: Estimate) -> Estimate:
     return renewed(replace(one, simulator=simulator))
 
 
-def renewed(one: Estimate) -> Estimate:
+def renewed(one: Estimate, moved: Collection[str] | None = None) -> Estimate:
     """The estimate at its maximum, under error models with its own time constants where these are likelier.
 
-    A time constant that ends at a limit is no low pass of the disturbances.
+    moved: quantities to which this is done (all).  A time constant that ends at a limit is no low pass of
+    the disturbances.
     """
-    own = errors_of(one.simulator, one.theta, one.quantities)
-    both = [fitted(estimate_at(one.simulator, errors, one.theta, one.linear)) for errors in (one.errors, own)]
-    better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in one.quantities}
+    mine = [q for q in one.quantities if moved is None or q in moved]
+    own, free = errors_of(one.simulator, one.theta, one.quantities), acting(one, mine)
+
+    def under(courses: Mapping[str, Course], theta: np.ndarray) -> Estimate:
+        errors = replace(one.errors, courses={**one.errors.courses, **courses})
+        return fitted(estimate_at(one.simulator, errors, theta, one.linear, one.variances), free)
+
+    both = [under({}, one.theta), under({q: own.courses[q] for q in mine}, one.theta)]
+    better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in mine}
     if len(set(better.values())) == 1:
-        return both[better[one.quantities[0]]]
-    errors = replace(own, courses={q: both[i].errors.courses[q] for q, i in better.items()})
+        return both[better[mine[0]]]
     theta = both[0].theta.copy()
     for i, name in enumerate(one.simulator.names):
-        if all(better[q] for q in one.simulator.affects(name)):
+        if all(better.get(q) for q in one.simulator.affects(name)):
             theta[i] = both[1].theta[i]
-    return fitted(estimate_at(one.simulator, errors, theta, one.linear))
+    return under({q: both[i].errors.courses[q] for q, i in better.items()}, theta)
 
 
 def smoothed_temperature(one: Estimate) -> np.ndarray:

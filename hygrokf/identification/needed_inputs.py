@@ -15,7 +15,7 @@ Twice its gain in ln L must exceed what chance gives to as many parameters as th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +71,10 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
     from scipy.special import chdtri
 
     required = float(chdtri(len(estimate.z), CHANCE))
-    whole, others = run.timeline, list(_models(name, run))
+    whole, known = run.timeline, measured(run)
+    inputs = {one: whole.input(one) for one in whole.varying}
+    courses = whole.time, known["temperature_K"], known["absolute_humidity_g_m3"]
+    others = list(alternatives(name, inputs, *courses))
 
     def best(count: int) -> WithoutInput:
         part = whole.window(0, count)
@@ -89,28 +92,31 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
     return tried if tried.enough else best(len(whole))
 
 
-def _models(name: str, run: Run) -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, float]]]:
-    """The models in which an input does not act: words, inputs (T,) and fixed parameters."""
-    t, known = run.timeline, measured(run)
+def alternatives(
+    name: str, inputs: Mapping[str, np.ndarray], time_h: np.ndarray, warm: np.ndarray, vapour: np.ndarray
+) -> Iterator[tuple[str, dict[str, np.ndarray], dict[str, float]]]:
+    """The models in which the input of a time constant does not act: words, inputs (T,), fixed parameters.
+
+    inputs (T,) by name at times (T,) [h]; warm, vapour: (T,) the cabinet's readings [K], [g/m³], or NaN.
+    """
     if name == "hygric_k":
-        outside = t.input("ambient_absolute_humidity")
+        outside = inputs["ambient_absolute_humidity"]
         yield "a constant vapour outside", {"ambient_absolute_humidity": _mean(outside)}, {}
-        warm, vapour = known["temperature_K"], known["absolute_humidity_g_m3"]
-        there = np.isfinite(warm)
-        if np.isfinite(vapour).any():
-            warm = np.interp(t.time, t.time[there], warm[there])
+        there, read = np.isfinite(warm), np.isfinite(vapour)
+        if read.any():
+            warm = np.interp(time_h, time_h[there], warm[there])
             saturated = 1e3 * absolute_humidity(1.0, warm)
-            held = saturated * np.nanmean(vapour / saturated) * warm / t.input("ambient_temperature")
-            step = float(np.median(np.diff(t.time[np.isfinite(vapour)])))
+            held = saturated * np.nanmean(vapour / saturated) * warm / inputs["ambient_temperature"]
+            step = float(np.median(np.diff(time_h[read])))
             words = "a relative humidity held in the cabinet"
             yield words, {"ambient_absolute_humidity": held}, {name: 0.5 * step}
         return
-    inputs = {one: _mean(t.input(one)) for one in t.varying}
+    still = {one: _mean(value) for one, value in inputs.items()}
     if "exchange_factor" in inputs:  # a joint model: the vapour outside stays what it is
-        outside = t.input("ambient_temperature")
-        vapour = t.input("ambient_absolute_humidity") * outside / inputs["ambient_temperature"]
-        inputs |= {"ambient_absolute_humidity": vapour, "exchange_factor": t.input("exchange_factor")}
-    yield "a constant temperature outside with constant power", inputs, {}
+        vapour = inputs["ambient_absolute_humidity"] * inputs["ambient_temperature"]
+        still["ambient_absolute_humidity"] = vapour / still["ambient_temperature"]
+        still["exchange_factor"] = inputs["exchange_factor"]
+    yield "a constant temperature outside with constant power", still, {}
 
 
 def _mean(value: np.ndarray) -> np.ndarray:
