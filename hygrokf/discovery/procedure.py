@@ -18,7 +18,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.candidates import THRESHOLD, Candidate
+from hygrokf.discovery.candidates import Candidate
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.discovery_results import (
     DiscoveryResults,
@@ -36,7 +36,7 @@ from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.search import FURTHER, Found, search
+from hygrokf.discovery.search import Found, needed, search
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import cause_found, evidence_of, gains, refuted_cause
 from hygrokf.identification.fit import Fit
@@ -224,9 +224,8 @@ def _rejected(
 
     for one in found.left:
         add(one, "later_gone")
-    least = FURTHER if ended.accepted else THRESHOLD
     for one in sorted(found.beside, key=lambda c: -c.evidence):
-        add(one, "weak" if one.evidence < least else "weak_by_days")
+        add(one, "weak" if one.evidence < needed(one, ended.accepted) else "weak_by_days")
     for cause in library:
         reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
         if cause.name not in told:

@@ -37,7 +37,7 @@ from hygrokf.discovery.screening import (
 )
 from hygrokf.discovery.starting_model import renewed
 
-FURTHER = 25.0
+FURTHER = 100.0
 """Evidence from which a cause is accepted in a quantity that has a name."""
 CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
 """Causes of a quantity that are estimated, settings of each at least, forms of each at most, and rounds."""
