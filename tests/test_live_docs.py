@@ -26,7 +26,6 @@ from hygrokf.data.toml_form import keys_of
 from hygrokf.identification.fit import write_fit
 from hygrokf.live import config
 from hygrokf.live.config import SurfaceForm, TrackForm, TurbineForm, WanderingForm, read_config
-from hygrokf.live.log import LogLines
 from hygrokf.live.mapping_form import MappingForm, SignalForm
 from hygrokf.live.notification.form import MailForm, WebhookForm
 from hygrokf.live.plan import WANDERING
@@ -35,6 +34,7 @@ from hygrokf.live.sources.mqtt_form import MqttForm
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
 from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.stream import SourceKeys
+from hygrokf.live.tracking import LogLines
 from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0

@@ -1,4 +1,4 @@
-"""`hygrokf compare`: cases, models or ambient sources side by side."""
+"""`hygrokf compare`, `hygrokf transfer`: cases, models or ambient sources side by side; a model elsewhere."""
 
 from __future__ import annotations
 
@@ -6,13 +6,23 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from hygrokf.commands.console import Progress, UserFault, expect_own_directory, show_reported
-from hygrokf.commands.inputs import identified, record_of, stored_fit
+from hygrokf.commands.console import (
+    Progress,
+    UserFault,
+    expect_own_directory,
+    faults_of,
+    show_reported,
+)
+from hygrokf.commands.inputs import identified, record_of, source_model, stored_fit
 from hygrokf.commands.verb import Verb, add_json, add_library, add_out
-from hygrokf.data.files import COMPARISON
+from hygrokf.data import files
+from hygrokf.errors import HygrokfError
+
+STEPS = 8
+"""Progress messages of one transfer."""
 
 
-def _arguments(parser: ArgumentParser) -> None:
+def _compare_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml", help="the case files")
     parser.add_argument(
         "--fit",
@@ -71,11 +81,11 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
     return [name if found.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(found)]
 
 
-def _run(options: Namespace) -> int:
+def _compare(options: Namespace) -> int:
     from hygrokf.report.comparison_page import comparison_blocks, write_comparison
     from hygrokf.transfer.comparison import compare, comparison_column
 
-    expect_own_directory(options.out, COMPARISON)
+    expect_own_directory(options.out, files.COMPARISON)
     pairs = pairs_of(options.cases, options.fit)
     if len(pairs) < 2:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
@@ -103,4 +113,50 @@ def _run(options: Namespace) -> int:
     return show_reported(page, found.results, comparison_blocks(found.results), options.json)
 
 
-VERB = Verb("compare", "put cases, models or ambient sources side by side, with bounds", _arguments, _run)
+COMPARE = Verb(
+    "compare", "put cases, models or ambient sources side by side, with bounds", _compare_arguments, _compare
+)
+
+
+def _transfer_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("fit", type=Path, metavar="FIT.json|TYPE.json", help="fitted model or pooled type")
+    parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml", help="cases of other turbines")
+    add_out(parser, "directory for transfer.json, report.html and the models")
+    add_library(parser)
+    add_json(parser)
+
+
+def _transfer(options: Namespace) -> int:
+    from hygrokf.identification.turbine_type import TurbineType, pool_types
+    from hygrokf.report.transfer_page import transfer_blocks, write_transfer
+    from hygrokf.transfer.procedure import transfer_fit
+    from hygrokf.transfer.results import transfer_results
+
+    expect_own_directory(options.out, files.TRANSFER)
+    source = source_model(options.fit, options.library)
+    records = [record_of(case) for case in options.cases]
+    found = []
+    with Progress(STEPS * len(records)) as progress:
+        for case, record in zip(options.cases, records, strict=True):
+            with faults_of(case):
+                found.append(transfer_fit(source, record, progress))
+    fits = [] if isinstance(source, TurbineType) else [source]
+    fits += [one.own for one in found if one.own is not None]
+    pooled, unpooled = None, ""
+    if len(fits) > 2:
+        try:
+            pooled = pool_types(fits)
+        except HygrokfError as fault:
+            unpooled = f"\n\nno type of turbine was made: {fault}"
+    with Progress(1) as progress:
+        progress("draw the report")
+        page, results = write_transfer(found, options.out, pooled), transfer_results(found, pooled)
+    return show_reported(page, results, transfer_blocks(results), options.json, unpooled)
+
+
+TRANSFER = Verb(
+    "transfer",
+    "try a fitted model on another turbine: which parameters carry over, which differ",
+    _transfer_arguments,
+    _transfer,
+)

@@ -1,4 +1,5 @@
-"""`hygrokf fit`: the model of a case."""
+"""`hygrokf fit`, `discover`, `simulate`, `evaluate`: the model of a case, what it lacks, and its use on a
+case."""
 
 from __future__ import annotations
 
@@ -7,13 +8,23 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hygrokf.commands.activity import activity
-from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
-from hygrokf.commands.inputs import identified, record_of, stored_fit, written
-from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
-from hygrokf.data.files import FIT
+from hygrokf.commands.console import (
+    Progress,
+    UserFault,
+    expect_file,
+    expect_other,
+    expect_own_directory,
+    faults_of,
+    printable,
+    show,
+    show_reported,
+)
+from hygrokf.commands.inputs import identified, own_causes, record_of, stored_fit, written
+from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out, whole
+from hygrokf.data import files
 
 
-def _arguments(parser: ArgumentParser) -> None:
+def _fit_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
     add_out(parser, "directory for fit.json, series.npz and report.html")
     parser.add_argument(
@@ -44,7 +55,7 @@ def _arguments(parser: ArgumentParser) -> None:
     add_json(parser)
 
 
-def _run(options: Namespace) -> int:
+def _fit(options: Namespace) -> int:
     from hygrokf.report.fit_page import fit_blocks
 
     if options.model and options.kind == "cascade":
@@ -52,7 +63,7 @@ def _run(options: Namespace) -> int:
             "--kind cascade: expected joint or no --kind beside --model, whose mechanisms are estimated in "
             "one filter; leave --kind out"
         )
-    expect_own_directory(options.out, FIT)
+    expect_own_directory(options.out, files.FIT)
     former = _record_of_the_fit_in(options.out)
     record = record_of(options.case)
     model = options.model and stored_fit(options.model, options.library)
@@ -66,7 +77,7 @@ def _run(options: Namespace) -> int:
 def _record_of_the_fit_in(out: Path) -> str:
     """The name of the record whose fit a directory holds, or nothing; raises UserFault for a fit.json of
     another program."""
-    file = out / FIT
+    file = out / files.FIT
     if not file.exists():
         return ""
     try:
@@ -75,10 +86,108 @@ def _record_of_the_fit_in(out: Path) -> str:
         data = None
     if not isinstance(data, dict) or not {"name", "version", "parameters", "time_constants"} <= set(data):
         raise UserFault(
-            f"--out {out}: expected a new directory or one with an earlier fit, found a {FIT} in it that is "
-            "no result of `hygrokf fit`; name another one, or take that file away"
+            f"--out {out}: expected a new directory or one with an earlier fit, found a {files.FIT} in it "
+            "that is no result of `hygrokf fit`; name another one, or take that file away"
         )
     return str(data["name"])
 
 
-VERB = Verb("fit", "identify the models of a case", _arguments, _run)
+FIT = Verb("fit", "identify the models of a case", _fit_arguments, _fit)
+
+
+def _discover_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
+    add_out(parser, "directory for discovery.json, report.html and the extended model")
+    parser.add_argument(
+        "--budget",
+        type=whole(1),
+        metavar="N",
+        help="simulations after which no further cause is tried (default: 40000)",
+    )
+    add_library(parser)
+    add_json(parser)
+
+
+def _discover(options: Namespace) -> int:
+    from hygrokf.discovery.library import LIBRARY
+    from hygrokf.discovery.procedure import BUDGET, discover
+    from hygrokf.report.discovery_page import discovery_blocks, write_discovery_report
+
+    expect_own_directory(options.out, files.DISCOVERY)
+    own = own_causes(options.library)
+    record = record_of(options.case)
+    with faults_of(options.case), Progress(60) as progress:
+        found = discover(record, library=(*LIBRARY, *own), progress=progress, budget=options.budget or BUDGET)
+    unseen = {one.cause for one in found.results.rejected if one.reason == "no_form"}
+    for cause in own:
+        if cause.name in unseen:
+            needs = f"; it needs {cause.needs}" if cause.needs else ""
+            activity().note(f"note: {cause.name} was not tried: this record cannot show it{needs}")
+    with Progress(1) as progress:
+        progress("draw the report")
+        page = write_discovery_report(found, options.out)
+    return show_reported(page, found.results, discovery_blocks(found.results), options.json)
+
+
+DISCOVER = Verb(
+    "discover",
+    "show the errors of the simulation, name their cause, extend the model",
+    _discover_arguments,
+    _discover,
+)
+
+
+def _simulate_arguments(parser: ArgumentParser) -> None:
+    add_fit_and_case(parser)
+    add_out(parser, "CSV file to write")
+    add_library(parser)
+    add_json(parser)
+
+
+def _simulate(options: Namespace) -> int:
+    from hygrokf.data.files import write_text_whole
+    from hygrokf.identification.fit_on_record import simulation_csv, simulation_summary
+    from hygrokf.identification.verdict_terms import verdict_lines
+
+    expect_file(options.out)
+    fit = stored_fit(options.fit, options.library)
+    record = record_of(options.case, cabinet=False)
+    sources = (options.case.parent / file for file, _ in record.provenance)
+    expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
+    with faults_of(options.case):
+        text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
+    write_text_whole(options.out, text)
+    for sentence in summary.statements:
+        activity().note(f"note: {sentence}")
+    lines = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
+    show(summary, "\n".join(lines), options.json)
+    return 0
+
+
+SIMULATE = Verb(
+    "simulate",
+    "run a fitted model on the inputs of a case, without its readings",
+    _simulate_arguments,
+    _simulate,
+)
+
+
+def _evaluate_arguments(parser: ArgumentParser) -> None:
+    add_fit_and_case(parser)
+    add_library(parser)
+    add_json(parser)
+
+
+def _evaluate(options: Namespace) -> int:
+    from hygrokf.identification.fit_on_record import evaluate
+    from hygrokf.report.fit_tables import evaluation_text
+
+    fit = stored_fit(options.fit, options.library)
+    record = record_of(options.case)
+    with faults_of(options.case):
+        found = evaluate(fit, record)
+    show(found, evaluation_text(found), options.json)
+    return 0
+
+
+EVALUATE = Verb("evaluate", "score a fitted model on a case", _evaluate_arguments, _evaluate)

@@ -9,25 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from hygrokf.commands import (
-    check,
-    climate,
-    compare,
-    demo,
-    discover,
-    doctor,
-    evaluate,
-    fit,
-    fleet,
-    help,
-    init,
-    report,
-    simulate,
-    store,
-    summary,
-    track,
-    transfer,
-)
+from hygrokf.commands import case, climate, compare, fit, fleet, help, pages, store, track
 from hygrokf.commands.activity import Activity, running
 from hygrokf.commands.console import INTERRUPTED, USER_FAULT, printable, system_words
 from hygrokf.commands.verb import Verb, add_loudness
@@ -35,13 +17,13 @@ from hygrokf.errors import HygrokfError
 from hygrokf.version import __version__
 
 VERBS = (
-    demo.VERB, init.VERB, check.VERB, fit.VERB, discover.VERB, simulate.VERB, evaluate.VERB, fleet.VERB,
-    climate.VERB, compare.VERB, transfer.VERB, store.EXPORT, track.VERB, doctor.VERB, store.RESTORE,
-    store.STORE, report.VERB, summary.VERB, help.HELP, help.COMPLETION,
+    case.DEMO, case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, fit.SIMULATE, fit.EVALUATE,
+    fleet.VERB, climate.VERB, compare.COMPARE, compare.TRANSFER, store.EXPORT, track.TRACK, track.DOCTOR,
+    store.RESTORE, store.STORE, pages.REPORT, pages.SUMMARY, help.HELP, help.COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 
-FIRST = (init.VERB, check.VERB, fit.VERB, discover.VERB, climate.VERB)
+FIRST = (case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, climate.VERB)
 """The commands that `hygrokf` alone shows."""
 
 

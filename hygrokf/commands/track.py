@@ -1,5 +1,4 @@
-"""`hygrokf track`: cabinets followed live; the turbines, sources, store and page that it shares with
-`hygrokf doctor`."""
+"""`hygrokf track`, `hygrokf doctor`: cabinets followed live, and a check of all that this needs."""
 
 from __future__ import annotations
 
@@ -11,15 +10,17 @@ from typing import TYPE_CHECKING
 
 from hygrokf.commands.activity import Loudness, activity
 from hygrokf.commands.console import (
+    FOUND,
     INTERRUPTED,
     USER_FAULT,
     Progress,
     UserFault,
     expect_directory,
+    show,
     system_words,
 )
 from hygrokf.commands.inputs import load_causes
-from hygrokf.commands.verb import Verb, add_library
+from hygrokf.commands.verb import Verb, add_json, add_library
 from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def tracked_config(options: argparse.Namespace) -> Config:
     return config if options.page is None else replace(config, page=page_at(options.page))
 
 
-def _arguments(parser: argparse.ArgumentParser) -> None:
+def _track_arguments(parser: argparse.ArgumentParser) -> None:
     add_tracked(parser)
     parser.add_argument("--demo", action="store_true", help="play back synthetic data; needs no files")
     parser.add_argument("--until-ended", action="store_true", help="end when all sources have ended")
@@ -102,9 +103,9 @@ def _factor(text: str) -> float:
     return value
 
 
-def _run(options: argparse.Namespace) -> int:
+def _logged(options: argparse.Namespace) -> int:
     """Track until a signal ends it; with a JSON log, whatever ends it is a log entry, too."""
-    from hygrokf.live.log import log_to_stderr
+    from hygrokf.live.tracking import log_to_stderr
 
     with log_to_stderr(options.log, _LEVELS[activity().loudness]):
         if options.log != "json":
@@ -166,6 +167,67 @@ def _demo_config(options: argparse.Namespace) -> Config:
     return Config(turbines, (demo_stream(record, live_s, options.speed),), store, page)
 
 
-VERB = Verb(
-    "track", "follow cabinets live: condition, forecast, alarms, on a page", _arguments, _run, service=True
+TRACK = Verb(
+    "track",
+    "follow cabinets live: condition, forecast, alarms, on a page",
+    _track_arguments,
+    _logged,
+    service=True,
+)
+
+
+def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
+    add_tracked(parser)
+    parser.add_argument(
+        "--wait",
+        type=_duration,
+        default=10.0,
+        metavar="TIME",
+        help="time to listen to the sources (default 10s)",
+    )
+    parser.add_argument(
+        "--try",
+        dest="tried",
+        metavar="FILE|TOPIC",
+        help="print what the payloads of a file or topic give by [mapping], and check nothing else",
+    )
+    parser.add_argument("--notify", action="store_true", help="send a test message to every [[notify]]")
+    add_library(parser)
+    add_json(parser)
+
+
+def _duration(text: str) -> float:
+    """The seconds of a duration such as 10s."""
+    from hygrokf.data.timestamps import duration
+
+    try:
+        return duration(text)
+    except ValueError as fault:
+        raise argparse.ArgumentTypeError(str(fault)) from None
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    """Check, or try payloads; the exit status is 1 where there is a fault, or where no payload gave a
+    reading."""
+    load_causes(options.library)
+    config = tracked_config(options)
+    if options.tried is not None:
+        from hygrokf.live.doctor import payloads
+
+        tried = payloads.try_payloads(config.streams, options.tried, options.wait)
+        show(payloads.as_data(tried), payloads.as_text(tried), options.json)
+        return 0 if any(one.used for one in tried) else FOUND
+    from hygrokf.live.doctor.examination import as_data, as_text, examine
+
+    file = next((path for path in options.what if path.suffix == ".toml"), None)
+    found = examine(config, file, options.wait, not options.no_page, options.notify)
+    show(as_data(found), as_text(found), options.json)
+    return FOUND if any(one.level == "fault" for one in found) else 0
+
+
+DOCTOR = Verb(
+    "doctor",
+    "check everything that a tracker needs, change nothing, report what to fix",
+    _doctor_arguments,
+    _doctor,
 )

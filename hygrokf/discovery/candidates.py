@@ -24,6 +24,7 @@ from hygrokf.discovery.estimate import (
     fitted,
     frame,
     slopes,
+    weighted,
 )
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
@@ -145,16 +146,13 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
     mine = np.array([one.simulator.names[i] in new for i in f.place])
     information, spread = np.zeros((2, mine.sum(), mine.sum()))
     for q, columns in slopes(one, f).items():
-        known = one.filtered[q]
-        root = np.sqrt(known.weight)
-        white = known.whitened(columns) * root[:, None]
+        white, error = weighted(one, q, columns)
         white = white / np.maximum(np.sqrt((white**2).sum(axis=0)), 1e-300)
         rest = white[:, ~mine]
         rest = rest[:, rest.any(axis=0)]
         basis = np.linalg.qr(rest)[0] if rest.shape[1] else rest
         x = white[:, mine] - basis @ (basis.T @ white[:, mine])
-        score = x * (np.nan_to_num(known.standardised) * root)[:, None]
-        daily = one.simulator.scene.readings[q].by_day(score)
+        daily = one.simulator.scene.readings[q].by_day(x * error[:, None])
         information += x.T @ x
         spread += daily.T @ daily
     return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())

@@ -275,6 +275,15 @@ def slopes(
     return found
 
 
+def weighted(one: Estimate, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened columns (T, c) and errors (T,), both times the roots of the readings' weights."""
+    known = one.filtered[quantity]
+    root = np.sqrt(known.weight)
+    with np.errstate(invalid="ignore", over="ignore"):
+        white = known.whitened(np.nan_to_num(columns)) * root[:, None]
+    return white, np.nan_to_num(known.standardised) * root
+
+
 def _normal_equations(
     one: Estimate, f: Frame, block: Sequence[str], kept: Columns
 ) -> tuple[np.ndarray, np.ndarray]:

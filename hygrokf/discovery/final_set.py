@@ -31,6 +31,7 @@ from hygrokf.discovery.estimate import (
     frame,
     of_priors,
     slopes,
+    weighted,
     with_variances,
 )
 from hygrokf.discovery.judgement import levelled
@@ -148,11 +149,8 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
     names = tuple(one.simulator.names[i] for i in f.place)
     information, spread = np.zeros((2, len(names), len(names)))
     for q, columns in slopes(one, f).items():
-        known = one.filtered[q]
-        root = np.sqrt(known.weight)
-        white = known.whitened(columns) * root[:, None]
-        score = white * (np.nan_to_num(known.standardised) * root)[:, None]
-        daily = one.simulator.scene.readings[q].by_day(score)
+        white, error = weighted(one, q, columns)
+        daily = one.simulator.scene.readings[q].by_day(white * error[:, None])
         information += white.T @ white
         # neighbouring days of a slow disturbance are not independent
         spread += daily.T @ daily

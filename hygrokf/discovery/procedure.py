@@ -36,7 +36,7 @@ from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.search import Found, needed, search
+from hygrokf.discovery.search import Found, Search, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.discovery.told import cause_found, evidence_of, gains, refuted_cause
 from hygrokf.identification.fit import Fit
@@ -163,7 +163,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
     # quantiles of too few readings leave a form without settings
     forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
-    found = search(start, [form for one in forms.values() for form in one], say, budget)
+    found = Search(start, [form for one in forms.values() for form in one], say, budget).run()
     say("parameters of the base and of the extended model")
     ended = concluded(found)
     base = fit_of(record, ended.base, say)

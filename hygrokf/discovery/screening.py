@@ -18,7 +18,7 @@ import numpy as np
 from hygrokf.data.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered, loss
-from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes
+from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes, weighted
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.repeats import joined
 from hygrokf.discovery.simulator import Simulator
@@ -72,10 +72,7 @@ def parent_of(one: Estimate, quantities: Sequence[str] | None = None) -> Parent:
     basis, error, kept = {}, {}, {}
     for q, columns in slopes(one, f, quantities).items():
         kept[q] = {one.simulator.names[i]: columns[:, c] for c, i in enumerate(f.place)}
-        known = one.filtered[q]
-        root = np.sqrt(known.weight)
-        white = known.whitened(columns) * root[:, None]
-        error[q] = np.nan_to_num(known.standardised) * root
+        white, error[q] = weighted(one, q, columns)
         pull = white.T @ error[q]
         held = ((z <= f.lower + near) & (pull < 0.0)) | ((z >= f.upper - near) & (pull > 0.0))
         white = white[:, columns.any(axis=0) & ~held]
@@ -139,7 +136,7 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
     gain = ((one.values[form.freed] - p.prior.mean) / p.prior.sd) ** 2
     for q in one.simulator.affects(form.freed):
         # beyond the limit where its accuracy holds it
-        x = _whitened(one, q, parent.columns[q][form.freed][:, None])
+        x = weighted(one, q, parent.columns[q][form.freed][:, None])[0]
         free = _free_of(parent.basis[q], x)[:, 0]
         square = float(free @ free)
         gain += (
@@ -197,7 +194,7 @@ def screened(parent: Parent, form: Form) -> list[Screened]:
     for p in sizes:
         for q in wider.affects(p.name):
             y = wider.simulated(theta, q, columns)
-            x = _whitened(one, q, y - one.simulated[q][:, None])
+            x = weighted(one, q, y - one.simulated[q][:, None])[0]
             free = _free_of(parent.basis[q], x)
             square = np.maximum((free**2).sum(axis=0), 1e-300)
             share = free.T @ parent.error[q] / square
@@ -224,12 +221,6 @@ def _sized(sizes: Sequence[Parameter], found: Mapping[str, float]) -> dict[str, 
         p.name: float(np.clip((p.null or 0.0) + found[p.name], min(p.lower, p.null or 0.0), p.upper))
         for p in sizes
     }
-
-
-def _whitened(one: Estimate, quantity: str, columns: np.ndarray) -> np.ndarray:
-    known = one.filtered[quantity]
-    with np.errstate(invalid="ignore", over="ignore"):
-        return known.whitened(np.nan_to_num(columns)) * np.sqrt(known.weight)[:, None]
 
 
 def _run(
@@ -267,7 +258,7 @@ def chord_gains(
     one, gain = parent.estimate, np.zeros(theta.shape[1])
     for q in sorted(quantities):
         y = wider.simulated(theta, q, columns)
-        e = parent.error[q][:, None] - _whitened(one, q, y - one.simulated[q][:, None])
+        e = parent.error[q][:, None] - weighted(one, q, y - one.simulated[q][:, None])[0]
         left = _free_of(parent.basis[q], e)
         # what the parent's own step would gain is no gain of theirs
         gain += parent.left[q] - (left**2).sum(axis=0)

@@ -106,10 +106,17 @@ class _Known:
 
 
 class Search:
-    """A search from a base through the forms of causes, which ends where the budget of simulations does."""
+    """A search for what a base lacks, through the forms of causes.
+
+    A round in which the simulations reach the budget names nothing.
+    """
 
     def __init__(
-        self, base: Estimate, forms: Sequence[Form], say: Callable[[str], None], budget: float
+        self,
+        base: Estimate,
+        forms: Sequence[Form],
+        say: Callable[[str], None] = lambda text: None,
+        budget: float = math.inf,
     ) -> None:
         self.base, self.say, self.budget = base, say, budget
         self.forms: dict[str, list[Form]] = {}
@@ -298,16 +305,6 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
         first.setdefault(s.form.code, s)
     rest = [s for s in seen if first[s.form.code] is not s]
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
-
-
-def search(
-    base: Estimate,
-    forms: Sequence[Form],
-    say: Callable[[str], None] = lambda text: None,
-    budget: float = math.inf,
-) -> Found:
-    """Name what a base lacks; a round in which the simulations reach the budget names nothing."""
-    return Search(base, forms, say, budget).run()
 
 
 def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate, moved: Collection[str]) -> Estimate:

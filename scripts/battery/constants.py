@@ -15,7 +15,7 @@ from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.procedure import verdict
-from hygrokf.discovery.search import search
+from hygrokf.discovery.search import Search
 from hygrokf.discovery.starting_model import base_estimate
 
 CONSTANTS = (
@@ -108,13 +108,13 @@ def lines_of(case: Case) -> Iterator[dict]:
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
     forms = [form for cause in LIBRARY for form in cause.forms(ground) if form.grid]
-    found = search(base, forms)
+    found = Search(base, forms).run()
     for one in variants():
         with varied(one):
             again = found
             if one.factor != 1.0 and one.name not in AFTER_THE_SEARCH:
                 own = base_estimate(record) if one.name == "HUBER" else base
-                again = search(own, forms)
+                again = Search(own, forms).run()
             yield told(case, one, concluded(again))
 
 

@@ -83,9 +83,7 @@ def make(case: Case) -> tuple[Record, list[dict], Record | None]:
     else:
         (cause, form), *others = case.causes
         second = others[0] if others else None
-        made = hidden_plant(
-            case.plant_seed, cause, form=form, halved=case.halved, days=DAYS, second=second
-        )
+        made = hidden_plant(case.plant_seed, cause, form=form, halved=case.halved, days=DAYS, second=second)
     record = to_record(made)
     record = to_record(made, until_s=identified_until(record, made))
     return record, [asdict(one) for one in made.truth.hidden], None

@@ -17,7 +17,7 @@ from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fi
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import Scores, judged, levelled, scores
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.search import Found, search
+from hygrokf.discovery.search import Found, Search
 from hygrokf.discovery.starting_model import base_estimate, free_run_error
 
 DAYS = 90.0
@@ -30,7 +30,7 @@ def found(cause: str, seed: int) -> tuple[object, Found, int]:
     record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
-    ended = search(base, [form for one in LIBRARY for form in one.forms(ground)])
+    ended = Search(base, [form for one in LIBRARY for form in one.forms(ground)]).run()
     return made, ended, ended.final.simulator.work.simulations
 
 

@@ -11,7 +11,7 @@ import warnings
 
 import pytest
 
-from hygrokf.live.log import log_to_stderr
+from hygrokf.live.tracking import log_to_stderr
 
 ODD = {
     "name of it": "a\nb \udcff \x00 ä",

@@ -1,0 +1,120 @@
+"""`hygrokf init`, `hygrokf check`, `hygrokf demo`: a case from exports, its contents, and one to try."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from dataclasses import replace
+from pathlib import Path
+
+from hygrokf.commands.activity import activity
+from hygrokf.commands.console import (
+    UserFault,
+    expect_file,
+    expect_own_directory,
+    printable,
+    show,
+    show_reported,
+)
+from hygrokf.commands.inputs import identified, record_of, written
+from hygrokf.commands.verb import Verb, add_json, add_out, whole
+from hygrokf.data.files import FIT
+
+
+def _degrees(text: str) -> tuple[float, float]:
+    """Latitude and longitude."""
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError:
+        latitude = longitude = 999.0
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        raise ArgumentTypeError(f"expected degrees such as 52.4,-0.95, found {text!r}")
+    return latitude, longitude
+
+
+def _init_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "exports", type=Path, nargs="+", metavar="EXPORT", help="CSV, Parquet, Excel or weather file"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("case.toml"), help="the case file to write (default case.toml)"
+    )
+    parser.add_argument("--turbine", metavar="NAME", help="of exports that hold several turbines")
+    parser.add_argument(
+        "--site", type=_degrees, metavar="LAT,LON", help="in degrees, as in --site=52.4,-0.95"
+    )
+    add_json(parser)
+
+
+def _init(options: Namespace) -> int:
+    from hygrokf.cases.case_file import CaseFault, read_case
+    from hygrokf.drafting.draft import draft_case
+    from hygrokf.report.record_text import draft_text
+
+    expect_file(options.out)
+    if options.out.exists():
+        raise UserFault(f"--out {options.out}: expected a new file, found one; remove it or name another one")
+    found = draft_case(options.exports, options.out, turbine=options.turbine, site=options.site)
+    broken = ""
+    try:
+        said = read_case(options.out, cabinet=False, ambient=False).warnings
+        found = replace(found, doubts=tuple(dict.fromkeys((*found.doubts, *said))))
+    except CaseFault as fault:
+        broken = f"the draft needs an edit before it can be read:\n{printable(str(fault))}"
+    show(found, draft_text(found), options.json)
+    if broken:
+        print(broken, file=sys.stderr)
+    return 0
+
+
+INIT = Verb("init", "draft a case file from exports, with its doubts as comments", _init_arguments, _init)
+
+
+def _check_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml", help="the case file")
+    add_json(parser)
+
+
+def _check(options: Namespace) -> int:
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.cases.summary import describe
+    from hygrokf.report.record_text import describe_text
+
+    found = describe(read_case(options.case, cabinet=False))
+    text = describe_text(found)
+    if any(one.signal.startswith("cabinet_") for one in found.signals):
+        text += f"\n\nnext: hygrokf fit {shlex.quote(str(options.case))} --out result"
+    show(found, text, options.json)
+    return 0
+
+
+CHECK = Verb(
+    "check", "show the data of a case as read: spans, steps, gaps, clocks, doubts", _check_arguments, _check
+)
+
+
+def _demo_arguments(parser: ArgumentParser) -> None:
+    add_out(parser, "directory for the case and the results")
+    parser.add_argument("--seed", type=whole(0), default=1, help="seed of the synthetic turbine (default 1)")
+    add_json(parser)
+
+
+def _demo(options: Namespace) -> int:
+    from hygrokf.cases.synthetic import synthetic_turbine, write_case
+    from hygrokf.report.fit_page import fit_blocks
+
+    expect_own_directory(options.out, FIT)
+    former = options.out / "case.toml"
+    if former.is_file() and b"synthetic" not in former.read_bytes():
+        raise UserFault(
+            f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
+        )
+    case = write_case(synthetic_turbine(seed=options.seed), options.out)
+    activity().note(f"synthetic turbine written: {case}")
+    fit = identified(record_of(case), case)
+    page = written(fit, options.out)
+    return show_reported(page, fit.results, fit_blocks(fit.results, {}), options.json)
+
+
+DEMO = Verb("demo", "make a synthetic turbine, fit it, evaluate and report it", _demo_arguments, _demo)
