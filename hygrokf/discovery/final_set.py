@@ -266,9 +266,14 @@ def without_input(one: Estimate, name: str) -> WithoutInput:
         still = scene.with_inputs([(n, simulator.owner(n), value) for n, value in moved.items()])
         other = replace(simulator, scene=still, _cells={})
         theta = other.vector({**own.values, **fixed})
-        begun = estimate_at(other, errors_of(other, theta, one.quantities), theta, own.linear)
-        end = fitted(begun, [n for n in free if n not in fixed])
-        found.append(WithoutInput(words, end.deviances[q] - own.deviances[q], required))
+        # from the model's own error and from that of its time constant now: variances have several maxima
+        for errors, variances in (
+            (own.errors, own.variances),
+            (errors_of(other, theta, one.quantities), None),
+        ):
+            begun = estimate_at(other, errors, theta, own.linear, variances)
+            end = fitted(begun, [n for n in free if n not in fixed])
+            found.append(WithoutInput(words, float(end.deviances[q] - own.deviances[q]), required))
     return min(found, key=lambda other: other.gain)
 
 

@@ -28,7 +28,7 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.discovery_results import DiscoveryResults
-from hygrokf.discovery.final_set import final_set, fit_of
+from hygrokf.discovery.final_set import final_set, fit_of, without_input
 from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.plugin_validation import IDENTIFIER
@@ -39,6 +39,7 @@ from hygrokf.discovery.told import confidence
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT, rests_on
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 STEP = (named("exchange_step"),)
 SUN = (named("solar_gain"), named("condensation"))
@@ -216,6 +217,29 @@ def test_what_a_constant_ambient_cannot_tell_is_open(in_the_sun: Record) -> None
     assert final.bounds("heat_release_operation_ambient") == (-math.inf, math.inf)
     low, high = final.bounds("thermal_time_constant")
     assert 0.0 < low < final.estimate.values["thermal_time_constant"] < high < 4.0 * low
+
+
+def test_whether_an_input_is_needed_does_not_depend_on_the_estimator() -> None:
+    """A set of least free-run errors is no maximum of the likelihood; its model's own maximum is compared."""
+    base = base_estimate(identified(hidden_plant(9101, "solar_gain", days=40.0)))
+    sets = [final_set(base, one) for one in ("likelihood", "output-error")]
+    for name in ("thermal_time_constant", "hygric_k"):
+        found = [without_input(one.estimate, name) for one in sets]
+        assert all(one.enough and one.gain > 20.0 * one.required for one in found)
+        assert found[0].gain == pytest.approx(found[1].gain, rel=0.02)
+
+
+def test_an_ambient_that_the_humidity_does_not_follow_is_not_needed() -> None:
+    made = identified(hidden_plant(9101, "solar_gain", days=40.0))
+    humidity, cabinet = made["ambient_relative_humidity"], made["cabinet_relative_humidity"]
+    saturated = absolute_humidity(1.0, np.interp(humidity.time, *made["ambient_temperature"].known))
+    other = 0.6 * (humidity.value * saturated)[::-1] / saturated
+    elsewhere = made.replace_series(replace(humidity, value=np.clip(other, 0.0, 1.0)))
+    noise = np.random.default_rng(4).normal(0.0, 0.005, len(cabinet.value))
+    held = made.replace_series(replace(cabinet, value=np.clip(0.5 + noise, 0.0, 1.0)))
+    for record, words in ((elsewhere, "a constant vapour outside"), (held, "a relative humidity held")):
+        found = without_input(base_estimate(record), "hygric_k")
+        assert not found.enough and found.words.startswith(words)
 
 
 # -- the held-out part ---------------------------------------------------------------------------------------

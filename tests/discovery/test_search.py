@@ -17,8 +17,8 @@ from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fi
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import Scores, judged, levelled, scores
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.search import Found, Search
-from hygrokf.discovery.starting_model import base_estimate, free_run_error
+from hygrokf.discovery.search import Found, Search, composed
+from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
 
 DAYS = 90.0
 
@@ -55,6 +55,19 @@ def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: tuple[
     assert first.candidate.cause == "solar_gain" and not first.judged.reason
     assert first.judged.after["temperature"] < 0.9 * first.judged.before["temperature"]
     assert first.candidate.strength > 25.0
+
+
+def test_only_the_quantity_that_changed_is_fitted_again(sunny: tuple[object, Found, int]) -> None:
+    base, final = sunny[1].base, sunny[1].final
+    whole = composed(base, [], final, final.quantities)
+    for one in (composed(base, [], final, {"temperature"}), renewed(final, {"temperature"})):
+        assert one.variances["vapour"].tobytes() == final.variances["vapour"].tobytes()
+        mine = [n for n in one.simulator.names if "vapour" in one.simulator.affects(n)]
+        assert mine and all(one.values[n] == final.values[n] for n in mine)
+        assert one.errors.courses["vapour"] is final.errors.courses["vapour"]
+    one = composed(base, [], final, {"temperature"})
+    assert one.deviances["temperature"] == pytest.approx(whole.deviances["temperature"], abs=0.05)
+    assert one.deviances["temperature"] > final.deviances["temperature"] + 50.0
 
 
 def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: tuple[object, Found, int]) -> None:
