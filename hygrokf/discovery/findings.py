@@ -36,6 +36,8 @@ CERTAIN = 1e-8
 """p above which a slow condition is tested again under variances without its own effect."""
 MOST = 8
 """Findings that are reported."""
+BATCH = 8
+"""Conditions whose columns are whitened together."""
 SEEN = 0.5
 """[1] share of its size by which a finding counts as seen in an episode."""
 NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
@@ -43,14 +45,23 @@ NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 @dataclass
 class _State:
-    """The errors of one quantity beside the findings so far; columns and ln p of each condition."""
+    """The errors of one quantity beside the findings so far; ln p of each condition, of which the last is a
+    step, that of a flow or of the readings."""
 
     quantity: str
     rmse: float
     white: Whitened
     conditions: list[Condition]
-    columns: list[np.ndarray] = field(default_factory=list)
+    flow: bool = False
     log_p: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    def columns(self, number: int) -> np.ndarray:
+        """(n, k) of a condition; all at once would fill the memory with years of readings."""
+        one = self.conditions[number]
+        if number < len(self.conditions) - 1:
+            return self.white.columns(one.basis, one.flow)
+        step = self.white.columns(one.basis, False)
+        return self.white.low_passed(step) if self.flow else step
 
 
 def findings(residuals: Residuals) -> list[Finding]:
@@ -100,22 +111,24 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     """ln p of every condition, and of the likeliest step."""
     white, change = state.white, state.white.change()
     state.conditions = [*known, step_at(hours, change.first, change.sharp)]
-    state.columns = [white.columns(one.basis, one.flow) for one in known]
-    step = white.columns(state.conditions[-1].basis, False)
-    state.columns.append(white.low_passed(step) if change.flow else step)
+    state.flow = change.flow
 
     def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
         return min(0.0, under.log_p(table, full=True) + math.log(change.tried))
 
-    ends = np.cumsum([one.shape[1] for one in state.columns])[:-1]
-    tables = np.split(white.whitened(np.column_stack(state.columns)), ends, axis=1)
-    found = [log_p(white, *pair) for pair in zip(state.conditions, tables, strict=True)]
+    found: list[float] = []
+    for first in range(0, len(state.conditions), BATCH):
+        some = state.conditions[first : first + BATCH]
+        tables = [state.columns(first + i) for i in range(len(some))]
+        ends = np.cumsum([one.shape[1] for one in tables])[:-1]
+        tables = np.split(white.whitened(np.column_stack(tables)), ends, axis=1)
+        found += [log_p(white, *pair) for pair in zip(some, tables, strict=True)]
     for i, one in enumerate(state.conditions):
         if one.group == "calendar" and found[i] > math.log(CERTAIN):
-            again = white.rejudged(state.columns[i])
-            found[i] = min(found[i], log_p(again, one, again.whitened(state.columns[i])))
+            again = white.rejudged(columns := state.columns(i))
+            found[i] = min(found[i], log_p(again, one, again.whitened(columns)))
     state.log_p = np.array(found)
 
 
@@ -134,12 +147,12 @@ def _take_out(state: _State, number: int) -> None:
     """What the condition explains; its bins, and all on the same driver, are tested no more."""
     condition = state.conditions[number]
     kin = [
-        columns
-        for one, columns in zip(state.conditions, state.columns, strict=True)
+        state.columns(i)
+        for i, one in enumerate(state.conditions)
         if one.driver and one.driver == condition.driver
     ]
     bins = state.white.columns(dummies(condition.bins), False)
-    state.white = state.white.without(state.columns[number], np.column_stack([bins, *kin]))
+    state.white = state.white.without(state.columns(number), np.column_stack([bins, *kin]))
 
 
 def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | None:
@@ -150,7 +163,7 @@ def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | 
     """
     condition, error = state.conditions[number], state.white.error
     known = np.isfinite(error)
-    effect = np.where(known, state.white.effect(state.columns[number]), np.nan)
+    effect = np.where(known, state.white.effect(state.columns(number)), np.nan)
     course = effect[known] - effect[known].mean()
     if 2.0 * course @ error[known] <= course @ course:
         return None
