@@ -319,14 +319,19 @@ class Likelihood:
     ) -> tuple[np.ndarray | int, ...]:
         """Arguments that all compiled loops share, in their order (`filter_codegen.COMMON`)."""
         t = self.timeline
-        key, y, reset = t.key[part], t.y[part], t.reset[part]
-        table = np.empty(max(1, len(steps.keys) * len(self.recursion.key_nodes)))
+        key, keys, parts = t.key[part], steps.keys, steps.parts
+        if len(key) < len(keys):
+            # where every step has its own length, a table of all would fill the memory
+            used, place = np.unique(key, return_inverse=True)
+            key, keys, parts = place.astype(key.dtype), keys[used], parts[used]
+        y, reset = t.y[part], t.reset[part]
+        table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
         return (
             len(key),
-            len(steps.keys),
+            len(keys),
             self.theta(values),
-            steps.keys,
-            steps.parts,
+            keys,
+            parts,
             table,
             key,
             self._inputs(steps, part),
@@ -480,8 +485,7 @@ class Likelihood:
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
-        for start in range(0, len(self.timeline), CHUNK):
-            part = slice(start, min(start + CHUNK, len(self.timeline)))
+        for part in self._chunks:
             e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
             weight = bounded_weight(e * e / s, self.model.bound)
             e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
@@ -509,15 +513,26 @@ class Likelihood:
 
     def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
         """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
-        blocks, steps = self._tangent_start(values, directions), self._steps(values)
-        _, _, de, _, _ = self._tangent_part(values, steps, self._whole, blocks, True)
-        return de[..., : directions.shape[1]]
+        return self._along(values, directions, True)[1]
 
     def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Free-run residuals (T, k), NaN without reading, and slopes (T, k, r) along directions (d, r)."""
+        e, de = self._along(values, directions, False)
+        return np.where(np.isfinite(self.timeline.y), e, np.nan), de
+
+    def _along(
+        self, values: Mapping[str, float], directions: np.ndarray, gain: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations (T, k) and their slopes (T, k, r) along directions (d, r)."""
         blocks, steps = self._tangent_start(values, directions), self._steps(values)
-        e, _, de, _, _ = self._tangent_part(values, steps, self._whole, blocks, False)
-        return np.where(np.isfinite(self.timeline.y), e, np.nan), de[..., : directions.shape[1]]
+        found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
+        e, _, de, _, _ = zip(*found, strict=True)
+        return np.concatenate(e), np.concatenate(de)[..., : directions.shape[1]]
+
+    @property
+    def _chunks(self) -> list[slice]:
+        count = len(self.timeline)
+        return [slice(first, min(first + CHUNK, count)) for first in range(0, max(count, 1), CHUNK)]
 
     def _tangent_part(
         self,
@@ -534,7 +549,7 @@ class Likelihood:
         for state, dot, seed in zip(*blocks, strict=True):
             e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
             de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
-            key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
+            key_dot = np.empty(max(1, min(len(steps.keys), count) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in steps.long:
                     before = self._widened(piece.start, state)
@@ -570,7 +585,7 @@ class Likelihood:
         width = len(state)
         q = n * (n + 1) // 2
         steps, loglik = self._steps(values), 0.0
-        for part in steps.pieces(self._whole):
+        for part in (piece for chunk in self._chunks for piece in steps.pieces(chunk)):
             through = self._enter(values, steps, part, state)
             out, common = np.zeros(3), self._common(values, steps, state, part)
             filter_loop(r, "trace", gain)("trace", *common, out, rows[part])
