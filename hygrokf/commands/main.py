@@ -1,4 +1,4 @@
-"""The command line: its parser, and the exit status of a command."""
+"""The command line: its parser, the exit status of a command, and the commands `help` and `completion`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,66 @@ import atexit
 import gc
 import os
 import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from pathlib import Path
 
-from hygrokf.commands import case, climate, compare, fit, fleet, help, pages, store, track
+from hygrokf.commands import case, climate, compare, fit, fleet, pages, store, track
 from hygrokf.commands.activity import Activity, running
-from hygrokf.commands.console import INTERRUPTED, USER_FAULT, printable, system_words
-from hygrokf.commands.verb import Verb, add_loudness
-from hygrokf.errors import HygrokfError
+from hygrokf.commands.console import INTERRUPTED, USER_FAULT, UserFault, printable, system_words
+from hygrokf.commands.verb import Verb, add_loudness, parsers_of
+from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.version import __version__
+
+
+def _help_arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("name", nargs="?", metavar="COMMAND", help="the command (default: list all of them)")
+
+
+def _help(options: Namespace) -> int:
+    known = parsers_of(options.parser)
+    if options.name is None:
+        options.parser.print_help()
+        return 0
+    if options.name not in known:
+        raise UserFault(
+            f'there is no command "{options.name}"{suggestion(options.name, known)}; expected one of '
+            f"{', '.join(known)}"
+        )
+    known[options.name].print_help()
+    return 0
+
+
+HELP = Verb("help", "show the arguments of a command", _help_arguments, _help)
+
+SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
+
+
+def _shell(parser: ArgumentParser) -> None:
+    parser.add_argument("shell", choices=SHELLS, help="the shell that is to read the script")
+
+
+def _complete(options: Namespace) -> int:
+    import shtab  # here, because every command imports this module when it starts
+
+    commands = parsers_of(options.parser)
+    for command in commands.values():
+        for action in command._actions:
+            if action.type is Path:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+            elif action.metavar == "COMMAND":
+                action.choices = list(commands)
+    print(shtab.complete(options.parser, options.shell))
+    return 0
+
+
+COMPLETION = Verb("completion", "print the completion script of a shell", _shell, _complete)
+
 
 VERBS = (
     case.DEMO, case.INIT, case.CHECK, fit.FIT, fit.DISCOVER, fit.SIMULATE, fit.EVALUATE,
     fleet.VERB, climate.VERB, compare.COMPARE, compare.TRANSFER, store.EXPORT, track.TRACK, track.DOCTOR,
-    store.RESTORE, store.STORE, pages.REPORT, pages.SUMMARY, help.HELP, help.COMPLETION,
+    store.RESTORE, store.STORE, pages.REPORT, pages.SUMMARY, HELP, COMPLETION,
 )  # fmt: skip
 """The commands in the order of the help."""
 

@@ -213,28 +213,23 @@ def _stepped(one: Estimate, free: set[str], block: tuple[str, ...], kept: Column
         z = f.coordinates(one.theta)
         steps = [_step(matrix, gradient, z, f, damping) for damping in DAMPINGS]
         moved = np.column_stack([f.theta(one.theta, np.clip(z + s, f.lower, f.upper)) for s in steps])
-        trial = _trials(one, moved, block)
-        best = int(np.argmin(trial.deviance))
-        gained = sum(one.deviances[q] for q in block) - trial.deviance[best]
+        deviance, runs = _trials(one, moved, block)
+        best = int(np.argmin(deviance))
+        gained = sum(one.deviances[q] for q in block) - deviance[best]
         if not gained > 0.0:
             break
-        simulated = {q: y[:, best] for q, y in trial.simulated.items()}
+        simulated = {q: y[:, best] for q, y in runs.items()}
         one = replace(one, theta=moved[:, best].copy(), simulated={**one.simulated, **simulated})
         if gained < 0.1:
             break
     return one
 
 
-@dataclass(frozen=True)
-class Trials:
-    """Runs side by side: −2 ln L (n,) and simulated readings (T, n) by quantity."""
-
-    deviance: np.ndarray
-    simulated: Mapping[str, np.ndarray]
-
-
-def _trials(one: Estimate, theta: np.ndarray, block: Sequence[str]) -> Trials:
-    """Parameters (P, n) under the estimate's variances; runs that diverge have an infinite deviance."""
+def _trials(
+    one: Estimate, theta: np.ndarray, block: Sequence[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """−2 ln L (n,), infinite where they diverge, and readings (T, n) of runs with parameters (P, n) under the
+    estimate's variances."""
     total = np.zeros(theta.shape[1])
     simulated = {}
     for q in block:
@@ -248,7 +243,7 @@ def _trials(one: Estimate, theta: np.ndarray, block: Sequence[str]) -> Trials:
         for i, p in enumerate(one.simulator.parameters):
             if p.prior is not None and q in one.simulator.affects(p.name):
                 total += np.array([_prior_term(p, x) for x in theta[i]])
-    return Trials(np.where(np.isfinite(total), total, math.inf), simulated)
+    return np.where(np.isfinite(total), total, math.inf), simulated
 
 
 def slopes(

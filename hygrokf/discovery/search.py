@@ -94,12 +94,6 @@ class _Known:
     candidates: dict[str, tuple[tuple[int, ...], Candidate | None]] = field(default_factory=dict)
     finished: dict[str, tuple[tuple[int, ...], bool]] = field(default_factory=dict)
 
-    def drop(self, cause: str) -> None:
-        """Forget a cause whose forms changed."""
-        self.screened.pop(cause, None)
-        self.candidates.pop(cause, None)
-        self.finished.pop(cause, None)
-
     def mark(self, forms: Sequence[Form], quantities: Sequence[str]) -> tuple[int, ...]:
         mine = set().union(*(acts(form, quantities) for form in forms))
         return tuple(self.version.get(q, 0) for q in quantities if q in mine)
@@ -179,7 +173,8 @@ class Search:
                 # another form of the cause may hold what this one does not
                 self._refuted.append((one, verdict))
                 self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
-                self._known.drop(one.cause)
+                for known in (self._known.screened, self._known.candidates, self._known.finished):
+                    known.pop(one.cause, None)
                 again = True
                 continue
             rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))

@@ -324,22 +324,11 @@ class Likelihood:
             # where every step has its own length, a table of all would fill the memory
             used, place = np.unique(key, return_inverse=True)
             key, keys, parts = place.astype(key.dtype), keys[used], parts[used]
-        y, reset = t.y[part], t.reset[part]
         table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
         return (
-            len(key),
-            len(keys),
-            self.theta(values),
-            keys,
-            parts,
-            table,
-            key,
-            self._inputs(steps, part),
-            y,
-            reset,
-            state,
-            state.copy(),
-        )
+            len(key), len(keys), self.theta(values), keys, parts, table, key, self._inputs(steps, part),
+            t.y[part], t.reset[part], state, state.copy(),
+        )  # fmt: skip
 
     def _inputs(self, steps: SubSteps, part: slice) -> np.ndarray:
         """Inputs of these instants as a view; the compiled loop also reads the row in front of them.

@@ -24,14 +24,28 @@ from hygrokf.live.notification.form import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.restart_advice import heating_sd
-from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.stream import Stream
+from hygrokf.live.sources.local import FileForm, InputForm
+from hygrokf.live.sources.mqtt_form import MqttForm
+from hygrokf.live.sources.opcua_form import OpcUaForm
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.postgres import PostgresForm
+from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
+KINDS: Mapping[str, type[SourceKeys]] = {
+    "file": FileForm,
+    "stdin": InputForm,
+    "mqtt": MqttForm,
+    "mqtts": MqttForm,
+    "opc.tcp": OpcUaForm,
+    "postgresql": PostgresForm,
+    "postgres": PostgresForm,
+}
+"""Scheme of a URL -> form of the table."""
 
 
 class ConfigFault(FormFault):
@@ -51,6 +65,31 @@ class Config:
     page: PageSettings = field(default_factory=PageSettings)
     retention_s: float = RETENTION_S
     channels: tuple[Channel, ...] = ()
+
+
+def stream_of(
+    table: Mapping[str, object], place: Place, folder: Path, mapping: PayloadMapping
+) -> Stream | None:
+    """The stream of a `[[source]]` table; None if the table is faulty, with the faults in `place`.
+
+    Nothing is connected or opened yet.  Paths are relative to `folder`.  With `weather = true` the source
+    delivers weather forecasts.
+    """
+    url = table.get("url")
+    scheme = url.partition(":")[0] if isinstance(url, str) else ""
+    kind = KINDS.get(scheme)
+    if kind is None:
+        schemes = ", ".join(f"{name}:" if name != "stdin" else name for name in KINDS)
+        # the rest of the url may hold a password
+        place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
+        return None
+    own = replace(place, faults=[])
+    form = read_form(kind, table, own)
+    made = form.stream(folder, replace(mapping, weather=form.weather, revision=form.revision), own)
+    if made is not None and form.reach_limit_s is not None:
+        made.reach_limit_s = form.reach_limit_s
+    place.faults.extend(own.faults)
+    return None if own.faults else made
 
 
 def _names(value: object) -> dict[str, str]:

@@ -25,9 +25,8 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.data.toml_form import Place
 from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.procedure import identify
-from hygrokf.live.config import Config, ConfigFault, read_turbine, turbine_of
+from hygrokf.live.config import Config, ConfigFault, read_turbine, stream_of, turbine_of
 from hygrokf.live.plan import Form, plan
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.storage.postgres import SCHEMES, url_fault

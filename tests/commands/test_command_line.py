@@ -14,8 +14,7 @@ from builders.command_line import EVALUATE, FIT, SIMULATE, environment, interrup
 
 from hygrokf.commands.activity import Activity, Loudness, activity, running
 from hygrokf.commands.console import Progress
-from hygrokf.commands.help import SHELLS
-from hygrokf.commands.main import VERBS, _parser
+from hygrokf.commands.main import SHELLS, VERBS, _parser
 from hygrokf.commands.verb import parsers_of
 
 NO_JSON = {"track", "help", "completion"}

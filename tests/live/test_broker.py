@@ -13,6 +13,7 @@ from builders.brokers import authority
 
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.batch import Alarm
+from hygrokf.live.config import stream_of
 from hygrokf.live.sources.broker import (
     EXPIRY_S,
     Broker,
@@ -22,7 +23,6 @@ from hygrokf.live.sources.broker import (
     tls_words,
     unreachable,
 )
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.mqtt_form import MqttForm, default_client_id
 from hygrokf.live.sources.payload import Field, PayloadMapping
 

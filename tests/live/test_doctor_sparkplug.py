@@ -18,13 +18,12 @@ from builders.waiting import eventually
 
 from hygrokf.data.numbers import stated_marks
 from hygrokf.data.toml_form import Place
-from hygrokf.live.config import read_config
+from hygrokf.live.config import read_config, stream_of
 from hygrokf.live.doctor import machine as doctor_machine
 from hygrokf.live.doctor.check import Check
 from hygrokf.live.doctor.examination import examine
 from hygrokf.live.doctor.payloads import try_payloads
 from hygrokf.live.sources import sparkplug_node
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.sparkplug import Sparkplug

@@ -28,11 +28,11 @@ from builders.waiting import PATIENCE_S, eventually
 
 from hygrokf.data.record import Record
 from hygrokf.data.toml_form import Place, keys_of, read_form
+from hygrokf.live.config import stream_of
 from hygrokf.live.service import Service
 from hygrokf.live.sources import opcua as module
 from hygrokf.live.sources import opcua_client
 from hygrokf.live.sources import stream as streams
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import User

@@ -25,12 +25,11 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.data.toml_form import Place
-from hygrokf.live.config import ConfigFault, read_config
+from hygrokf.live.config import ConfigFault, read_config, stream_of
 from hygrokf.live.doctor.examination import examine
 from hygrokf.live.service import Service
 from hygrokf.live.sources import postgres as module
 from hygrokf.live.sources import stream as streams
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused

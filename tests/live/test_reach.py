@@ -14,8 +14,8 @@ from builders.ports import free_port
 from builders.waiting import eventually
 
 from hygrokf.data.toml_form import Place
+from hygrokf.live.config import stream_of
 from hygrokf.live.service import Service
-from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.turbines import Turbine
