@@ -88,23 +88,25 @@ class Timeline:
         return replace(self, y=np.ascontiguousarray(y, dtype=float))
 
     def with_inputs(self, inputs: Mapping[str, np.ndarray]) -> Timeline:
-        """The same run with other values (T,) of inputs that vary within steps; `whole` covers the old and
-        the new values."""
+        """The same run with other values (T,) of inputs that vary within steps; `whole` covers the corners of
+        the old values and the new ones."""
         u = self.u.copy()
         for name, value in inputs.items():
             u[1:, self.varying.index(name)] = value
         changed = replace(self, u=u)
-        whole = {n: np.append(value, changed.input(n)) for n, value in self.whole.items()}
+        whole = {n: np.append(value, changed.input(n)) for n, value in self.corners.items()}
         return replace(changed, whole=whole)
 
     def window(self, first: int, last: int) -> Timeline:
         """Instants first … last−1, including the step to the first one, which starts from an earlier
         state."""
         part = slice(first, last)
+        used, key = np.unique(self.key[part], return_inverse=True)
         return replace(
             self,
             time=self.time[part],
-            key=np.ascontiguousarray(self.key[part]),
+            steps=self.steps[used],
+            key=key.astype(self.key.dtype),
             u=np.ascontiguousarray(self.u[first : last + 1]),
             y=np.ascontiguousarray(self.y[part]),
             reset=np.ascontiguousarray(self.reset[part]),

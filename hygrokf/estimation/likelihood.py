@@ -10,7 +10,7 @@ Shapes: T instants, n states, k outputs, d parameters (all of the model, in its 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -409,7 +409,7 @@ class Likelihood:
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         code = filter_loop(self.recursion, "controlled", False, tuple(controls))
         steps = self._steps(values)
-        for part in steps.pieces(self._whole):
+        for part in self._parts(steps):
             if part.start in steps.long:
                 own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
             own._enter(values, steps, part, state)
@@ -518,6 +518,10 @@ class Likelihood:
         e, _, de, _, _ = zip(*found, strict=True)
         return np.concatenate(e), np.concatenate(de)[..., : directions.shape[1]]
 
+    def _parts(self, steps: SubSteps) -> Iterator[slice]:
+        """The pieces of a run, a chunk at a time."""
+        return (piece for chunk in self._chunks for piece in steps.pieces(chunk))
+
     @property
     def _chunks(self) -> list[slice]:
         count = len(self.timeline)
@@ -574,7 +578,7 @@ class Likelihood:
         width = len(state)
         q = n * (n + 1) // 2
         steps, loglik = self._steps(values), 0.0
-        for part in (piece for chunk in self._chunks for piece in steps.pieces(chunk)):
+        for part in self._parts(steps):
             through = self._enter(values, steps, part, state)
             out, common = np.zeros(3), self._common(values, steps, state, part)
             filter_loop(r, "trace", gain)("trace", *common, out, rows[part])

@@ -439,6 +439,28 @@ def test_free_run_residuals_and_their_slopes(averaged: object) -> None:
         np.testing.assert_allclose(seen, expected, rtol=1e-5, atol=1e-6 * max(1.0, np.abs(expected).max()))
 
 
+def test_a_run_in_chunks_is_the_same_run(joint: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each step has a length of its own, so that a chunk tabulates fewer distinct steps than the run has."""
+    values, likelihood = joint.values, joint.likelihood
+    directions = np.eye(len(joint.model.parameters))
+    line = likelihood.timeline
+    own = line.steps[line.key]
+    own[:, 0] *= 1.0 + 0.1 * np.random.default_rng(3).random(len(own))
+    own_key = np.arange(len(own), dtype=line.key.dtype)
+    likelihood = replace(likelihood, timeline=replace(line, steps=own, key=own_key))
+
+    def run(chunk: int) -> tuple[np.ndarray, ...]:
+        monkeypatch.setattr("hygrokf.estimation.likelihood.CHUNK", chunk)
+        trace, (e, de) = likelihood.trace(values), likelihood.residuals(values, directions)
+        return trace.mean, trace.covariance, trace.variance, e, de, likelihood.slopes(values, directions)
+
+    whole = run(1_000_000)
+    for chunk in (7, 100):
+        for one, other in zip(whole, run(chunk), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert len(own) > 200 and np.isfinite(whole[-1]).any()
+
+
 def test_expected_information_is_the_covariance_of_the_score() -> None:
     """A small linear model simulated 3,000 times from its own joint Gaussian.
 
