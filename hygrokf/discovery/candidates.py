@@ -35,8 +35,8 @@ THRESHOLD = 10.0
 """Evidence from which a cause is accepted."""
 SWEEPS, FOLLOWED, WORSE = 3, 2, 10.0
 """Sweeps of jumps, jumps of a sweep that are fitted, and by how much −2 ln L one may be worse at first."""
-CLOSE, CLOSE_Z = 10.0, 2.0
-"""Evidence by which a rival may stay behind, and standard errors of its days, within which it is one."""
+CLOSE_Z = 2.0
+"""Standard errors of its days by which a rival may stay behind."""
 SENSOR = "humidity_sensor_drift"
 WATER = ("internal_moisture_source", "moisture_sorption", "condensation")
 WATER_SHARE = 0.5
@@ -246,7 +246,7 @@ def alike(best: Candidate, rival: Candidate) -> bool:
     shared = acts(best.form, best.estimate.quantities) & acts(rival.form, best.estimate.quantities)
     if not shared or rival.evidence < THRESHOLD:
         return False
-    if best.evidence - rival.evidence < CLOSE:
+    if best.evidence - rival.evidence < THRESHOLD:
         return True
     daily = np.concatenate([_daily(best.estimate, rival.estimate, q) for q in sorted(shared)])
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z

@@ -21,9 +21,9 @@ from hygrokf.discovery.candidates import Candidate, acts, brought
 from hygrokf.discovery.discovery_results import HeldOutTest, Line
 from hygrokf.discovery.estimate import Estimate, frame, slopes
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fitted_by
-from hygrokf.discovery.judgement import NOTICED, judged, scores
+from hygrokf.discovery.judgement import NOTICED, scores
 from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, needed
+from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, tested
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _judged(
     child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
     after, one = scores(child), name.candidate
     earlier = list(itertools.takewhile(lambda a: a is not name, accepted))
-    verdict = judged(scores(without), after, one.in_days - needed(one, earlier), one.factor)
+    verdict = tested(scores(without), after, one, earlier)
     if effect_of(one.form, without, child, after) < NOTICED:
         return replace(verdict, reason="no_effect")
     return verdict

@@ -25,9 +25,9 @@ LASTING_KINDS = ("step", "drift", "season")
 Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
 """No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
 beside what is named; held-out readings refute every cause that was found."""
-Reason: TypeAlias = Literal["", "worse", "no_gain", "no_effect"]
+Reason: TypeAlias = Literal["", "worse", "no_gain", "unproven", "no_effect"]
 """Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
-spare; it has no effect in the final set."""
+spare, or do not bear out little evidence; it has no effect in the final set."""
 Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
 """Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
 place to later ones; the budget ended the search; the record cannot show it."""

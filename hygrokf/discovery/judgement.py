@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import HeldOutTest, Reason
+from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.error_model import HUBER, Filtered, ahead, filtered, loss
 from hygrokf.discovery.estimate import Estimate, fitted, with_variances
 
@@ -21,6 +21,8 @@ LEVELS = (
 HORIZONS_H = (3.0, 12.0, 48.0)
 BETTER_Z = 2.0
 WORSE_GROWTH = 0.1
+LEAST_IMPROVEMENT = 0.02
+"""Share by which a cause must lower a levelled free-run error, else it is marked, or unproven."""
 NOTICED = 1.0
 """Squared whitened difference of two simulations below which held-out readings do not tell them apart."""
 OLDEST = 1.5
@@ -89,15 +91,21 @@ def difference(one: Mapping[str, Scores], other: Mapping[str, Scores]) -> dict[s
 
 
 def judged(
-    parent: Mapping[str, Scores], child: Mapping[str, Scores], spare: float = 0.0, factor: float = 1.0
+    parent: Mapping[str, Scores],
+    child: Mapping[str, Scores],
+    spare: float = 0.0,
+    factor: float = 1.0,
+    weak: bool = False,
 ) -> HeldOutTest:
     """Compare a child with its parent on held-out readings.
 
-    spare: the child's evidence in days beyond what acceptance needs; factor: its evidence over that in days.
+    spare: the child's evidence in days beyond what acceptance needs; factor: its evidence over that in days;
+    weak: whether it is less than a neighbour's misfit may have.
 
     "worse": ln of a quantity's squared errors grows by more than `WORSE_GROWTH` on average.  "no_gain": no
     quantity's errors fall by `BETTER_Z` standard errors, and the loss in 2 ln L, over `factor`, plus z² of
-    each quantity whose errors rise exceeds `spare`.
+    each quantity whose errors rise exceeds `spare`.  "unproven": a weak one lowers no free-run error by
+    `LEAST_IMPROVEMENT`.
     """
     z, growth, before, after, number = {}, {}, {}, {}, 0
     moved = difference(parent, child)
@@ -124,10 +132,13 @@ def judged(
         spread = daily.std(ddof=1) / math.sqrt(len(daily)) if len(daily) > 1 else math.inf
         z[q] = float(daily.mean() / spread) if spread > 0 else 0.0
     gain = sum(parent[q].deviance - child[q].deviance for q in parent)
-    reason: Reason = ""
+    test = HeldOutTest(z, growth, before, after, gain, number)
     taken = max(0.0, -gain) / factor + sum(max(0.0, v) ** 2 for v in z.values())
     if any(v > WORSE_GROWTH for v in growth.values()):
-        reason = "worse"
-    elif z and not any(v <= -BETTER_Z for v in z.values()) and taken > spare:
-        reason = "no_gain"
-    return HeldOutTest(z, growth, before, after, gain, number, reason)
+        return replace(test, reason="worse")
+    if z and not any(v <= -BETTER_Z for v in z.values()) and taken > spare:
+        return replace(test, reason="no_gain")
+    held_out = any(old.held_out.any() for old in parent.values())
+    if weak and held_out and test.improvement < LEAST_IMPROVEMENT:
+        return replace(test, reason="unproven")
+    return test

@@ -195,8 +195,7 @@ class Search:
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> HeldOutTest:
         child = levelled(foreseen(self.parent, one))
         after, mine = scores(child), acts(one.form, self.parent.quantities)
-        spare = one.in_days - needed(one, self.accepted)
-        return judged({q: before[q] for q in mine}, {q: after[q] for q in mine}, spare, one.factor)
+        return tested({q: before[q] for q in mine}, {q: after[q] for q in mine}, one, self.accepted)
 
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the others, under the renewed error models."""
@@ -346,6 +345,13 @@ def needed(one: Candidate, accepted: Sequence[Accepted]) -> float:
     quantities = one.estimate.quantities
     mine = acts(one.form, quantities)
     return FURTHER if any(mine & acts(a.candidate.form, quantities) for a in accepted) else THRESHOLD
+
+
+def tested(
+    before: Mapping[str, Scores], after: Mapping[str, Scores], one: Candidate, accepted: Sequence[Accepted]
+) -> HeldOutTest:
+    """What held-out readings say of a candidate beside earlier names."""
+    return judged(before, after, one.in_days - needed(one, accepted), one.factor, one.in_days < FURTHER)
 
 
 def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:

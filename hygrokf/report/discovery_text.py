@@ -17,7 +17,7 @@ from hygrokf.discovery.discovery_results import (
     Settings,
 )
 from hygrokf.discovery.forms import IN_SUMMER
-from hygrokf.discovery.judgement import WORSE_GROWTH
+from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
@@ -107,8 +107,6 @@ SCORED_AS = {
 """Quantity of residuals or of the search → scored quantity."""
 NOT_BETTER = "it does not improve the prediction of held-out readings"
 NOT_SEEN = "held-out readings show nothing of it, and can neither refute it nor bear it out"
-LEAST_IMPROVEMENT = 0.02
-"""Share by which a cause must lower a levelled free-run error, else it is marked."""
 SHORT_DAYS = 14
 """Held-out days below which little can be refuted."""
 MOST_SATURATED = 0.01
@@ -376,6 +374,8 @@ def refutation(one: HeldOutTest) -> str:
         return "in the final set of parameters it has no effect"
     if one.reason == "no_gain":
         return "held-out readings speak against it more strongly than the others speak for it"
+    if one.reason == "unproven":
+        return f"little evidence, and no error on held-out readings falls by {percent(LEAST_IMPROVEMENT)}"
     grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
     names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
     return f"with it the errors of the {names} on held-out readings grow"

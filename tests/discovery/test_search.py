@@ -15,7 +15,7 @@ from hygrokf.discovery.conclusion import lines
 from hygrokf.discovery.estimate import Estimate
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.forms import ground_of
-from hygrokf.discovery.judgement import Scores, judged, levelled, scores
+from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.search import Found, Search, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
@@ -139,6 +139,21 @@ def test_the_held_out_part_refutes_what_is_worse_and_what_gains_nothing(
     assert judged(before, warmer(0.3)).reason == "no_gain"
     # more evidence than held-out readings take is left
     assert judged(before, warmer(0.3), spare=1e4).reason == "" == judged(before, before).reason
+
+
+def test_little_evidence_needs_held_out_readings_that_bear_it_out(
+    sunny: tuple[object, Found, int], nothing: tuple[object, Found, int]
+) -> None:
+    base = scores(levelled(sunny[1].base))
+    borne_out = judged(base, scores(levelled(sunny[1].final)), spare=1e4, weak=True)
+    assert borne_out.reason == "" and borne_out.improvement > LEAST_IMPROVEMENT
+    assert judged(base, base, weak=True).reason == "unproven"
+    # nothing was held out
+    one = nothing[1].base
+    scene = one.simulator.scene
+    readings = {q: replace(r, identified=np.full(len(r.value), True)) for q, r in scene.readings.items()}
+    whole = scores(replace(one, simulator=replace(one.simulator, scene=replace(scene, readings=readings))))
+    assert judged(whole, whole, weak=True).reason == ""
 
 
 def test_a_rhythm_that_no_cause_describes_is_a_line(nothing: tuple[object, Found, int]) -> None:
