@@ -68,7 +68,8 @@ def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1")
         "SELECT time, temperature_K, final FROM estimate WHERE turbine = ? ORDER BY time", (name,)
     )
     times, kelvin, final = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
-    assert np.all(final[times <= point.time] == 1) and np.all(final[times > point.time] == 0)
+    wrong = (times <= point.time) != (final == 1)
+    assert not wrong.any(), (point.time, len(times), times[wrong][:5] - point.time, final[wrong][:5])
     place = np.searchsorted(offline.seconds, times - 1e-3)
     t, states, ratio = (
         offline.run.timeline,
