@@ -35,10 +35,6 @@ class Conclusion:
     accepted: tuple[Accepted, ...]
     refuted: tuple[tuple[Candidate, HeldOutTest], ...]
 
-    @property
-    def last(self) -> FinalSet:
-        return self.extended or self.base
-
 
 def concluded(found: Found) -> Conclusion:
     """The sets with which a search ends."""
@@ -47,17 +43,16 @@ def concluded(found: Found) -> Conclusion:
         estimator = final_estimator(found.base, one)
         base, extended = (final_set(model, estimator) for model in (found.base, one))
         verdicts = [_judged(found.base, base, accepted, name, extended, estimator) for name in accepted]
-        worst = max(range(len(accepted)), key=lambda i: _harm(verdicts[i]))
-        if not verdicts[worst].reason:
-            return Conclusion(
-                base,
-                extended,
-                tuple(replace(a, judged=v) for a, v in zip(accepted, verdicts, strict=True)),
-                tuple(refuted),
-            )
-        gone = accepted.pop(worst).candidate
-        refuted.append((gone, verdicts[worst]))
-        one = composed(found.base, [a.chosen for a in accepted], one, acts(gone.form, one.quantities))
+        gone = [i for i, verdict in enumerate(verdicts) if verdict.reason]
+        if not gone:
+            told = tuple(replace(a, judged=v) for a, v in zip(accepted, verdicts, strict=True))
+            return Conclusion(base, extended, told, tuple(refuted))
+        # without an effect first, then the one with which the errors grow most
+        harm = [(v.reason == "no_effect", max(v.growth.values(), default=0.0)) for v in verdicts]
+        worst = max(gone, key=lambda i: harm[i])
+        left_out = accepted.pop(worst).candidate
+        refuted.append((left_out, verdicts[worst]))
+        one = composed(found.base, [a.chosen for a in accepted], one, acts(left_out.form, one.quantities))
     return Conclusion(final_set(found.base, final_estimator(found.base)), None, (), tuple(refuted))
 
 
@@ -82,13 +77,6 @@ def _judged(
     if effect_of(one.form, without, child, after) < NOTICED:
         return replace(verdict, reason="no_effect")
     return verdict
-
-
-def _harm(one: HeldOutTest) -> float:
-    """By how much a name grows the errors, where it is refuted; without an effect it goes first."""
-    if one.reason == "no_effect":
-        return math.inf
-    return max(one.growth.values(), default=0.0) if one.reason else -math.inf
 
 
 SIGNIFICANT = 1e-4
@@ -175,7 +163,7 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
 
 def what_is_left(ended: Conclusion) -> list[Line]:
     """What is left in the errors of the last model, and in the daily scores of what is named."""
-    one, own = ended.last.estimate, {}
+    one, own = (ended.extended or ended.base).estimate, {}
     for accepted in ended.accepted:
         new = {p.name for p in added(ended.base.estimate, accepted.candidate.estimate.simulator)}
         mine = brought(accepted.candidate.form, one.simulator)

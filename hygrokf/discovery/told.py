@@ -187,7 +187,7 @@ def _driven(
         chosen = np.where(r.identified != held_out, r.value - one.simulated[quantity], np.nan)
         return root_mean_square(_outside(r.time_s, chosen, spans))
 
-    return error(ended.base.estimate), error(ended.last.estimate)
+    return error(ended.base.estimate), error((ended.extended or ended.base).estimate)
 
 
 def _gain(
