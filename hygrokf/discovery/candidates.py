@@ -111,11 +111,7 @@ def estimated(
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
     theta = wider.vector({**parent.values, **values})
     one = estimate_at(wider, parent.errors, theta, parent.linear | sizes, parent.variances)
-    return fitted(one, free_of(one, form), effort, kept)
-
-
-def free_of(one: Estimate, form: Form) -> list[str]:
-    return acting(one, acts(form, one.quantities))
+    return fitted(one, acting(one, acts(form, one.quantities)), effort, kept)
 
 
 def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
@@ -188,7 +184,7 @@ def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
                 break
             light = estimated(parent, best.form, setting, values, LIGHT, here.columns)
             if light.deviance < best.estimate.deviance + 0.5 * WORSE:
-                one = fitted(light, free_of(light, best.form), POLISH)
+                one = fitted(light, acting(light, mine), POLISH)
                 if one.deviance < best.estimate.deviance - 0.1:
                     best = replace(candidate(parent, one, best.form, setting, searched), alike=best.alike)
         steps = {key: 0.5 * step for key, step in steps.items()}

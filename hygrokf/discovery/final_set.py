@@ -251,7 +251,7 @@ def without_input(one: Estimate, name: str) -> WithoutInput:
     of the likelihood."""
     from scipy.special import chdtri
 
-    (q,) = one.simulator.affects(name)
+    q = one.simulator.affects(name)[0]
     scene, simulator = one.simulator.scene, one.simulator
     time, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
     if "vapour" in scene.readings:

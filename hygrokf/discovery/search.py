@@ -16,7 +16,6 @@ from hygrokf.discovery.candidates import (
     brought,
     candidate,
     estimated,
-    free_of,
     grafted,
     jumped,
     lead,
@@ -282,7 +281,7 @@ class Search:
         mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
         if self._known.finished.get(one.cause) in ((mark, True), (mark, leads)):
             return one
-        made = fitted(one.estimate, free_of(one.estimate, one.form), POLISH)
+        made = fitted(one.estimate, acting(one.estimate, acts(one.form, one.estimate.quantities)), POLISH)
         again = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
         one = replace(again, alike=one.alike)
         if leads and one.evidence > 0.0:

@@ -232,16 +232,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
     which = "base" if found.extended is None else "extended"
     lines = (
         "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
-        "enters as flows of heat and vapour, with a spectrum of its own. A block bootstrap, which keeps the "
-        "autocorrelation of the errors, tested the errors under every condition: episodes, regimes, hour, "
-        "season, level, rate and lag of every driver, steps and drifts. The rate of false discoveries is "
-        "controlled over all conditions together.",
+        "enters as flows of heat and vapour, with a spectrum of its own. Score tests under this error model "
+        "looked for structure under every condition: episodes, regimes, hour, season, level, rate and lag of "
+        "every driver, steps and drifts. The rate of false discoveries is controlled over all of them.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
         f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
         "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
         "same must hold by days, which are fewer than readings where they resemble each other.",
         "Choices rest on the identification readings. Held-out readings refute a cause with which the errors "
-        "3, 12 and 48 h ahead or of the free run grow; they choose nothing else. The bounds of the errors’ "
+        "3, 12 and 48 h ahead or of the free run grow, one that they speak against, and one with little "
+        "evidence that lowers no free-run error; they choose nothing else. The bounds of the errors’ "
         "fall take days as independent; they show how much it varies within this period, not in another "
         "season.",
         "Confidence is how often a name with such evidence and such a lead over its rivals was right on "

@@ -210,7 +210,9 @@ def answer(found: DiscoveryResults) -> str:
     if found.verdict == "unexplained" and names:
         return f"Something is missing beside {names}"
     if found.verdict == "refuted":
-        return f"Held-out readings refute {listed(formed(one.cause, one.form) for one in found.refuted)}"
+        mild = all(one.held_out.reason == "unproven" for one in found.refuted)
+        names = listed(formed(one.cause, one.form) for one in found.refuted)
+        return f"Held-out readings {'do not bear out' if mild else 'refute'} {names}"
     return NOT_RIGHT if found.verdict == "none" and _doubts(found) else VERDICTS[found.verdict]
 
 
@@ -375,7 +377,9 @@ def refutation(one: HeldOutTest) -> str:
     if one.reason == "no_gain":
         return "held-out readings speak against it more strongly than the others speak for it"
     if one.reason == "unproven":
-        return f"little evidence, and no error on held-out readings falls by {percent(LEAST_IMPROVEMENT)}"
+        return (
+            f"its evidence is small, and it lowers no held-out free-run error by {percent(LEAST_IMPROVEMENT)}"
+        )
     grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
     names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
     return f"with it the errors of the {names} on held-out readings grow"

@@ -236,7 +236,8 @@ def test_a_refuted_cause_is_told_with_its_reason_and_numbers() -> None:
     no_gain["refuted"][0]["held_out"]["reason"] = "no_gain"
     assert "held-out readings speak against it more strongly than the others speak for it" in words(no_gain)
     no_gain["refuted"][0]["held_out"]["reason"] = "unproven"
-    assert "little evidence, and no error on held-out readings falls by 2 %" in words(no_gain)
+    assert "its evidence is small, and it lowers no held-out free-run error by 2 %" in words(no_gain)
+    assert verdict(no_gain).value.startswith("Held-out readings do not bear out unlogged heater")
 
 
 def test_water_is_told_with_an_error_of_the_humidity_sensor() -> None:
