@@ -1,4 +1,8 @@
-"""The confidence of a name from lines of results: three coefficients by maximum likelihood."""
+"""The confidence of a name from lines of results: three coefficients by maximum likelihood.
+
+Names of all groups of simulated plants calibrate it, but those of the group `confidence`, which holds plants as
+they may come: these test it (`battery.tables`).
+"""
 
 from __future__ import annotations
 
@@ -18,17 +22,17 @@ maximum."""
 def calibrated(lines: Iterable[Mapping]) -> str:
     """The coefficients of `hygrokf.discovery.told.CONFIDENCE`, and how they state what was observed.
 
-    P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name of the plants that was told.
-    Raises ValueError for fewer than 30 names.
+    P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name that was told.  Raises
+    ValueError for fewer than 30 names.
     """
     told = [
         (one["evidence_in_days"], one["lead"], one["cause"] in truths(line))
         for line in lines
-        if line["group"] == "confidence" and not line["failure"]
+        if line["group"] not in ("confidence", "measured") and not line["failure"]
         for one in names(line)
     ]
     if len(told) < FEWEST:
-        raise ValueError(f"expected at least {FEWEST} names of the group confidence, found {len(told)}")
+        raise ValueError(f"expected at least {FEWEST} names to calibrate by, found {len(told)}")
     in_days, lead, right = np.array(told, dtype=float).T
     x = np.column_stack([np.ones(len(told)), np.log(np.maximum(in_days, 1.0)), lead])
     scale = np.array([1.0, 1.0, max(float(np.std(lead)), 1.0)])

@@ -168,12 +168,14 @@ def test_coefficients_of_the_confidence_come_back() -> None:
         chance = 1.0 / (1.0 + np.exp(-(-3.0 + 0.8 * np.log(in_days) + 0.03 * lead)))
         cause = "solar_gain" if random.random() < chance else "rain_ingress"
         told = name(cause, evidence_in_days=in_days, lead=lead)
-        some.append(line("confidence", ("solar_gain",), told, key=str(place)))
-    text = part("calibration").calibrated([*some, failed("confidence", "solar_gain"), line("nulls")])
+        some.append(line("causes", ("solar_gain",), told, key=str(place)))
+    others = [failed("causes", "solar_gain"), line("nulls")]
+    others += [line(kind, ("rain_ingress",), told, key=kind) for kind in ("confidence", "measured")]
+    text = part("calibration").calibrated([*some, *others])
     found = [float(one) for one in text.partition("(")[2].partition(")")[0].split(", ")]
     assert found == pytest.approx([-3.0, 0.8, 0.03], rel=0.25) and "2000 names" in text
     assert all(abs(float(one.split()[5])) < 0.03 for one in text.splitlines()[1:])
-    with pytest.raises(ValueError, match="at least 30 names of the group confidence, found 1"):
+    with pytest.raises(ValueError, match="at least 30 names to calibrate by, found 1"):
         part("calibration").calibrated(some[:1])
 
 
