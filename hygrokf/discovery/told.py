@@ -29,7 +29,7 @@ from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, root_m
 from hygrokf.discovery.search import Accepted, foreseen
 from hygrokf.physics.parameters import Parameter
 
-CONFIDENCE = (-6.1, 1.24, 0.01)
+CONFIDENCE = (-1.26, 0.531, 0.00118)
 """Constant, weight of ln of the evidence in days, and weight of its lead in days: of the logistic
 confidence."""
 SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
