@@ -1,7 +1,7 @@
 """The confidence of a name from lines of results: three coefficients by maximum likelihood.
 
-Names of all groups of simulated plants calibrate it, but those of the group `confidence`, which holds plants as
-they may come: these test it (`battery.tables`).
+Names of all groups of simulated plants calibrate it, but those of the group `confidence`, which holds
+plants as they may come: these test it (`battery.tables`).
 """
 
 from __future__ import annotations
