@@ -23,6 +23,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
+    TIME_CONSTANT,
     Estimate,
     acting,
     errors_of,
@@ -251,7 +252,7 @@ def without_input(one: Estimate, name: str) -> WithoutInput:
     of the likelihood."""
     from scipy.special import chdtri
 
-    q = one.simulator.affects(name)[0]
+    q = next(quantity for quantity, own in TIME_CONSTANT.items() if own == name)
     scene, simulator = one.simulator.scene, one.simulator
     time, vapour = scene.edges_s / HOUR_S, np.full(len(scene.edges_s), np.nan)
     if "vapour" in scene.readings:
