@@ -23,7 +23,7 @@ _WHERE = {
     "write_fit": "identification.fit",
     "write_report": "report.fit_page",
     "evaluate": "identification.fit_on_record",
-    "prepare_run": "modelling.inputs",
+    "model_inputs": "modelling.inputs",
     "simulate": "evaluation.simulation",
     "forecast": "evaluation.simulation",
     "Parameter": "physics.parameters",
@@ -33,12 +33,12 @@ _WHERE = {
     "extend": "physics.model",
     "Model": "physics.model",
     "Likelihood": "estimation.likelihood",
-    "maximise": "estimation.optimiser",
-    "confidence_bounds": "estimation.inference",
-    "system_time_constants": "estimation.inference",
+    "fit_mle": "estimation.optimiser",
+    "confidence_intervals": "estimation.inference",
+    "modal_time_constants": "estimation.inference",
     "smooth": "estimation.smoother",
-    "filterpy_filter": "estimation.smoother",
-    "thermal_system": "modelling.thermal_system",
+    "to_filterpy": "estimation.smoother",
+    "to_statespace": "modelling.thermal_system",
     "discover": "discovery.procedure",
     "Cause": "discovery.library",
     "cause_of": "discovery.library",
@@ -65,12 +65,12 @@ if TYPE_CHECKING:
     from hygrokf.discovery.own_causes import load_library as load_library
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.errors import HygrokfError as HygrokfError
-    from hygrokf.estimation.inference import confidence_bounds as confidence_bounds
-    from hygrokf.estimation.inference import system_time_constants as system_time_constants
+    from hygrokf.estimation.inference import confidence_intervals as confidence_intervals
+    from hygrokf.estimation.inference import modal_time_constants as modal_time_constants
     from hygrokf.estimation.likelihood import Likelihood as Likelihood
-    from hygrokf.estimation.optimiser import maximise as maximise
-    from hygrokf.estimation.smoother import filterpy_filter as filterpy_filter
+    from hygrokf.estimation.optimiser import fit_mle as fit_mle
     from hygrokf.estimation.smoother import smooth as smooth
+    from hygrokf.estimation.smoother import to_filterpy as to_filterpy
     from hygrokf.evaluation.simulation import forecast as forecast
     from hygrokf.evaluation.simulation import simulate as simulate
     from hygrokf.identification.fit import Fit as Fit
@@ -79,8 +79,8 @@ if TYPE_CHECKING:
     from hygrokf.identification.fit_on_record import evaluate as evaluate
     from hygrokf.identification.procedure import identify as identify
     from hygrokf.live.tracker import Tracker as Tracker
-    from hygrokf.modelling.inputs import prepare_run as prepare_run
-    from hygrokf.modelling.thermal_system import thermal_system as thermal_system
+    from hygrokf.modelling.inputs import model_inputs as model_inputs
+    from hygrokf.modelling.thermal_system import to_statespace as to_statespace
     from hygrokf.physics.mechanisms import linear_network as linear_network
     from hygrokf.physics.model import Mechanism as Mechanism
     from hygrokf.physics.model import Model as Model

@@ -78,8 +78,8 @@ fans, hot, warm = np.array(rows).T
 inputs = {"ambient": ambient, "sun": sun, "charging": charging, "fan_on": fans}
 made = timeline(model, time, inputs, {"electronics_reading": hot, "air_reading": warm})
 likelihood = hygrokf.Likelihood(model, made)
-estimate = hygrokf.maximise(likelihood, count=2)
-bounds = hygrokf.confidence_bounds(likelihood, estimate, method="wald")
+estimate = hygrokf.fit_mle(likelihood, count=2)
+bounds = hygrokf.confidence_intervals(likelihood, estimate, method="wald")
 truth = {"electronics_h": 0.25, "enclosure_h": 0.8, "loss_K": 32.0, "fan_gain": 2.5, "roof_gain": 9.0}
 for name, true in truth.items():
     found, one = estimate.values[name], bounds[name]

@@ -2,8 +2,8 @@
 Export to python-control and filterpy
 =====================================
 
-An identified model is not locked in. `thermal_system` gives the network as a `control.StateSpace`;
-`filterpy_filter` gives the whole model as an extended Kalman filter of filterpy, which reaches the same
+An identified model is not locked in. `to_statespace` gives the network as a `control.StateSpace`;
+`to_filterpy` gives the whole model as an extended Kalman filter of filterpy, which reaches the same
 log-likelihood.
 """
 
@@ -20,16 +20,16 @@ turbine = hygrokf.synthetic_turbine(seed=1, days=12)
 record = hygrokf.read_case(hygrokf.write_case(turbine, tempfile.mkdtemp()))
 record = replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
 fit = hygrokf.identify(record, starts=1, profiles=False)
-system = hygrokf.thermal_system(fit.design, fit.values)
+system = hygrokf.to_statespace(fit.design, fit.values)
 print(system)
 
 # %%
 # filterpy's filter over the first day, beside the package's own.
 
-run = hygrokf.prepare_run(fit.design, record)
+run = hygrokf.model_inputs(fit.design, record)
 likelihood = hygrokf.Likelihood(fit.design.model, run.timeline)
 own = likelihood.trace(fit.values)
-other = hygrokf.filterpy_filter(likelihood, fit.values)
+other = hygrokf.to_filterpy(likelihood, fit.values)
 days = run.timeline.time[: np.searchsorted(run.timeline.time, 24.0)]
 course = []
 for k in range(len(days)):

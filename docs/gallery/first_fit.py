@@ -23,7 +23,7 @@ print(fit.to_frame().iloc[:, :5].round(3))
 # %%
 # The same model, driven by the inputs of the whole record. Standard deviations come with every value.
 
-run = hygrokf.prepare_run(fit.design, record)
+run = hygrokf.model_inputs(fit.design, record)
 free_run = hygrokf.simulate(fit.design, fit.values, run)
 day = run.timeline.time / 24.0
 held_out = day > (record.until_s - run.timeline.origin_s) / 86400.0

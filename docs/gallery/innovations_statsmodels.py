@@ -60,7 +60,7 @@ for network in (one, two):
     model = hygrokf.compose([network], dict.fromkeys(("ambient", "heat"), "mean"))
     made = timeline(model, time, {"ambient": ambient, "heat": heat}, {"read": np.array(readings)})
     likelihood = hygrokf.Likelihood(model, made)
-    trace = likelihood.trace(hygrokf.maximise(likelihood, count=2).values)
+    trace = likelihood.trace(hygrokf.fit_mle(likelihood, count=2).values)
     error = (made.reading("read") - trace.prediction[:, 0]) / np.sqrt(trace.variance[:, 0])
     innovations[network.name] = error[40:]
     print(f"{network.name}: log-likelihood {trace.loglik:.1f}")

@@ -68,7 +68,7 @@ print(f"{estimate.value:.2f} K ({estimate.lower:.2f} … {estimate.upper:.2f}), 
 
 figure, axis = plt.subplots(figsize=(9, 4))
 for fit, label, colour in ((found.base, "base model", "C3"), (found.extended, f"with {cause.cause}", "C0")):
-    run = hygrokf.prepare_run(fit.design, record)
+    run = hygrokf.model_inputs(fit.design, record)
     error = hygrokf.simulate(fit.design, fit.values, run).temperature[0]
     error = error - run.timeline.reading("cabinet_temperature")
     there = np.isfinite(error)

@@ -50,17 +50,17 @@ def floor_in_the_sun() -> hygrokf.Mechanism:
 # Extend the model with it. At the null value the likelihood is that of the base model.
 
 base = design(record, kind="thermal")
-run = hygrokf.prepare_run(base, record)
+run = hygrokf.model_inputs(base, record)
 made = run.timeline
 likelihood = hygrokf.Likelihood(base.model, made)
-before = hygrokf.maximise(likelihood, count=1)
+before = hygrokf.fit_mle(likelihood, count=1)
 admit({"floor_in_the_sun": floor_in_the_sun}, {}, {"python": "gallery"})
 wider = extended(base, [("floor_in_the_sun", {})])
-wide_run = hygrokf.prepare_run(wider, record)
+wide_run = hygrokf.model_inputs(wider, record)
 wide = hygrokf.Likelihood(wider.model, wide_run.timeline)
 assert np.isclose(wide.value({**before.values, "floor_gain": 0.0}), before.loglik)
-after = hygrokf.maximise(wide, {**before.values, "floor_gain": 1.0}, count=1)
-gain = hygrokf.confidence_bounds(wide, after, ["floor_gain"], "wald")["floor_gain"]
+after = hygrokf.fit_mle(wide, {**before.values, "floor_gain": 1.0}, count=1)
+gain = hygrokf.confidence_intervals(wide, after, ["floor_gain"], "wald")["floor_gain"]
 print(f"twice the gain of the log-likelihood: {2 * (after.loglik - before.loglik):.0f} (3.84 at 5 %)")
 print(
     f"gain {after.values['floor_gain']:.1f} K ({gain.lower:.1f} … {gain.upper:.1f}) at 1 kW/m², made with 6 K"

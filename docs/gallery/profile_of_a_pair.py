@@ -45,8 +45,8 @@ likelihood = hygrokf.Likelihood(model, made)
 # %%
 # The maximum, with bounds of each parameter alone.
 
-best = hygrokf.maximise(likelihood, count=2)
-bounds = hygrokf.confidence_bounds(likelihood, best, ["tau", "release"])
+best = hygrokf.fit_mle(likelihood, count=2)
+bounds = hygrokf.confidence_intervals(likelihood, best, ["tau", "release"])
 for name, one in bounds.items():
     print(f"{name}: {best.values[name]:.2f} ({one.lower:.2f} … {one.upper:.2f})")
 
@@ -59,7 +59,7 @@ drop = np.array(
     [
         [
             best.loglik
-            - hygrokf.maximise(likelihood, best.values, fixed={"tau": a, "release": b}, count=1).loglik
+            - hygrokf.fit_mle(likelihood, best.values, fixed={"tau": a, "release": b}, count=1).loglik
             for a in tau
         ]
         for b in release

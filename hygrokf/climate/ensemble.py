@@ -22,7 +22,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import Switchboard, all_on, cut, switches_of
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import inputs_between
@@ -136,7 +136,7 @@ def _factor(covariance: np.ndarray) -> np.ndarray:
 
 def course(fit: Fit, record: Record) -> Run:
     """The instants of weather and power for a fit's model; raises ValueError where they do not suffice."""
-    return prepare_run(read_as(fit.design, record), record)
+    return model_inputs(read_as(fit.design, record), record)
 
 
 def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:

@@ -48,7 +48,7 @@ from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.identification.verdict import with_reasons, with_verdicts
 from hygrokf.identification.verdict_terms import Reason
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.parameters import Coordinates
 
 Estimator = Literal["likelihood", "output-error"]
@@ -221,7 +221,7 @@ def final_designs(final: FinalSet) -> tuple[Design, ...]:
 def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage:
     """One likelihood at the set's values, with the set's covariance."""
     say("sizes of the disturbances")
-    run = prepare_run(base, early)
+    run = model_inputs(base, early)
     likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
     known = final.estimate.values
     held = {

@@ -30,7 +30,7 @@ ALIKE = 1e-6
 """[1] product of the normalised left and right eigenvectors below which two eigenvalues count as equal."""
 
 
-def confidence_bounds(
+def confidence_intervals(
     likelihood: Likelihood,
     estimate: Estimate,
     names: Sequence[str] | None = None,
@@ -39,7 +39,7 @@ def confidence_bounds(
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
 
-    likelihood, estimate: the estimate that `maximise` made from this likelihood.
+    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
     names: of the parameters.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
         sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
@@ -84,7 +84,7 @@ class TimeConstant:
     states: Mapping[str, float]
 
 
-def system_time_constants(
+def modal_time_constants(
     likelihood: Likelihood,
     estimate: Estimate,
     level: float = 0.95,
@@ -99,7 +99,7 @@ def system_time_constants(
     with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
     coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    likelihood, estimate: the estimate that `maximise` made from this likelihood.
+    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
     level: [1] of confidence, between 0 and 1.
     state, inputs: where a nonlinear model is linearised, in the model's units; values not given there are the
         means of the filtered states and the medians of the inputs over the record.

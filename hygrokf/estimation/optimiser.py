@@ -347,7 +347,7 @@ def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> fl
     return max(floors)
 
 
-def maximise(
+def fit_mle(
     likelihood: Likelihood,
     values: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,

@@ -107,7 +107,7 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
     return result
 
 
-def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
+def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
     """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
     likelihood: of the model on its timeline, with n states.

@@ -225,7 +225,7 @@ def simulate(
     """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
-    run: of `prepare_run`, with T instants.
+    run: of `model_inputs`, with T instants.
     covariance: (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
     rate_step: [1] as in `Likelihood`.
 
@@ -287,7 +287,7 @@ def forecast(
     """Forecasts from filtered states at instants of a run, compared with the readings that came.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
-    run: of `prepare_run`.
+    run: of `model_inputs`.
     first, count: instant after which forecasts start, and how many of them, spread evenly.
     leads_h: [h] how far ahead.
     rate_step: [1] as in `Likelihood`.

@@ -28,7 +28,7 @@ from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 
 ONE_SYSTEM_S = 30.0
 """[s] prior standard deviation of an offset between signals of one source, whose stamps are often full
@@ -110,7 +110,7 @@ def clock_offsets(
     moved, names = [], []
     for name, group in groups.items():
         shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
-        other = prepare_run(base, shifted)
+        other = model_inputs(base, shifted)
         there = _matched(run, other)
         if there is None:
             continue

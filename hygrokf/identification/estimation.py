@@ -22,8 +22,8 @@ from hygrokf.estimation.optimiser import (
     Estimate,
     Objective,
     climb,
+    fit_mle,
     least_objective,
-    maximise,
     refine,
     reject_below,
 )
@@ -34,7 +34,7 @@ from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
 from hygrokf.identification.needed_inputs import WithoutInput, without_input
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR
 
 LEVEL = 0.95
@@ -100,8 +100,8 @@ def select_form(
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
         return found, forms
-    run = prepare_run(chosen.design, early)
-    estimate = maximise(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
+    run = model_inputs(chosen.design, early)
+    estimate = fit_mle(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
     last, further = select_form(early, DesignEstimate(chosen.design, run, reject_below(least, estimate)), say)
     if ended_at_limits(last.estimate, found.estimate):
@@ -113,9 +113,9 @@ def estimate_design(
     early: Record, base: Design, starts: int, say: Progress, values: Mapping[str, float] | None = None
 ) -> DesignEstimate:
     """Maximum likelihood of one design; `values`: of the first start."""
-    run = prepare_run(base, early)
+    run = model_inputs(base, early)
     likelihood = Likelihood(base.model, run.timeline)
-    estimate = maximise(likelihood, values, count=starts, progress=say, search=_search(likelihood))
+    estimate = fit_mle(likelihood, values, count=starts, progress=say, search=_search(likelihood))
     return DesignEstimate(base, run, estimate)
 
 
@@ -177,7 +177,7 @@ def _sampling(
     if not sparse or not all(len(s) > 2 for s in sparse):
         return None
     say("ambient sampling")
-    estimate, run = old.estimate, prepare_run(old.base, early.replace_series(*sparse))
+    estimate, run = old.estimate, model_inputs(old.base, early.replace_series(*sparse))
     likelihood = Likelihood(old.base.model, run.timeline)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
     values = estimate.coordinates.values(found.z)
@@ -227,7 +227,7 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
 
     def free_run(one: Design) -> OutputError:
         start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
-        run = settled(one, start, prepare_run(one, early))
+        run = settled(one, start, model_inputs(one, early))
         known = run.timeline.with_readings(np.where(run.scored[:, None], run.timeline.y, np.nan))
         return fit_output_error(Likelihood(one.model, known), start)
 

@@ -17,7 +17,7 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 COLUMNS = {
@@ -64,7 +64,7 @@ def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
     loggers."""
     base = read_as(fit.design, record)
-    run = settled(base, fit.values, prepare_run(base, record))
+    run = settled(base, fit.values, model_inputs(base, record))
     return base, run, simulate(base, fit.values, run, fit.covariance)
 
 

@@ -29,7 +29,7 @@ from hygrokf.estimation.confidence import Uncertainty, uncertainty_by
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
 from hygrokf.modelling.design import TEMPERATURE, Design, extended
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates
 
@@ -182,7 +182,7 @@ def weigh_forms(
 
     def try_form(one: Candidate) -> tuple[Form, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
-        timeline = prepare_run(one.design, early).timeline
+        timeline = model_inputs(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
         found = _fitted(one, likelihood, estimate, scout, known)
         if found is None:

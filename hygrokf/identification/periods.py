@@ -175,7 +175,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
         power, running = mean(relative), mean((relative > 0).astype(float))
         usable &= np.isfinite(power)
     for name in heaters:
-        # as in `modelling.inputs.prepare_run`, a missing duty counts as 0
+        # as in `modelling.inputs.model_inputs`, a missing duty counts as 0
         usable &= ~(mean((np.nan_to_num(at_times(record[name], middle, 24.0)) > 0).astype(float)) > 0)
     width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
     spans = ((cabinet_range, width_K), (ambient_range, width_K), ((power, power), width))

@@ -58,7 +58,7 @@ from hygrokf.modelling.design import (
     merged,
     read_as,
 )
-from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
+from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, model_inputs
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
 
@@ -286,7 +286,7 @@ def assemble_fit(
         for stage in stages
         for p in stage.estimate.coordinates.parameters
     }
-    run = settled(whole, values, prepare_run(whole, record), rate_step)
+    run = settled(whole, values, model_inputs(whole, record), rate_step)
     spread = _covariance(stages, whole, by_free_run, values)
     predicted = simulate(whole, values, run, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)

@@ -29,7 +29,7 @@ from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.modelling.design import extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 STATES = {
     "thermal_time_constant": (("log_thermal_change", (0.05, 0.2, 0.6)),),
@@ -131,7 +131,7 @@ def isolate(
     if "ambient_absolute_humidity" in plan.model.inputs:
         additions.append(("wandering_ambient_humidity", {}))
     wide = replace(plan, design=extended(plan.design, additions))
-    t = prepare_run(wide.design, record).timeline
+    t = model_inputs(wide.design, record).timeline
     # the smallest drift rates that the model allows hold every state constant
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
     still = {**wide.values, **{p.name: p.lower for p in wide.model.parameters if p.name in wandering}}

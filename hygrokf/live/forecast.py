@@ -30,7 +30,7 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import OPERATION, Scenarios
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.live.water import on_the_safe_side
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR, MEAN
 
 LIMIT = 0.8
@@ -120,7 +120,7 @@ def moments_by_member(
         series = (_series(plan, name, scenarios, values) for name, values in sorted(member.items()))
         record = Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
         try:
-            whole = prepare_run(plan.design, record)
+            whole = model_inputs(plan.design, record)
         except (ValueError, KeyError) as fault:
             raise NoForecast(f"the model needs inputs that are unknown in the future: {fault}") from fault
         made = whole.timeline

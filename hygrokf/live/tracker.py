@@ -3,7 +3,7 @@
 Readings are stored by their own times.  Up to the **point**, about `lateness_s` before the newest reading,
 the estimate is final and kept as a Gaussian; from there on the filter runs again whenever readings come in.
 Final estimates equal those of the offline filter on the same readings (`offline_course`) bit for bit, because
-both take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
+both take the same steps: instants and inputs come from `modelling.inputs.model_inputs`, and the inputs at an
 instant depend only on the readings around it.
 """
 
@@ -29,7 +29,7 @@ from hygrokf.live.changes import SAME_S as SAME_S
 from hygrokf.live.changes import changed_trace
 from hygrokf.live.frozen import Frozen, frozen_runs
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, BEFORE, Plan
-from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
+from hygrokf.modelling.inputs import Run, longest_gap_h, model_inputs
 
 WAITS_S = 7 * DAY_S
 """[s] for which estimates from the inputs alone wait for a late delivery of silent cabinet sensors."""
@@ -334,7 +334,7 @@ class Tracker:
             for signal, times in self._times.items()
         }
         self._accepted = {signal: one.accepted for signal, one in judged.items()}
-        made = prepare_run(
+        made = model_inputs(
             self.plan.design, self._record_with_ended_gaps(), beyond=self.silent_since() is not None
         )
         silent_s = silent_since(self._times, self.plan.lateness_s)
@@ -557,7 +557,7 @@ def offline_course(plan: Plan, record: Record, changes: Iterable[float] = ()) ->
     values = {s.signal: s.value for s in record.series}
     accepted = record_of(plan, times, values, {s.signal: s.lost for s in record.series})
     silent_s = silent_since({s.signal: s.time for s in accepted.series}, plan.lateness_s)
-    made = prepare_run(plan.design, accepted, beyond=silent_s is not None)
+    made = model_inputs(plan.design, accepted, beyond=silent_s is not None)
     trace = changed_trace(plan.likelihood(made.timeline), plan.values, None, changes)
     return Course(made, trace, read={s.signal: s.time for s in accepted.series})
 

@@ -55,7 +55,7 @@ def longest_gap_h(signal: str) -> float:
     return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
 
 
-def prepare_run(design: Design, record: Record, *, beyond: bool = False) -> Run:
+def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run:
     """Put inputs and readings of a record on the instants of the filter.
 
     design: which inputs the model reads, and how (`fit.design`).

@@ -65,7 +65,7 @@ def state_space(
     return matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
 
 
-def thermal_system(design: Design, values: Mapping[str, float]) -> control.StateSpace:
+def to_statespace(design: Design, values: Mapping[str, float]) -> control.StateSpace:
     """Equations (2) and (3) as a `control.StateSpace`, time in hours.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).

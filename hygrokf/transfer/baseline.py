@@ -21,7 +21,7 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited, Reason
 from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
 
@@ -132,7 +132,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
     groups = group_of(base.model)
     early = record.identification()
     expect_readings(early)
-    early_run = prepare_run(base, early)
+    early_run = model_inputs(base, early)
     if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
         raise ValueError(
             "no reading to judge the model by: the identification period has no reading of the cabinet at a "
@@ -150,7 +150,7 @@ def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
         statements.append(f"this record holds no information about {', '.join(held)}: kept unchanged")
     statements += rated_power_mismatch(origin.design, record)
     values = {p.name: origin.values.get(p.name, p.start) for p in base.model.parameters}
-    run = settled(base, values, prepare_run(base, record))
+    run = settled(base, values, model_inputs(base, record))
     return Baseline(origin, record, early, base, run, early_run, held, groups), statements
 
 

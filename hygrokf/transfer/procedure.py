@@ -25,7 +25,7 @@ import numpy as np
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, uncertainty
-from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
@@ -111,11 +111,11 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
     starts = dict(baseline.origin.values) | {n: 0.0 for n in members(baseline.groups, OFFSETS)}
     cabinet = {n: baseline.origin.values[n] for n in baseline.cabinet}
     say("own loggers")
-    logger = maximise(baseline.likelihood, starts, {**baseline.held, **cabinet}, count=1)
+    logger = fit_mle(baseline.likelihood, starts, {**baseline.held, **cabinet}, count=1)
     say("all parameters")
-    own = maximise(baseline.likelihood, logger.values, baseline.held, count=1)
+    own = fit_mle(baseline.likelihood, logger.values, baseline.held, count=1)
     if own.objective < logger.objective - 0.01:  # the search ended at another maximum
-        own = maximise(baseline.likelihood, starts, baseline.held, count=3)
+        own = fit_mle(baseline.likelihood, starts, baseline.held, count=3)
     say("uncertainty")
     spread = uncertainty(Objective(baseline.likelihood, own.coordinates), own)
     apart = difference(baseline.origin, own, spread, baseline.cabinet)
@@ -190,7 +190,7 @@ def _adapted(baseline: Baseline, logger: Estimate, own: Estimate, differing: Seq
     if not fixed:
         return own
     start = {**own.values, **fixed}
-    return maximise(baseline.likelihood, start, {**baseline.held, **fixed}, count=1)
+    return fit_mle(baseline.likelihood, start, {**baseline.held, **fixed}, count=1)
 
 
 # --- held-out errors -------------------------------------------------------------------------

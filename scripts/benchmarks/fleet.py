@@ -15,7 +15,7 @@ from benchmarks.measure import Figure, Times, repeated, timed
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.fleet_tasks import do_task
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
-from hygrokf.estimation.optimiser import Objective, maximise
+from hygrokf.estimation.optimiser import Objective, fit_mle
 from hygrokf.fleet.job import DONE, Job, perform
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.running import batches, cores, in_processes, on_cluster
@@ -37,7 +37,7 @@ def fits(quick: bool) -> Iterator[Figure]:
     case = cases.joint(count)
 
     def fit() -> None:
-        estimate = maximise(case.likelihood, count=1)
+        estimate = fit_mle(case.likelihood, count=1)
         found = uncertainty(Objective(case.likelihood, estimate.coordinates), estimate)
         for name in ("thermal_time_constant", "hygric_k"):
             bounds = wald_bounds(estimate, found, name)

@@ -18,7 +18,7 @@ from benchmarks import cases, rivals
 from benchmarks.measure import Figure, Times, interleaved, ratio, repeated, timed
 from hygrokf.estimation.confidence import profile, standard_error, uncertainty
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 
 SIZES = (26_000, 262_000)
 QUICK_SIZES = (2_600, 26_000)
@@ -110,7 +110,7 @@ def thermal10k(quick: bool) -> Iterator[Figure]:
         found: dict[str, tuple] = {}
 
         def fit(likelihood: Likelihood = likelihood, found: dict = found) -> None:
-            estimate = maximise(likelihood, count=1)
+            estimate = fit_mle(likelihood, count=1)
             found["last"] = estimate, uncertainty(Objective(likelihood, estimate.coordinates), estimate)
 
         fit()
@@ -145,7 +145,7 @@ def fit(quick: bool) -> Iterator[Figure]:
     found: dict[str, tuple] = {}
 
     def whole(starts: int, profiles: bool) -> Estimate:
-        estimate = maximise(likelihood, count=starts, search=_search(likelihood))
+        estimate = fit_mle(likelihood, count=starts, search=_search(likelihood))
         objective = Objective(likelihood, estimate.coordinates)
         second = uncertainty(objective, estimate)
         if profiles:

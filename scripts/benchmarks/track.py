@@ -34,7 +34,7 @@ from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet, Turbine, conditions
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 PUBLISHER = Path(__file__).with_name("publisher.py")
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,12 +83,12 @@ def _parts(fleet: Fleet, repetitions: int) -> Iterator[Figure]:
     (name, one), *_ = fleet.turbines.items()
     tracker = fleet.trackers[name]
     record = tracker.record()
-    made = prepare_run(one.plan.design, record)
+    made = model_inputs(one.plan.design, record)
     course = tracker._course(made)
     found = interleaved(
         {
             "readings as a record": tracker.record,
-            "from the record to instants": lambda: prepare_run(one.plan.design, record),
+            "from the record to instants": lambda: model_inputs(one.plan.design, record),
             "the filter": lambda: tracker._course(made),
             "the air's condition": lambda: conditions({name: (one, course)}),
         },

@@ -13,9 +13,9 @@ def noise(directory: Path) -> None:
     """A table: the same records with and without coloured disturbances."""
     from hygrokf.estimation.confidence import uncertainty
     from hygrokf.estimation.likelihood import Likelihood
-    from hygrokf.estimation.optimiser import Objective, maximise
+    from hygrokf.estimation.optimiser import Objective, fit_mle
     from hygrokf.modelling.design import design
-    from hygrokf.modelling.inputs import prepare_run
+    from hygrokf.modelling.inputs import model_inputs
 
     rows = [["seed", "τ [h]", "τ, white alone", "k [h]", "k, white alone"]]
     for seed in (1, 2, 3):
@@ -24,8 +24,8 @@ def noise(directory: Path) -> None:
         cells: dict[str, list[str]] = {"thermal_time_constant": [], "hygric_k": []}
         for coloured in (True, False):
             made = design(early, kind="joint", coloured=coloured)
-            likelihood = Likelihood(made.model, prepare_run(made, early).timeline)
-            estimate = maximise(likelihood)
+            likelihood = Likelihood(made.model, model_inputs(made, early).timeline)
+            estimate = fit_mle(likelihood)
             found = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
             for name, row in cells.items():
                 place, value = found.place(name), estimate.values[name]

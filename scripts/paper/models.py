@@ -16,7 +16,7 @@ from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import assemble_fit, identify_stages
 from hygrokf.modelling.design import CASCADE, Design, read_as
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 
 Say = Callable[[str], None]
 LIKELIHOOD = "likelihood"
@@ -75,7 +75,7 @@ def simulate(
     fit: where the values are those of the fit's likelihood, its covariance widens the bands of the pictures.
     """
     base = read_as(design, record)
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     predicted = free_run(base, values, made, None if fit is None else fit.covariance)
     return Simulation(
         whole=plain(scores(made, predicted, None)["identification"]),

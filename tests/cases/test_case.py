@@ -24,7 +24,7 @@ from hygrokf.data.input_paths import on_change
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 START = datetime(2020, 6, 1, tzinfo=UTC)
 COUNT = 3000
@@ -187,7 +187,7 @@ def test_a_door_that_is_told_when_it_moves_is_open_in_between(tmp_path):
         assert at_times(door, at, 6.0).tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
         made = design(record, kind="thermal")
         made = extended(made, [("open_loss", {})])
-        run = prepare_run(made, record).timeline
+        run = model_inputs(made, record).timeline
         assert run.input("door_open")[run.seconds <= record.start_s + 9 * 3600.0].tolist() == [
             *[0.0] * 7, 1.0, 0.0, 0.0,
         ]  # fmt: skip

@@ -19,7 +19,7 @@ from hygrokf.evaluation.diagnosis import Diagnosis, OutputDiagnosis
 from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 
@@ -72,7 +72,7 @@ def flat_record(days: float, heat_h: float | None, vapour_h: float | None, seed:
 def judged(record: Record) -> Fit:
     """The known model with the diagnosis of its innovations on a record, as a fit's results have it."""
     fit = known_fit(**QUIET)
-    t = prepare_run(fit.design, record).timeline
+    t = model_inputs(fit.design, record).timeline
     trace = Likelihood(replace(fit.design.model, bound=np.inf), t).trace(fit.values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
     settled = t.time > 48.0

@@ -31,8 +31,8 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
 from hygrokf.modelling.design import CASCADE, design
-from hygrokf.modelling.inputs import prepare_run
-from hygrokf.modelling.thermal_system import thermal_system
+from hygrokf.modelling.inputs import model_inputs
+from hygrokf.modelling.thermal_system import to_statespace
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.page import page_html
@@ -203,7 +203,7 @@ def test_with_nulls_the_model_is_the_one_without() -> None:
     bases = [design(one, kind="thermal") for one in (record, plain)]
     values = {p.name: p.start for p in bases[0].model.parameters}
     both = [
-        Likelihood(base.model, prepare_run(base, one).timeline).value(values)
+        Likelihood(base.model, model_inputs(base, one).timeline).value(values)
         for base, one in zip(bases, (record, plain), strict=True)
     ]
     assert both[0] == pytest.approx(both[1], abs=1e-9)
@@ -216,7 +216,7 @@ def test_the_design_comes_back_from_its_json(all_logged) -> None:
     _, fit, _ = all_logged
     again = Design.from_json(json.loads(json.dumps(fit.design.to_json())))
     assert again.model is fit.design.model
-    assert thermal_system(again, fit.values).A.shape == (1, 1)
+    assert to_statespace(again, fit.values).A.shape == (1, 1)
 
 
 def test_the_tracker_awaits_what_the_model_reads(all_logged) -> None:
@@ -235,7 +235,7 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
     made, said = driven(fit, weather, replace(record, until_s=None))
     assert "fan_duty follows the record of the power, hour by hour" in said
     assert made["fan_duty"] is record["fan_duty"]
-    prepare_run(fit.design, made)
+    model_inputs(fit.design, made)
 
 
 def test_discovery_takes_what_is_logged_as_known() -> None:

@@ -29,7 +29,7 @@ from hygrokf.identification.fit import LibraryAbsent, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.mechanisms.heat import wind_loss
 from hygrokf.physics.mechanisms.moisture import wind_exchange
@@ -117,7 +117,7 @@ def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(file
     values = {p.name: p.start for p in base.model.parameters}
     for gain, same in ((0.0, True), (3.0, False)):
         before, after = (
-            hygrokf.Likelihood(one.model, prepare_run(one, record).timeline).value(
+            hygrokf.Likelihood(one.model, model_inputs(one, record).timeline).value(
                 {**values, "transformer_gain": gain}
             )
             for one in (base, wider)
@@ -201,7 +201,7 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
     adopt([cause_of("everything", thermal=everything, **WORDS)])
     wider = extended(base, [("everything", {})])
     assert set(names) <= set(wider.model.inputs)
-    t = prepare_run(wider, record).timeline
+    t = model_inputs(wider, record).timeline
     np.testing.assert_allclose(t.input("heater_duty")[1:], record["heater_duty"].value[:-1])
     np.testing.assert_allclose(t.input("tower_temperature"), record["tower_temperature"].value)
 
@@ -477,7 +477,7 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
     record = trial_record()
     wider = extended(design(record, kind="thermal"), [("stove", {})], features={"glow": {"share": 2.0}})
     assert wider.model.holds["glow"] == "linear"
-    np.testing.assert_allclose(prepare_run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
+    np.testing.assert_allclose(model_inputs(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
     assert cause.forms(replace(trial_ground(), record=dry)) == []
@@ -491,7 +491,7 @@ def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(tmp_path: Path
     with pytest.raises(
         LibraryFault, match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain"
     ):
-        prepare_run(wider, dry)
+        model_inputs(wider, dry)
     text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [Form('odd', 'f', " \
         "(('oven', {}),))] if 'rain' in s.record else s.none, mechanisms={'oven': " \
         "made(lambda p, x, u, q: {'heat_release': p.oven_heat}, ('oven_heat',), 'oven', ())})"  # fmt: skip

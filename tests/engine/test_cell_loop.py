@@ -29,7 +29,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.modelling.design import CASCADE, JOINT, Chosen, Design, design, extended
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Mechanism, Model, compose
@@ -203,7 +203,7 @@ def differences(record: Record, effect: Effect, quantity: str) -> list[float]:
     made = designs(record, effect)
     one = made[quantity]
     values = started(one, effect)
-    line = prepare_run(one, record)
+    line = model_inputs(one, record)
     expected = free_run(one, values, line, quantity)
     scene = scene_of(record, made["temperature"], made["vapour"])
     found = []
@@ -325,7 +325,7 @@ def test_heat_and_vapour_together_give_the_joint_free_run(name):
     record, effect = record_of(8601), JOINT_EFFECTS[name]
     made = designs(record, effect)
     values = started(made["both"], effect)
-    line = prepare_run(made["both"], record)
+    line = model_inputs(made["both"], record)
     expected = simulate(made["both"], values, line)
     scene = scene_of(record, made["temperature"], made["vapour"])
     sim = simulator(scene, made)
@@ -382,7 +382,7 @@ def test_controllers_run_as_many_hours_a_day_as_in_the_free_run(effect, monkeypa
     made = designs(record, effect)
     one = made["temperature"]
     values = started(one, effect)
-    line = self_switched(one, values, [prepare_run(one, record)])[0]
+    line = self_switched(one, values, [model_inputs(one, record)])[0]
     (flag,) = set(effect.features or {})
     seconds = line.timeline.seconds
     total = np.append(0.0, np.cumsum(line.timeline.input(flag)[1:] * np.diff(seconds) / 3600.0))
@@ -466,7 +466,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         one = made[quantity]
         values = started(one, Effect())
         values[constant] *= share
-        line = prepare_run(one, record)
+        line = model_inputs(one, record)
         sim = simulator(scene_of(record, made["temperature"], made["vapour"]), made)
         shown = sim.simulated(parameters(sim, values), quantity)[:, 0]
         found = Likelihood(one.model, line.timeline).value(values)

@@ -11,7 +11,7 @@ from hygrokf.data.record import Record
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.estimation.smoother import filterpy_filter
+from hygrokf.estimation.smoother import to_filterpy
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.tracker import Course, offline_course
 from hygrokf.physics.expression import maximum, minimum
@@ -98,7 +98,7 @@ def test_filterpy_the_tracker_and_runs_side_by_side_agree(records: list[Record])
     one = planned(records[1], 1.7)
     course = offline_course(one, records[1])
     t = course.run.timeline.window(0, 150)
-    object_ = filterpy_filter(Likelihood(one.model, t, fastest=one.fastest), one.values)
+    object_ = to_filterpy(Likelihood(one.model, t, fastest=one.fastest), one.values)
     runs = None
     for k in range(150):
         object_.advance(k)

@@ -31,11 +31,11 @@ from hygrokf.estimation.confidence import (
     wald_bounds,
 )
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.identification.estimation import assess_stage, estimate_design
 from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
 
@@ -73,7 +73,7 @@ class Fitted:
 
 
 def fitted(likelihood: Likelihood) -> Fitted:
-    found = maximise(likelihood, count=1)
+    found = fit_mle(likelihood, count=1)
     objective = Objective(likelihood, found.coordinates)
     return Fitted(objective, found, uncertainty(objective, found))
 
@@ -432,7 +432,7 @@ def cabinet(kind: str = "thermal", days: float = 30.0, **given: object) -> tuple
     made = plant(5, days=days, **given)
     record = to_record(made)
     chosen = design(record, kind=kind)
-    return fitted(Likelihood(chosen.model, prepare_run(chosen, record).timeline)), made.truth, chosen
+    return fitted(Likelihood(chosen.model, model_inputs(chosen, record).timeline)), made.truth, chosen
 
 
 def holds(bounds: Bounds, truth: float) -> bool:

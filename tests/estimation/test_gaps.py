@@ -16,7 +16,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.evaluation.simulation import settled
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 
 GAPS_H = ((20.0, 30.0), (50.0, 61.0))
 DRIFT = ("wandering_exchange", {"rate": 0.02})
@@ -41,7 +41,7 @@ def holed(whole: Record) -> Record:
 
 def filtered(record: Record, kind: str) -> tuple[Likelihood, dict[str, float], Run]:
     made = design(record, kind=kind)
-    run = prepare_run(made, record)
+    run = model_inputs(made, record)
     return Likelihood(made.model, run.timeline), {p.name: p.start for p in made.model.parameters}, run
 
 
@@ -87,7 +87,7 @@ def test_a_run_continued_within_and_after_a_gap_is_the_whole_run(holed):
 
 def test_a_slow_cabinet_remembers_a_gap_longer_than_a_fast_one(holed, whole):
     made = design(holed, kind="thermal")
-    run = prepare_run(made, holed)
+    run = model_inputs(made, holed)
     values = {p.name: p.start for p in made.model.parameters} | {"heat_disturbance_sd": 0.3}
     lost = {}
     for hours in (0.5, 2.0, 8.0):
@@ -95,7 +95,7 @@ def test_a_slow_cabinet_remembers_a_gap_longer_than_a_fast_one(holed, whole):
         assert not (after.scored & ~run.scored).any()
         lost[hours] = int((run.scored & ~after.scored).sum())
     assert 0 < lost[0.5] < 0.5 * lost[2.0] < 0.25 * lost[8.0]
-    plain = prepare_run(made, whole)
+    plain = model_inputs(made, whole)
     assert settled(made, values, plain) is plain
 
 
@@ -118,7 +118,7 @@ def test_a_slow_sensor_and_a_wall_are_unknown_after_a_gap_but_no_random_walk(hol
         for name, settings in made.mechanisms
     ]
     wider = extended(replace(made, mechanisms=tuple(sensors)), [("wall_thermal_mass", {}), DRIFT])
-    line = prepare_run(wider, holed).timeline
+    line = model_inputs(wider, holed).timeline
     gained = gap_variances(wider.model, Likelihood(wider.model, line).recursion, line)
     added = dict(zip(wider.model.states, next(iter(gained.values())), strict=True))
     follow = {"converter_temperature", "vapour", "wall_temperature", "cabinet_relative_humidity_sensor"}

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.inference import confidence_bounds
+from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.estimation.optimiser import maximise
+from hygrokf.estimation.optimiser import fit_mle
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
@@ -132,8 +132,8 @@ def test_the_bounds_hold_the_constant_of_a_controlled_system() -> None:
             x = (a * x + (1.0 - a) * u[k - 1] + noise * random.normal()) if k else 0.0
             y[k] = x + 0.1 * random.normal()
         likelihood = Likelihood(model, timeline(model, time, {"u": u}, {"y": y}))
-        estimate = maximise(likelihood)
-        bound = confidence_bounds(likelihood, estimate, ["tau"], "wald")["tau"]
+        estimate = fit_mle(likelihood)
+        bound = confidence_intervals(likelihood, estimate, ["tau"], "wald")["tau"]
         held += bound.lower <= 2.0 <= bound.upper
         found.append(estimate.values["tau"])
     assert held >= 17 and abs(np.mean(found) - 2.0) < 0.03

@@ -12,9 +12,9 @@ import pytest
 import hygrokf
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
-from hygrokf.estimation.inference import confidence_bounds, system_time_constants
+from hygrokf.estimation.inference import confidence_intervals, modal_time_constants
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
@@ -24,7 +24,7 @@ from hygrokf.physics.parameters import Parameter
 def thermal(make_case: Callable) -> tuple[Likelihood, Estimate]:
     case = make_case("thermal", 0.25 * np.arange(2400), 31, missing=0.02)
     held = {"cabinet_temperature_bias": case.values["cabinet_temperature_bias"]}
-    return case.likelihood, maximise(case.likelihood, case.values, fixed=held, count=1)
+    return case.likelihood, fit_mle(case.likelihood, case.values, fixed=held, count=1)
 
 
 def swing(period: float = 5.0, decay: float = 8.0) -> tuple[Likelihood, Estimate]:
@@ -59,7 +59,7 @@ def swing(period: float = 5.0, decay: float = 8.0) -> tuple[Likelihood, Estimate
         x[k] = angle * x[k - 1] + push[k] * (angle - 1.0) / pole
     read = x.real + 0.3 * random.normal(size=400)
     likelihood = Likelihood(model, timeline(model, time, {"push": push}, {"read": read}))
-    return likelihood, maximise(likelihood, count=1)
+    return likelihood, fit_mle(likelihood, count=1)
 
 
 def test_a_parameter_that_is_a_time_constant_has_its_own_bounds(thermal: tuple) -> None:
@@ -68,7 +68,7 @@ def test_a_parameter_that_is_a_time_constant_has_its_own_bounds(thermal: tuple) 
     likelihood, estimate = thermal
     known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
     bounds = wald_bounds(estimate, known, "thermal_time_constant")
-    constants = system_time_constants(likelihood, estimate, known=known)
+    constants = modal_time_constants(likelihood, estimate, known=known)
     own = next(c for c in constants if next(iter(c.states)) == "converter_temperature")
     assert own.value == pytest.approx(estimate.values["thermal_time_constant"], rel=1e-12)
     # the Jacobian's derivatives are differences with an error of 1e-10
@@ -83,7 +83,7 @@ def test_oscillation_and_integral() -> None:
     """Closed form: λ = −1/τ ± iω, and 0 for the level; τ and ω are coordinates, so their errors are known."""
     likelihood, estimate = swing()
     known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
-    constants = system_time_constants(likelihood, estimate, 0.9, known=known)
+    constants = modal_time_constants(likelihood, estimate, 0.9, known=known)
     assert len(constants) == 2  # a pair of conjugate eigenvalues is one mode
     level, pair = constants
     assert level.value == level.lower == level.upper == math.inf and level.states["level"] == 1.0
@@ -127,9 +127,9 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
     blank = Likelihood(model, timeline(model, time, {"ambient": ambient}, {"read": np.full(4000, np.nan)}))
     read = blank.trace(values).prediction[:, 0] + 0.1 * random.normal(size=4000)
     likelihood = Likelihood(model, timeline(model, time, {"ambient": ambient}, {"read": read}))
-    estimate = maximise(likelihood, count=1)
+    estimate = fit_mle(likelihood, count=1)
     known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
-    slow, fast = system_time_constants(likelihood, estimate, known=known)
+    slow, fast = modal_time_constants(likelihood, estimate, known=known)
 
     import control
 
@@ -155,12 +155,12 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
 def test_a_model_that_is_not_linear_is_linearised_where_it_is_asked_to(make_case: Callable) -> None:
     """Equation (4): R_D*V* of a hygric part goes with 1/T of the cabinet, and its bounds are those of k."""
     case = make_case("cascade", 0.25 * np.arange(2400), 32)
-    estimate = maximise(case.likelihood, case.values, count=1)
+    estimate = fit_mle(case.likelihood, case.values, count=1)
     known = uncertainty(Objective(case.likelihood, estimate.coordinates), estimate)
     own = wald_bounds(estimate, known, "hygric_k")
     found = {}
     for kelvin in (285.0, 305.0):
-        constants = system_time_constants(
+        constants = modal_time_constants(
             case.likelihood, estimate, inputs={"cabinet_temperature": kelvin}, known=known
         )
         fast = constants[-1]
@@ -175,15 +175,15 @@ def test_bounds_by_each_method_are_those_of_its_covariance(thermal: tuple) -> No
     known = uncertainty(Objective(likelihood, estimate.coordinates), estimate)
     place = known.place("heat_disturbance_time")
     for method, covariance in (("wald", known.wald), ("sandwich", known.sandwich)):
-        bounds = confidence_bounds(likelihood, estimate, ["heat_disturbance_time"], method, 0.9)
+        bounds = confidence_intervals(likelihood, estimate, ["heat_disturbance_time"], method, 0.9)
         found = bounds["heat_disturbance_time"]
         reach = 1.644854 * math.sqrt(covariance[place, place])
         assert found.upper == pytest.approx(found.value * math.exp(reach), rel=1e-6)
         assert found.lower == pytest.approx(found.value * math.exp(-reach), rel=1e-6)
         assert found.method == method and found.level == 0.9
-    everything = confidence_bounds(likelihood, estimate, method="wald")
+    everything = confidence_intervals(likelihood, estimate, method="wald")
     assert tuple(everything) == estimate.coordinates.names
-    profiled = confidence_bounds(likelihood, estimate, ["thermal_time_constant"])["thermal_time_constant"]
+    profiled = confidence_intervals(likelihood, estimate, ["thermal_time_constant"])["thermal_time_constant"]
     assert profiled.method == "profile" and len(profiled.curve) > 3
 
 
@@ -198,14 +198,14 @@ def test_bounds_by_each_method_are_those_of_its_covariance(thermal: tuple) -> No
 )
 def test_wrong_requests_are_named(thermal: tuple, wrong: dict, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        confidence_bounds(*thermal, **wrong)
+        confidence_intervals(*thermal, **wrong)
 
 
 def test_points_that_the_model_does_not_have_are_named(thermal: tuple) -> None:
     with pytest.raises(ValueError, match=r"state: expected names of .*converter_temperature.*, found wall"):
-        system_time_constants(*thermal, state={"wall": 280.0})
+        modal_time_constants(*thermal, state={"wall": 280.0})
     with pytest.raises(ValueError, match=r"inputs: expected names of .*, found windd"):
-        system_time_constants(*thermal, inputs={"windd": 3.0})
+        modal_time_constants(*thermal, inputs={"windd": 3.0})
 
 
 def test_parameters_without_a_value_are_named(thermal: tuple) -> None:
@@ -215,7 +215,7 @@ def test_parameters_without_a_value_are_named(thermal: tuple) -> None:
     for use in (
         likelihood.value,
         likelihood.trace,
-        lambda values: hygrokf.filterpy_filter(likelihood, values),
+        lambda values: hygrokf.to_filterpy(likelihood, values),
     ):
         with pytest.raises(ValueError, match=f"found none of {name}"):
             use(few)

@@ -31,7 +31,7 @@ from hygrokf.estimation.smoother import smooth, transition
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, offline_course
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.mechanisms.wandering import (
@@ -370,9 +370,9 @@ def test_a_switch_decides_after_a_gap_as_without_one() -> None:
     base, values = heated(record)
     long = apart(record, 730.0)
     begun = time.process_time()
-    found = simulate(base, values, prepare_run(base, long))
+    found = simulate(base, values, model_inputs(base, long))
     assert time.process_time() - begun < 10.0
-    plain = simulate(base, values, prepare_run(base, record))
+    plain = simulate(base, values, model_inputs(base, record))
     days_after = slice(-144 * 2, None)
     assert np.mean(found.temperature[0][days_after]) == pytest.approx(
         np.mean(plain.temperature[0][days_after]), abs=0.5
@@ -399,7 +399,7 @@ def test_ordinary_records_have_no_long_step(joint: object, short: Record) -> Non
     """A month's gap is divided into sub-steps as it always was."""
     assert gapped(joint, 720.0).likelihood._steps(joint.values).long == ()
     model = planned(short)
-    t = prepare_run(model.design, short).timeline
+    t = model_inputs(model.design, short).timeline
     assert Likelihood(model.model, t, fastest=model.fastest)._steps(model.values).long == ()
 
 

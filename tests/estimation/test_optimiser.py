@@ -19,8 +19,8 @@ from hygrokf.estimation.optimiser import (
     Optimum,
     bounded_step,
     climb,
+    fit_mle,
     least_objective,
-    maximise,
     nested_starts,
     starts,
 )
@@ -55,7 +55,7 @@ NEAR = 0.005
 
 
 def test_mean_and_spread_of_a_normal_sample() -> None:
-    found = maximise(sample(), count=1)
+    found = fit_mle(sample(), count=1)
     spread = READ.std()
     assert found.converged and found.message.startswith("converged") and found.at_bounds == ()
     assert found.values["mean"] == pytest.approx(READ.mean(), abs=NEAR * spread / math.sqrt(COUNT))
@@ -67,7 +67,7 @@ def test_mean_and_spread_of_a_normal_sample() -> None:
 
 def test_a_prior_pulls_by_its_precision() -> None:
     likelihood = sample(prior=Prior(0.0, 0.05))
-    found = maximise(likelihood, fixed={"spread": 0.7}, count=1)
+    found = fit_mle(likelihood, fixed={"spread": 0.7}, count=1)
     data, knowledge = COUNT / 0.7**2, 1 / 0.05**2
     expected = data * READ.mean() / (data + knowledge)
     assert found.values == {
@@ -80,11 +80,11 @@ def test_a_prior_pulls_by_its_precision() -> None:
 
 
 def test_bounds_hold_and_are_reported() -> None:
-    found = maximise(sample(mean=(-50.0, 2.0)), count=1)
+    found = fit_mle(sample(mean=(-50.0, 2.0)), count=1)
     assert found.converged and found.at_bounds == ("mean",) and found.values["mean"] == 2.0
     expected = math.sqrt(np.mean((READ - 2.0) ** 2))  # the others are at their optimum given the bound
     assert found.values["spread"] == pytest.approx(expected, rel=NEAR)
-    both = maximise(sample(mean=(5.0, 9.0), spread=(3.0, 4.0)), {"mean": 7.0}, count=1)
+    both = fit_mle(sample(mean=(5.0, 9.0), spread=(3.0, 4.0)), {"mean": 7.0}, count=1)
     assert both.at_bounds == ("mean", "spread") and both.values == {"mean": 5.0, "spread": pytest.approx(3.0)}
     assert both.converged
 
@@ -108,7 +108,7 @@ def test_objective_gradient_and_information_in_coordinates() -> None:
 
 
 def test_fixed_parameters_stay() -> None:
-    found = maximise(sample(), fixed={"mean": 2.5}, count=3)
+    found = fit_mle(sample(), fixed={"mean": 2.5}, count=3)
     assert found.values["mean"] == 2.5 and found.coordinates.names == ("spread",)
     assert found.values["spread"] == pytest.approx(math.sqrt(np.mean((READ - 2.5) ** 2)), rel=NEAR)
 
@@ -120,7 +120,7 @@ def two_hills(p: object) -> object:
 
 def test_other_optima_are_reported_and_are_optima() -> None:
     likelihood = sample(HILLS, two_hills, prior=Prior(0.5, 1.0))
-    found = maximise(likelihood, {"mean": -1.0}, count=1, more_starts=[{"mean": 1.0}])
+    found = fit_mle(likelihood, {"mean": -1.0}, count=1, more_starts=[{"mean": 1.0}])
     right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * HILLS.mean()) for s in (1, -1))
     assert found.values["mean"] == pytest.approx(right / 2, abs=0.03)  # the prior prefers it
     assert len(found.others) == 1
@@ -128,7 +128,7 @@ def test_other_optima_are_reported_and_are_optima() -> None:
     assert values["mean"] == pytest.approx(left / 2, abs=0.03) and objective < found.objective
     _, gradient = Objective(likelihood, found.coordinates).score(found.coordinates.start(values))
     np.testing.assert_allclose(gradient, 0.0, atol=0.1)
-    alone = maximise(likelihood, {"mean": -1.0}, count=1)
+    alone = fit_mle(likelihood, {"mean": -1.0}, count=1)
     assert alone.values["mean"] == pytest.approx(left / 2, abs=0.03) and alone.others == ()
 
 
@@ -143,7 +143,7 @@ def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
         return climbs(objective, start, *rest, **more)
 
     monkeypatch.setattr(optimiser, "climb", tired)
-    found = maximise(
+    found = fit_mle(
         sample(HILLS, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
     )
     assert found.converged and found.values["mean"] > 0
@@ -189,11 +189,11 @@ def hills(lowest: float = -50.0, shift: bool = False) -> Likelihood:
 
 
 def test_a_model_starts_from_one_that_it_contains() -> None:
-    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    parent = fit_mle(hills(), {"mean": 1.0}, count=1)
     larger = hills(shift=True)
-    cold = maximise(larger, count=1)
+    cold = fit_mle(larger, count=1)
     assert cold.values["mean"] < 0 and cold.objective < parent.objective - BETTER  # the wrong hill
-    nested = maximise(larger, count=1, parents=[parent])
+    nested = fit_mle(larger, count=1, parents=[parent])
     assert nested.converged and nested.objective >= parent.objective
     assert nested.values["mean"] == pytest.approx(parent.values["mean"], abs=0.05)
     made = nested_starts(nested.coordinates, None, parent)
@@ -201,17 +201,17 @@ def test_a_model_starts_from_one_that_it_contains() -> None:
 
 
 def test_what_is_below_a_model_that_it_contains_has_not_converged() -> None:
-    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    parent = fit_mle(hills(), {"mean": 1.0}, count=1)
     # the larger model's bounds keep the parent's hill out
-    held = maximise(hills(lowest=-40.0, shift=True), count=1, parents=[parent])
+    held = fit_mle(hills(lowest=-40.0, shift=True), count=1, parents=[parent])
     assert not held.converged
     short = parent.objective - held.objective
     assert f"{short:.2f} in ln L" in held.message and "start values" in held.message
-    assert maximise(hills(lowest=-40.0, shift=True), count=1).converged
+    assert fit_mle(hills(lowest=-40.0, shift=True), count=1).converged
 
 
 def test_a_prior_of_what_a_parent_lacks_counts_at_its_null() -> None:
-    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    parent = fit_mle(hills(), {"mean": 1.0}, count=1)
     own = Parameter("drift", "1", 0.3, -1.0, 1.0, prior=Prior(0.0, 0.1), null=0.0)
     coordinates = Coordinates([*parent.coordinates.parameters, own])
     density = -math.log(0.1 * math.sqrt(2 * math.pi))
@@ -251,7 +251,7 @@ def test_a_stiff_corner_ends_with_its_budget() -> None:
     ended = climb(begun, start, budget=2.5 * each)
     assert not ended.converged and "budget" in ended.message and "interval" in ended.message
     assert ended.objective >= begun.value(start)
-    said = maximise(likelihood, count=1, budget=2.5 * each)
+    said = fit_mle(likelihood, count=1, budget=2.5 * each)
     assert not said.converged and "budget" in said.message
     with_room = climb(begun, start, budget=100 * each)
     assert with_room.converged and with_room.objective > ended.objective
@@ -259,12 +259,12 @@ def test_a_stiff_corner_ends_with_its_budget() -> None:
 
 def test_progress_names_every_start() -> None:
     said: list[str] = []
-    maximise(sample(), count=3, progress=said.append)
+    fit_mle(sample(), count=3, progress=said.append)
     assert said[:3] == ["start 1 of 3", "start 2 of 3", "start 3 of 3"] and said[-1] == "climb"
 
 
 def test_a_search_on_a_shorter_record_ends_on_the_whole() -> None:
-    found = maximise(sample(), count=3, search=sample(READ[:20]))
+    found = fit_mle(sample(), count=3, search=sample(READ[:20]))
     assert found.loglik == pytest.approx(normal(READ, READ.mean(), READ.std()), abs=1e-5)
 
 
@@ -279,7 +279,7 @@ def test_a_climb_that_stops_early_says_so() -> None:
 
 def test_a_start_without_a_likelihood_says_so() -> None:
     broken = sample(np.append(READ, math.inf))
-    found = maximise(broken, count=1)
+    found = fit_mle(broken, count=1)
     assert not found.converged
     assert "not finite at the start" in found.message and "try more starts" in found.message
 
@@ -293,7 +293,7 @@ def test_a_simulated_cabinet_is_recovered_within_its_standard_errors(make_case: 
         n: v * (2.0 if "disturbance" in n or n == "thermal_time_constant" else 1.0)
         for n, v in case.values.items()
     }
-    found = maximise(case.likelihood, start, fixed=held, count=1)
+    found = fit_mle(case.likelihood, start, fixed=held, count=1)
     assert found.converged
     known = uncertainty(Objective(case.likelihood, found.coordinates), found)
     for place, name in enumerate(known.names):

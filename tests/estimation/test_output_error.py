@@ -14,7 +14,7 @@ from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
 PLANTS = 30
@@ -22,7 +22,7 @@ PLANTS = 30
 
 def likelihood_of(record: Record, kind: str) -> Likelihood:
     base = design(record, kind=kind, coloured=False)
-    return Likelihood(base.model, prepare_run(base, record).timeline)
+    return Likelihood(base.model, model_inputs(base, record).timeline)
 
 
 def starts(likelihood: Likelihood) -> dict[str, float]:

@@ -13,7 +13,7 @@ from plants.as_record import to_record
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.model import Model
 
 
@@ -23,7 +23,7 @@ def case(
     """A likelihood and parameter values; `wrong`: instants whose readings are far off."""
     record = to_record(plant(11, days=6))
     made = design(record, kind=kind)
-    line = prepare_run(made, record).timeline.window(0, count)
+    line = model_inputs(made, record).timeline.window(0, count)
     y = line.y.copy()
     y[np.random.default_rng(3).random(y.shape) < 0.2] = np.nan
     y[list(wrong)] += np.array([30.0, 0.5])[: y.shape[1]]

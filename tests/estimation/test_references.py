@@ -19,9 +19,9 @@ from numpy.testing import assert_allclose
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import uncertainty
-from hygrokf.estimation.inference import confidence_bounds, system_time_constants
+from hygrokf.estimation.inference import confidence_intervals, modal_time_constants
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
@@ -87,13 +87,13 @@ def test_nile_log_likelihoods() -> None:
 def test_nile_estimates() -> None:
     """σ²ε = 15099, σ²η = 1469.1 (Durbin & Koopman, table 2.1), and 17896.3, 685.1 with the gaps
     (statsmodels)."""
-    found = maximise(nile(), count=2)
+    found = fit_mle(nile(), count=2)
     assert found.converged
     # a climb ends within 1e-5 of the maximum, which is 0.0045 standard errors (3146 and 1280) of each
     assert found.values["irregular"] == pytest.approx(15099.0, abs=0.01 * 3146)
     assert found.values["level"] == pytest.approx(1469.1, abs=0.01 * 1280)
     assert found.loglik == pytest.approx(-633.46456364, abs=5e-5)  # the promise is a quadratic one
-    gaps = maximise(nile((slice(20, 40), slice(60, 80))), count=2)
+    gaps = fit_mle(nile((slice(20, 40), slice(60, 80))), count=2)
     assert gaps.values["irregular"] == pytest.approx(17896.3, abs=0.01 * 3146)
     assert gaps.values["level"] == pytest.approx(685.1, abs=0.01 * 1280)
     assert gaps.loglik == pytest.approx(-380.92667, abs=1e-4)
@@ -145,7 +145,7 @@ def test_thermal10k_likelihood_and_score(thermal10k: tuple) -> None:
 
 def test_thermal10k_fit_with_standard_errors(thermal10k: tuple) -> None:
     likelihood, expected = thermal10k
-    found = maximise(likelihood, count=1)
+    found = fit_mle(likelihood, count=1)
     assert found.converged
     assert -found.objective == pytest.approx(expected["ml_lkf"]["nll"], abs=1e-5)
     known = uncertainty(Objective(likelihood, found.coordinates), found)
@@ -166,11 +166,11 @@ def test_thermal10k_local_optima_are_found_and_left(thermal10k: tuple, noise: st
     likelihood, expected = thermal10k
     assert any(abs(v - EDGES[noise]) < 1e-5 for v in expected["local_optima_nll"])
     start = dict(expected["ml_lkf"]["log_est"])
-    edge = maximise(likelihood, start, fixed={noise: -16.0}, count=1)
+    edge = fit_mle(likelihood, start, fixed={noise: -16.0}, count=1)
     assert edge.converged
     # the published runs stopped somewhere on the flat: 2e-4 are left to gain
     assert -edge.objective == pytest.approx(EDGES[noise], abs=1e-3)
-    onwards = maximise(likelihood, edge.values | {noise: -9.0}, count=1)
+    onwards = fit_mle(likelihood, edge.values | {noise: -9.0}, count=1)
     assert onwards.converged
     assert -onwards.objective == pytest.approx(expected["ml_lkf"]["nll"], abs=1e-5)
 
@@ -183,7 +183,7 @@ def test_thermal10k_local_optima_are_found_and_left(thermal10k: tuple, noise: st
 def test_thermal10k_is_reached_from_poor_noise_starts(thermal10k: tuple, start: dict) -> None:
     """Several starts over the noise parameters; the single climb from the second of these does not arrive."""
     likelihood, expected = thermal10k
-    found = maximise(likelihood, start, count=6)
+    found = fit_mle(likelihood, start, count=6)
     assert found.converged
     assert -found.objective == pytest.approx(expected["ml_lkf"]["nll"], abs=1e-5)
     assert all(objective < found.objective for objective, _ in found.others)
@@ -231,7 +231,7 @@ def test_armadillo_estimate_and_true_hessian(armadillo: tuple) -> None:
     stated = expected["notebook_fit_frequentist"]
     # the stated estimates have five to eight digits, which leaves 1e-4 of the likelihood open
     assert -likelihood.value(stated["theta"]) == pytest.approx(stated["negloglik"], abs=1e-4)
-    found = maximise(likelihood, count=1)
+    found = fit_mle(likelihood, count=1)
     assert found.converged
     assert -found.objective == pytest.approx(stated["negloglik"], abs=2e-5)
     for name, value in stated["theta"].items():
@@ -294,7 +294,7 @@ def test_ornstein_log_likelihood_at_the_stated_parameters() -> None:
 
 def test_ornstein_maximum_between_linear_inputs() -> None:
     likelihood, expected = ornstein("foh")
-    found = maximise(likelihood)
+    found = fit_mle(likelihood)
     assert found.converged
     stated = expected["negative_loglik"]["first_order_hold_maximum"]
     assert -found.objective == pytest.approx(stated, abs=1e-5)  # a climb ends within so much of its maximum
@@ -409,7 +409,7 @@ def flexhouse() -> tuple[dict[str, tuple[Likelihood, Estimate]], dict]:
     parents: list[Estimate] = []
     for order in BUILDINGS:
         likelihood = building(order, data)
-        estimate = maximise(likelihood, count=3, parents=parents)
+        estimate = fit_mle(likelihood, count=3, parents=parents)
         found[order], parents = (likelihood, estimate), [estimate]
     return found, json.loads((folder / "expected.json").read_text(encoding="utf-8"))
 
@@ -428,7 +428,7 @@ def test_flexhouse_forward_selection(flexhouse: tuple) -> None:
 def test_flexhouse_time_constants(flexhouse: tuple) -> None:
     found, expected = flexhouse
     for order, stated in expected["time_constants_h"].items():
-        constants = system_time_constants(*found[order])
+        constants = modal_time_constants(*found[order])
         assert [c.value for c in constants] == sorted((c.value for c in constants), reverse=True)
         for one, value in zip(reversed(constants), stated, strict=True):
             assert one.lower < value < one.upper
@@ -441,7 +441,7 @@ def test_flexhouse_from_the_parent_alone_is_a_lower_maximum(flexhouse: tuple) ->
     """Why starts over the physical parameters stay beside the parent's."""
     found, _ = flexhouse
     likelihood, best = found["TiTeTh"]
-    alone = maximise(likelihood, found["TiTh"][1].values, count=1)
+    alone = fit_mle(likelihood, found["TiTh"][1].values, count=1)
     assert alone.converged and alone.objective < best.objective - 50.0
 
 
@@ -449,7 +449,7 @@ def test_flexhouse_bounds_by_three_methods(flexhouse: tuple) -> None:
     likelihood, estimate = flexhouse[0]["Ti"]
     widths = {}
     for method in ("wald", "sandwich", "profile"):
-        bounds = confidence_bounds(likelihood, estimate, ["Ria"], method)["Ria"]
+        bounds = confidence_intervals(likelihood, estimate, ["Ria"], method)["Ria"]
         assert bounds.method == method and bounds.lower < estimate.values["Ria"] < bounds.upper
         widths[method] = np.log(bounds.upper / bounds.lower)
     # one state for a building is wrong: only the sandwich and the profile, widened by it, know

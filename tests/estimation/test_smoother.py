@@ -9,9 +9,9 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.smoother import filterpy_filter, smooth
+from hygrokf.estimation.smoother import smooth, to_filterpy
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def record():
 def test_filterpy_object_is_the_filter(record, kind):
     """filterpy's own algebra (Joseph form) and ours agree to 1e-9 over 1,000 partly missing readings."""
     base = design(record, kind=kind)
-    line = prepare_run(base, record).timeline
+    line = model_inputs(base, record).timeline
     y = line.y.copy()
     y[np.random.default_rng(3).random(y.shape) < 0.1] = np.nan
     counts = np.isfinite(y).sum(axis=1).cumsum()
@@ -32,7 +32,7 @@ def test_filterpy_object_is_the_filter(record, kind):
     likelihood = Likelihood(base.model, line)
     values = {p.name: p.start for p in base.model.parameters}
     trace = likelihood.trace(values)
-    made = filterpy_filter(likelihood, values)
+    made = to_filterpy(likelihood, values)
     total = 0.0
     for k in range(len(line)):
         made.advance(k)
@@ -47,7 +47,7 @@ def test_smoothed_states_are_the_conditional_means(record):
     """Against dense linear algebra: condition the joint Gaussian of all states on all readings (thermal
     model)."""
     base = design(record, kind="thermal")
-    line = prepare_run(base, record).timeline.window(0, 60)
+    line = model_inputs(base, record).timeline.window(0, 60)
     likelihood = Likelihood(base.model, line)
     values = {p.name: p.start for p in base.model.parameters}
     free = likelihood.trace(values, gain=False)

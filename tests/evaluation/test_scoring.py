@@ -31,7 +31,7 @@ from hygrokf.evaluation.scoring import (
 )
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.psychrometrics import absolute_humidity
 
 DAY_S = 86400.0
@@ -72,7 +72,7 @@ def true_model(seed: int, days: float = 30.0):
 @pytest.fixture(scope="module")
 def one():
     record, base, values = true_model(51, 20.0)
-    driven = prepare_run(base, record)
+    driven = model_inputs(base, record)
     return SimpleNamespace(
         record=record,
         base=base,
@@ -205,7 +205,7 @@ def test_a_model_with_its_true_parameters_beats_every_baseline(one):
 
 def test_baselines_of_a_thermal_model_and_of_few_readings(one):
     thermal = design(one.record, kind="thermal")
-    found = baselines(prepare_run(thermal, one.record), None)
+    found = baselines(model_inputs(thermal, one.record), None)
     assert set(found["identification"]) == {"no_dynamics"}
     y = np.full_like(one.run.timeline.y, np.nan)
     y[:20] = one.run.timeline.y[:20]
@@ -229,7 +229,7 @@ def sensor_case(record, humidity: float, celsius: float):
         replace(warm, value=np.full(len(warm), celsius + 273.15)),
         replace(moist, value=np.full(len(moist), humidity)),
     )
-    return constant, prepare_run(design(record), constant)
+    return constant, model_inputs(design(record), constant)
 
 
 def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
@@ -293,7 +293,7 @@ def test_forecast_bands_hold_on_plants_with_their_true_parameters():
     inside, total, scales = {}, {}, {}
     for seed in (71, 72, 73, 74):
         record, base, values = true_model(seed)
-        driven = prepare_run(base, record)
+        driven = model_inputs(base, record)
         found = bands(base, values, driven, simulate(base, values, driven), record.start_s + 5 * DAY_S)
         assert list(found) == ["1h", "6h", "24h", "free_run"]
         for lead, by_quantity in found.items():

@@ -28,7 +28,7 @@ from hygrokf.evaluation.simulation import (
     simulate,
 )
 from hygrokf.modelling.design import Design, design
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
@@ -73,7 +73,7 @@ def noisy():
     """A plant with everything on: its record, design, run and parameters."""
     record = to_record(plant(22, days=20))
     base = design(record)
-    return record, base, prepare_run(base, record), parameters(base)
+    return record, base, model_inputs(base, record), parameters(base)
 
 
 # --- free run -------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def test_free_run_is_the_plants_own_trajectory(exact):
     absolute humidities are compared, the ambient one is read as such.
     """
     made, record, base, values = exact
-    driven = prepare_run(base, record)
+    driven = model_inputs(base, record)
     found = simulate(base, values, driven)
     truth = undisturbed(made)
     seconds = driven.timeline.seconds
@@ -157,12 +157,12 @@ def test_free_run_looks_at_no_reading(noisy):
 def test_quantities_that_a_model_lacks_are_none(noisy):
     record, *_ = noisy
     thermal = design(record, kind="thermal")
-    found = simulate(thermal, parameters(thermal), prepare_run(thermal, record))
+    found = simulate(thermal, parameters(thermal), model_inputs(thermal, record))
     assert found.of("relative_humidity") is None
     assert found.of("absolute_humidity_g_m3") is None
     assert found.of("temperature_K") is found.temperature
     cascade = design(record, kind="cascade")
-    driven = prepare_run(cascade, record)
+    driven = model_inputs(cascade, record)
     found = simulate(cascade, parameters(cascade), driven)
     assert found.temperature is None
     warm = driven.timeline.input("cabinet_temperature")
@@ -181,7 +181,7 @@ def test_a_logger_may_read_absolute_humidity(noisy):
     )
     other = replace(record, series=(*without(record, moist.signal).series, grams))
     base = design(other)
-    driven = prepare_run(base, other)
+    driven = model_inputs(base, other)
     found = simulate(base, parameters(base), driven)
     assert found.relative_humidity is None
     usual = simulate(own, values, run)
@@ -198,7 +198,7 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     record = to_record(plant(23, days=8, logger_mean=True, missing=0.3))
     base = design(record)
     assert base.averaged
-    driven = prepare_run(base, record)
+    driven = model_inputs(base, record)
     values = parameters(base)
     found = simulate(base, values, driven)
     seconds = driven.timeline.seconds
@@ -211,7 +211,7 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     ]
     fine_record = record.replace_series(*fine_series)
     fine = replace(base, averaged={})
-    fine_run = prepare_run(fine, fine_record)
+    fine_run = model_inputs(fine, fine_record)
     course = simulate(fine, values, fine_run)
     fine_seconds = fine_run.timeline.seconds
     for name, quantity, tolerance in (
@@ -349,7 +349,7 @@ def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     """J V J' against the spread over 200 free runs with drawn parameters (small, so that first order is
     all)."""
     record, base, _, values = noisy
-    driven = prepare_run(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
+    driven = model_inputs(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
     names = ("thermal_time_constant", "heat_release_power_1", "hygric_k", "cabinet_relative_humidity_bias")
     sd = np.array([0.02, 0.1, 0.005, 0.002])
     correlation = np.eye(4)
@@ -414,7 +414,7 @@ def test_too_few_readings_give_no_forecast(noisy):
 
 def test_forecasts_leave_unscored_stretches_out(noisy):
     record, base, _, values = noisy
-    driven = prepare_run(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
+    driven = model_inputs(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
     scored = driven.timeline.time < 60.0
     found = forecast(base, values, replace(driven, scored=scored), 0, (1.0,), 10_000)
     usual = forecast(base, values, driven, 0, (1.0,), 10_000)
@@ -427,7 +427,7 @@ def test_forecasts_leave_unscored_stretches_out(noisy):
 
 def test_projections_have_the_slopes_of_finite_differences(noisy):
     record, base, _, values = noisy
-    driven = prepare_run(base, record.window(record.start_s, record.start_s + 86400.0))
+    driven = model_inputs(base, record.window(record.start_s, record.start_s + 86400.0))
     trace = Likelihood(base.model, driven.timeline).trace(values)
     for function in (air_temperature, lambda equations: equations.rates[0] ** 2):
         value, variance = project(base, values, driven, trace.mean, trace.covariance, function)
@@ -456,7 +456,7 @@ def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_h
     value[single] = np.nan
     holed = record.replace_series(replace(warm, value=value))
     base = design(holed)
-    driven = prepare_run(base, holed)
+    driven = model_inputs(base, holed)
     found = measured(driven)
     seconds = driven.timeline.seconds
     amid = (seconds > record.start_s + 20.6 * 3600) & (seconds < record.start_s + 24.4 * 3600)
@@ -489,7 +489,7 @@ def test_records_without_readings_are_predicted_all_the_same(noisy):
     alone = Record(
         "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
     )
-    driven = prepare_run(base, alone)
+    driven = model_inputs(base, alone)
     found = simulate(base, values, driven)
     assert np.isfinite(found.temperature[0]).all()
     assert np.isnan(measured(driven)["temperature_K"]).all()

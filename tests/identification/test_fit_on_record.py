@@ -35,7 +35,7 @@ from hygrokf.identification.fit_on_record import (
 from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.identification.wording import NONE, QUANTITIES, RULES
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
 
@@ -105,7 +105,7 @@ def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
     head, times, cells = parsed(text)
     names = ("temperature_degC", "relative_humidity_pct", "absolute_humidity_g_m3")
     assert head == columns_of(names)
-    whole = prepare_run(fit.design, record)
+    whole = model_inputs(fit.design, record)
     ran = simulate(fit.design, fit.values, whole, fit.covariance)
     np.testing.assert_allclose(times, whole.timeline.seconds, atol=1e-3)
     columns = [
@@ -131,7 +131,7 @@ def test_parameters_that_are_less_sure_widen_the_bands(fit, record, text):
     _, _, wider = parsed(simulation_csv(replace(fit, results=spread(9.0)), record))
     _, _, cells = parsed(text)
     np.testing.assert_array_equal(wider[:, 0], cells[:, 0])
-    idle = ~prepare_run(fit.design, record).operating
+    idle = ~model_inputs(fit.design, record).operating
     assert np.mean(wider[idle, 1] > cells[idle, 1] + 0.3) > 0.7
     assert np.all(wider[:, 1] >= cells[:, 1])
 

@@ -32,7 +32,7 @@ from hygrokf.identification.composition import (
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
 from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
 from hygrokf.modelling.design import Design, design
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.thermal_system import state_space
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.mechanisms.thermal import STILL_K, natural_convection, small_signal
@@ -200,7 +200,7 @@ def test_without_lag_convection_or_second_mass_the_base_stays(slow_sensor):
 def test_no_form_that_a_design_has_already_is_a_candidate():
     record, _ = plant_record("instants", 31003, days=12.0)
     base = design(record, kind="thermal")
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     values = {p.name: p.start for p in base.model.parameters}
     left = [CONVECTION, SECOND_MASS, SECOND["heat_disturbance"]]
     for name in left.copy():
@@ -245,7 +245,7 @@ def test_an_offset_of_a_source_and_its_effect_are_found(thermal_part):
     late = record.replace_series(
         *(replace(s, time=s.time + 90.0) for s in record.series if s.source.startswith("scada"))
     )
-    made = prepare_run(found.base, late)
+    made = model_inputs(found.base, late)
     objective = Objective(Likelihood(found.base.model, made.timeline), found.estimate.coordinates)
     moved = climb(objective, found.estimate.z, passes=30)
     there = replace(

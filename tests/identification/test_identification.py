@@ -163,12 +163,12 @@ def test_joint_and_cascade_agree(record, fit):
 
 def test_without_coloured_disturbances_the_time_constant_is_far_too_long(record, made):
     """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
-    from hygrokf.estimation.optimiser import maximise
-    from hygrokf.modelling.inputs import prepare_run
+    from hygrokf.estimation.optimiser import fit_mle
+    from hygrokf.modelling.inputs import model_inputs
 
     early = record.identification()
     white = design(early, kind="thermal", coloured=False)
-    found = maximise(Likelihood(white.model, prepare_run(white, early).timeline), count=2)
+    found = fit_mle(Likelihood(white.model, model_inputs(white, early).timeline), count=2)
     assert found.values["thermal_time_constant"] > 1.5 * made.truth.tau_h
 
 

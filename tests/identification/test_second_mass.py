@@ -11,10 +11,10 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import maximise
+from hygrokf.estimation.optimiser import fit_mle
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.mechanisms.thermal import wall_thermal_mass
 from hygrokf.physics.model import extend
 
@@ -27,12 +27,12 @@ def criterion_gain(seed: int, wall: bool) -> float:
     having."""
     record = to_record(plant(seed, days=DAYS, wall=wall))
     base = design(record, kind="thermal", heat_start=heat_release_regression(record).start())
-    made = prepare_run(base, record)
-    plain = maximise(Likelihood(base.model, made.timeline), count=1)
+    made = model_inputs(base, record)
+    plain = fit_mle(Likelihood(base.model, made.timeline), count=1)
     wider = Likelihood(extended(base, [("wall_thermal_mass", {})]).model, made.timeline)
     starts = {p.name: p.start for p in wider.model.parameters} | plain.values | {"wall_conductance": 0.05}
     best = max(
-        maximise(wider, {**starts, "wall_time_constant": time_h}, count=1).objective for time_h in STARTS_H
+        fit_mle(wider, {**starts, "wall_time_constant": time_h}, count=1).objective for time_h in STARTS_H
     )
     return 2.0 * (best - plain.objective) - 3.0 * math.log(made.timeline.n_readings)
 
@@ -60,7 +60,7 @@ def test_a_second_mass_in_forty_plants() -> None:
 def test_without_conductance_the_network_is_the_papers() -> None:
     record = to_record(plant(610, days=10.0))
     base = design(record, kind="thermal")
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     values = {p.name: p.start for p in base.model.parameters}
     wider = extend(base.model, wall_thermal_mass())
     nested = values | {"wall_conductance": 0.0, "wall_time_constant": 10.0, "wall_position": 0.5}
@@ -77,7 +77,7 @@ def test_the_second_mass_leaves_steady_states_alone_and_adds_a_pole() -> None:
     model = extend(base.model, wall_thermal_mass())
     p = {q.name: q.start for q in model.parameters}
     p |= {"wall_conductance": 0.5, "wall_time_constant": 10.0, "resistance_ratio": 0.8, "wall_position": 1.0}
-    likelihood = Likelihood(model, prepare_run(base, record).timeline)
+    likelihood = Likelihood(model, model_inputs(base, record).timeline)
     u = likelihood.first_inputs()
     mean, _ = likelihood._stationary(p, np.array(model.initial(p, u)[0]))
     state = dict(zip(model.states, mean, strict=True))

@@ -13,7 +13,7 @@ from plants.as_record import to_record
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.modelling.derived_inputs import FEATURES, clear_sky, feature, feature_faults
 from hygrokf.modelling.design import Design, design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.switches import CONTROLLED
 
 HOUR = 3600.0
@@ -84,12 +84,12 @@ def test_a_design_brings_its_features_to_any_record(record: Record) -> None:
     date = record.start_s + 5 * 86400.0
     wider = extended(base, [("stepped_loss", {})], features={"after_step": {"date_s": date}})
     again = Design.from_json(wider.to_json())
-    made = prepare_run(again, record)
+    made = model_inputs(again, record)
     seconds = made.timeline.origin_s + HOUR * made.timeline.time
     flag = made.timeline.input("after_step")
     assert set(flag) == {0.0, 1.0}
     assert abs(seconds[np.argmax(flag)] - date) < 1800.0
-    assert len(made.timeline) == len(prepare_run(base, record).timeline)
+    assert len(made.timeline) == len(model_inputs(base, record).timeline)
 
 
 def test_what_a_record_lacks_is_named(record: Record) -> None:
@@ -108,7 +108,7 @@ def test_what_a_record_lacks_is_named(record: Record) -> None:
         ("wind_tenth", "wind_loss", "the model reads wind_speed, which the record does not have"),
     ):
         with pytest.raises(ValueError, match=words):
-            prepare_run(extended(base, [(mechanism, {})], features={name: {}}), bare)
+            model_inputs(extended(base, [(mechanism, {})], features={name: {}}), bare)
     assert set(FEATURES) >= {
         "elapsed",
         "sunshine",

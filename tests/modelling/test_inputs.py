@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import Design, design, extended
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics import mechanisms as library
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -109,7 +109,7 @@ def base(record) -> Design:
 
 @pytest.fixture(scope="module")
 def made(base, record):
-    return prepare_run(base, record)
+    return model_inputs(base, record)
 
 
 # --- holds ----------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def test_power_read_at_instants_gives_the_mean_of_its_course():
     """Instants are joined by straight lines; over any stretch the held steps have the line's integral."""
     read = instants("active_power", lambda t: 0.5 * RATED_W * (1.3 + np.sin(t / 5000)), step_s=720, hours=96)
     record = a_record(active_power=read)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     time = seconds(made)
     fine = np.linspace(time[0], time[-1], 400_001)
     exact = np.trapezoid(np.interp(fine, read.time, read.value) / RATED_W, fine)
@@ -183,7 +183,7 @@ def test_ambient_means_give_the_path_that_keeps_them():
 
     read = means("ambient_temperature", hourly, step_s=3600, hours=97, offset_s=-1800.0)
     record = a_record(ambient_temperature=read)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     time = seconds(made)
     found = made.timeline.input("ambient_temperature")
     error = [np.std(found - weather(time - lag)) for lag in (0.0, -1800.0, 1800.0)]
@@ -202,13 +202,13 @@ def test_preheating_holds_over_its_interval_and_unwritten_duty_is_none(record):
     unwritten = replace(duty, value=np.where(duty.time > START_S + 60 * HOUR_S, np.nan, duty.value))
     heated = replace(record, series=(*record.series, unwritten))
     base = design(heated)
-    made = prepare_run(base, heated)
+    made = model_inputs(base, heated)
     values, time = made.timeline.input("preheating"), seconds(made)
     on = time[values > 0]
     assert on.min() > START_S + 28 * HOUR_S
     assert on.max() <= START_S + 32 * HOUR_S + 1e-3
     assert np.all(values[time > START_S + 61 * HOUR_S] == 0.0)
-    plain = prepare_run(base, record)  # a record that knows no pre-heating has none
+    plain = model_inputs(base, record)  # a record that knows no pre-heating has none
     assert np.all(plain.timeline.input("preheating") == 0.0)
 
 
@@ -226,7 +226,7 @@ def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
     monkeypatch.setitem(library.LIBRARY, "windy", windy)
     wind = instants("wind_speed", lambda t: 8 + 3 * np.sin(t / 3000), step_s=420, hours=96, offset_s=11.0)
     windy_record = replace(record, series=(*record.series, wind))
-    made = prepare_run(extended(base, [("windy", {})], {"wind_speed": "linear"}), windy_record)
+    made = model_inputs(extended(base, [("windy", {})], {"wind_speed": "linear"}), windy_record)
     time = seconds(made)
     inside = (wind.time >= time[0]) & (wind.time <= time[-1])
     near = time[np.clip(np.searchsorted(time, wind.time[inside]), 0, len(time) - 1)]
@@ -235,7 +235,7 @@ def test_further_signals_bring_their_own_instants(base, record, monkeypatch):
     with pytest.raises(
         ValueError, match=r"reads wind_speed, which the record does not have \(it has cabinet_"
     ):
-        prepare_run(extended(base, [("windy", {})], {"wind_speed": "linear"}), record)
+        model_inputs(extended(base, [("windy", {})], {"wind_speed": "linear"}), record)
 
 
 # --- interval means of the cabinet ----------------------------------------------------------
@@ -259,7 +259,7 @@ def test_interval_means_stand_at_their_end_and_begin_anew_at_their_start():
     record = averaged_record(end, 900.0)
     base = design(record)
     assert base.averaged == {"cabinet_temperature": 0.25}
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     reading, time = made.timeline.reading("cabinet_temperature"), seconds(made)
     assert np.isnan(reading[at(made, end[0])])
     for k in (1, 2, 77, 199):
@@ -273,7 +273,7 @@ def test_a_reading_that_was_missed_leaves_its_interval_to_nobody():
     end = START_S + 1500.0 + 900.0 * np.arange(0, 200)
     kept = np.delete(end, [50, 51, 120])
     record = averaged_record(kept, 900.0)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     assert_allclose(reset_times(made), kept - 900.0, atol=1e-3)
     assert made.timeline.n_readings == len(kept)
 
@@ -283,7 +283,7 @@ def test_of_overlapping_means_the_later_ones_are_left_out():
     taken."""
     end = START_S + 4200.0 + 600.0 * np.arange(0, 300)
     record = averaged_record(end, 3600.0)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     taken = seconds(made)[np.isfinite(made.timeline.reading("cabinet_temperature"))]
     assert_allclose(taken, end[::6], atol=1e-3)
     assert_allclose(reset_times(made), end[::6] - 3600.0, atol=1e-3)
@@ -293,7 +293,7 @@ def test_a_clock_that_jitters_never_cuts_an_interval_in_two():
     random = np.random.default_rng(5)
     end = START_S + 1500.0 + 600.0 * np.arange(0, 300) + np.round(random.uniform(-4, 4, 300))
     record = averaged_record(end, 600.0)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     taken = seconds(made)[np.isfinite(made.timeline.reading("cabinet_temperature"))]
     assert len(taken) > 140
     resets = reset_times(made)
@@ -309,7 +309,7 @@ def test_rounding_of_stamps_is_no_overlap():
     end[::2] += 5e-7
     assert 90 < np.sum(end[1:] - 700.0 < end[:-1]) < 110
     record = averaged_record(end, 700.0)
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     assert made.timeline.n_readings == 200
     time, bit = seconds(made), (made.timeline.reset & 1) == 1
     for stamp in end[:-1]:
@@ -324,9 +324,9 @@ def test_a_design_for_means_refuses_instants_and_the_other_way_round(base, recor
     end = START_S + 1500.0 + 900.0 * np.arange(0, 200)
     other = averaged_record(end, 900.0)
     with pytest.raises(ValueError, match="the design reads means over 0 s, the record has 900 s"):
-        prepare_run(base, other)
+        model_inputs(base, other)
     with pytest.raises(ValueError, match=r"means over 900 s, the record has 0 s.*read_as"):
-        prepare_run(design(other), record)
+        model_inputs(design(other), record)
 
 
 # --- gaps -----------------------------------------------------------------------------------
@@ -339,7 +339,7 @@ def test_short_gaps_of_the_power_are_bridged_by_the_value_before_them(base, reco
     gap = remove(power, (end - START_S) / HOUR_S + 1e-6, (end - START_S) / HOUR_S + 1.0 + 1e-6)
     holed = record.replace_series(gap)
     assert np.isfinite(gap.value).sum() == np.isfinite(power.value).sum() - 6  # six means: one hour
-    made = prepare_run(base, holed)
+    made = model_inputs(base, holed)
     time = seconds(made)
     inside = (time > end + 1.0) & (time < end + HOUR_S + 1.0)
     assert inside.sum() > 5
@@ -356,7 +356,7 @@ def test_long_gaps_of_the_power_are_unknown_and_not_zero(record, remove):
         remove(power, (begin - START_S) / HOUR_S + 1e-6, (end - START_S) / HOUR_S + 1e-6)
     )
     base = design(holed)
-    made = prepare_run(base, holed)
+    made = model_inputs(base, holed)
     time = seconds(made)
     unknown = (time > begin + 1.0) & (time < end + 1.0)
     assert unknown.sum() > 30
@@ -379,7 +379,7 @@ def test_a_gap_unforeseen_by_the_design_takes_the_mean_all_the_same(base, record
     """A design from a record without gaps has no regime for them: the mean stands in, and nothing is
     scored."""
     assert "power_unknown" not in base.model.inputs
-    made = prepare_run(base, record.replace_series(blanked(record["active_power"], 40.0, 60.0)))
+    made = model_inputs(base, record.replace_series(blanked(record["active_power"], 40.0, 60.0)))
     time = seconds(made) - START_S
     inside = (time > 41 * HOUR_S) & (time < 59 * HOUR_S)
     assert_allclose(made.timeline.input("operating")[inside], base.power_mean[0])
@@ -390,14 +390,14 @@ def test_gaps_of_the_ambient_up_to_six_hours_are_straight(base, record):
     warm = record["ambient_temperature"]
     hole = cut(warm, 30.0, 35.7)
     holed = record.replace_series(hole, cut(record["ambient_relative_humidity"], 30.0, 35.7))
-    made = prepare_run(base, holed)
+    made = model_inputs(base, holed)
     assert made.scored.all()
     assert_allclose(
         made.timeline.input("ambient_temperature"),
         np.interp(seconds(made), hole.time, hole.value),
         atol=1e-6,
     )
-    assert made.timeline.n_readings == prepare_run(base, record).timeline.n_readings
+    assert made.timeline.n_readings == model_inputs(base, record).timeline.n_readings
 
 
 @pytest.mark.parametrize("remove", [blanked, cut])
@@ -406,7 +406,7 @@ def test_in_long_gaps_of_the_ambient_readings_are_left_out(base, record, remove,
     hole = remove(record[signal], 30.0, 40.0)
     known = hole.time[~hole.missing]
     first, last = known[known <= START_S + 30 * HOUR_S][-1], known[known >= START_S + 40 * HOUR_S][0]
-    made = prepare_run(base, record.replace_series(hole))
+    made = model_inputs(base, record.replace_series(hole))
     time = seconds(made)
     # the step that ends at the first reading after the gap is unknown, too
     lost = (time > first + 1.0) & (time <= last + 1e-3)
@@ -425,7 +425,7 @@ def test_in_long_gaps_of_the_ambient_readings_are_left_out(base, record, remove,
 def test_a_gap_of_all_loggers_at_once_is_a_gap_too(base, record):
     """No instant lies inside; the step over the gap is what is unknown."""
     down = replace(record, series=tuple(cut(s, 30.0, 45.0) for s in record.series))
-    made = prepare_run(base, down)
+    made = model_inputs(base, down)
     time = seconds(made)
     assert not np.any((time > START_S + 30.3 * HOUR_S) & (time < START_S + 44.8 * HOUR_S))
     end = np.flatnonzero(made.timeline.ends)
@@ -446,10 +446,10 @@ def test_coarse_series_are_no_chain_of_gaps(record):
     )
     base = design(coarse)
     assert "power_unknown" not in base.model.inputs
-    assert prepare_run(base, coarse).scored.all()
+    assert model_inputs(base, coarse).scored.all()
     holed = coarse.replace_series(blanked(coarse["active_power"], 39.0, 41.0))
     assert "power_unknown" in design(holed).model.inputs
-    assert not prepare_run(base, holed).scored.all()
+    assert not model_inputs(base, holed).scored.all()
 
 
 # --- what is not there ----------------------------------------------------------------------
@@ -458,7 +458,7 @@ def test_coarse_series_are_no_chain_of_gaps(record):
 def test_without_power_all_of_it_counts_as_standstill(record):
     idle = replace(record, series=tuple(s for s in record.series if s.signal != "active_power"))
     base = design(idle)
-    made = prepare_run(base, idle)
+    made = model_inputs(base, idle)
     assert not made.operating.any()
     assert made.scored.all()
     assert "operating" not in base.model.inputs
@@ -466,14 +466,14 @@ def test_without_power_all_of_it_counts_as_standstill(record):
 
 def test_a_design_that_knows_the_power_scores_nothing_without_it(base, record):
     idle = replace(record, series=tuple(s for s in record.series if s.signal != "active_power"))
-    made = prepare_run(base, idle)
+    made = model_inputs(base, idle)
     assert not made.scored.any()
     assert_allclose(made.timeline.input("power_1"), base.power_mean[1])
 
 
 def test_drivers_alone_run_over_the_span_of_the_ambient(base, record):
     alone = replace(record, series=tuple(s for s in record.series if not s.signal.startswith("cabinet")))
-    made = prepare_run(base, alone)
+    made = model_inputs(base, alone)
     ambient = record["ambient_temperature"]
     assert seconds(made)[[0, -1]] == pytest.approx(ambient.time[[0, -1]], abs=1e-5)
     assert made.timeline.n_readings == 0
@@ -488,7 +488,7 @@ def test_series_with_other_spans(base, record):
     }
     power = record["active_power"]
     short = replace(power, time=power.time[:300], value=power.value[:300])
-    made = prepare_run(base, record.replace_series(*late.values(), short))
+    made = model_inputs(base, record.replace_series(*late.values(), short))
     time = seconds(made)
     cabinet = record["cabinet_temperature"]
     assert time[0] == pytest.approx(late["ambient_temperature"].time[0], abs=1e-5)
@@ -504,17 +504,17 @@ def test_nothing_in_common_is_said(base, record):
     with pytest.raises(
         ValueError, match="the cabinet's readings and the ambient series have no stretch of time"
     ):
-        prepare_run(base, record.replace_series(*cabinet))
+        model_inputs(base, record.replace_series(*cabinet))
     blind = replace(record["ambient_temperature"], value=np.full(len(record["ambient_temperature"]), np.nan))
     with pytest.raises(ValueError, match="no reading of ambient_temperature, the ambient humidity can"):
-        prepare_run(base, record.replace_series(blind))
+        model_inputs(base, record.replace_series(blind))
 
 
 def test_absolute_humidity_of_the_cabinet_is_read_in_grams(record):
     moist = instants("cabinet_absolute_humidity", 7.1e-3, step_s=900, hours=90, offset_s=417.0)
     series = [s for s in record.series if s.signal != "cabinet_relative_humidity"]
     other = replace(record, series=(*series, moist))
-    made = prepare_run(design(other), other)
+    made = model_inputs(design(other), other)
     read = made.timeline.reading("cabinet_absolute_humidity")
     assert_allclose(read[np.isfinite(read)], 7.1)
 
@@ -564,7 +564,7 @@ def test_every_reading_appears_once_at_its_own_time(clock):
         ),
         active_power=means("active_power", power_course, step_s=600, hours=60, offset_s=power_offset),
     )
-    made = prepare_run(design(record), record)
+    made = model_inputs(design(record), record)
     warm, moist = (record[n].time for n in ("ambient_temperature", "ambient_relative_humidity"))
     moist = moist[(moist >= warm[0]) & (moist <= warm[-1])]  # a humidity counts where there is a temperature
     first, last = max(time[0] - length, moist[0], warm[0]), min(time[-1], moist[-1], warm[-1])

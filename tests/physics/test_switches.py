@@ -15,7 +15,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import DECIDE_H, self_switched, switches_of
 from hygrokf.evaluation.simulation import forecast, simulate
 from hygrokf.modelling.design import Design, design, extended, merged
-from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.switches import Throttle
 
 
@@ -61,7 +61,7 @@ def test_a_simulation_drives_its_own_heater() -> None:
     """
     record = weather()
     base, values = heated(record)
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     assert made.timeline.input("throttled_heating").max() == 0.0
     found = simulate(base, values, made).temperature[0]
     own = self_switched(base, values, [made])[0]
@@ -86,14 +86,14 @@ def test_readings_of_the_cabinet_change_nothing_in_a_simulation() -> None:
     otherwise."""
     record, blind = weather(), weather(cabinet=False)
     base, values = heated(record)
-    with_readings = simulate(base, values, prepare_run(base, record)).temperature[0]
-    without = simulate(base, values, prepare_run(base, blind)).temperature[0]
+    with_readings = simulate(base, values, model_inputs(base, record)).temperature[0]
+    without = simulate(base, values, model_inputs(base, blind)).temperature[0]
     np.testing.assert_allclose(with_readings, without, atol=1e-9)
     cold = record.replace_series(
         replace(record["cabinet_temperature"], value=np.full(len(record["cabinet_temperature"].time), 270.0))
     )
     np.testing.assert_allclose(
-        simulate(base, values, prepare_run(base, cold)).temperature[0], without, atol=1e-9
+        simulate(base, values, model_inputs(base, cold)).temperature[0], without, atol=1e-9
     )
 
 
@@ -107,14 +107,14 @@ def test_a_record_that_lacks_the_reading_alone_is_told() -> None:
                 value=np.full(len(record["cabinet_temperature"].time), 0.5))),
     )  # fmt: skip
     with pytest.raises(ValueError, match="switches by cabinet_temperature, which the record does not have"):
-        prepare_run(base, moist)
+        model_inputs(base, moist)
 
 
 def test_runs_side_by_side_are_each_their_own() -> None:
     """Windows of different lengths, begun from states of their own, as one by one."""
     record = weather()
     base, values = heated(record)
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     t = made.timeline
     trace = Likelihood(base.model, t).trace(values)
     pieces, states = [], []
@@ -135,7 +135,7 @@ def test_forecasts_do_not_know_the_readings_that_come() -> None:
     """Readings after the start of a forecast change what it is compared with, and not the forecast."""
     record = weather()
     base, values = heated(record)
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     middle = len(made.timeline) // 3
     late = made.timeline.time > made.timeline.time[middle] + 1e-6
     hot = made.timeline.u.copy()
@@ -148,7 +148,7 @@ def test_forecasts_do_not_know_the_readings_that_come() -> None:
 def test_a_model_without_switches_is_left_alone() -> None:
     record = to_record(plant(77, days=8.0))
     base = design(record, kind="thermal")
-    made = prepare_run(base, record)
+    made = model_inputs(base, record)
     assert self_switched(base, {}, [made]) == [made] and not switches_of(base)
 
 
@@ -166,8 +166,8 @@ def test_a_switch_whose_reading_the_model_does_not_foretell_stays_with_the_readi
 def test_steps_between_decisions_are_bounded() -> None:
     record = weather(step=3600.0)
     base, values = heated(record)
-    coarse = simulate(base, values, prepare_run(base, record)).temperature[0]
-    fine = simulate(base, values, prepare_run(base, weather())).temperature[0][::6]
+    coarse = simulate(base, values, model_inputs(base, record)).temperature[0]
+    fine = simulate(base, values, model_inputs(base, weather())).temperature[0][::6]
     n = min(len(coarse), len(fine))
     idle = np.arange(n) < 95
     assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
@@ -197,7 +197,7 @@ def test_a_heater_in_any_state_holds_its_cabinet() -> None:
     wider = extended(
         design(weather(), kind="thermal", power_order=1), (("unreported_heater", {}),), features=features
     )
-    made = prepare_run(wider, record)
+    made = model_inputs(wider, record)
     own = self_switched(wider, values, [made])[0]
     duty = own.timeline.input("throttled_heating")
     late = made.timeline.time > 24.0

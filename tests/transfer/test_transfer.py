@@ -256,11 +256,11 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     assert np.sqrt(np.mean(error**2)) == pytest.approx(
         other.results.rmse["temperature_K"]["re_estimated"].total
     )
-    from hygrokf.modelling.inputs import prepare_run
+    from hygrokf.modelling.inputs import model_inputs
 
     record = sister((HEAT,))
     again = simulate(
-        other.adapted.design, other.adapted.values, prepare_run(other.adapted.design, record)
+        other.adapted.design, other.adapted.values, model_inputs(other.adapted.design, record)
     ).temperature[0]
     np.testing.assert_allclose(again, simulation, rtol=1e-9)
 

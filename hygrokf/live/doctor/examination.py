@@ -31,7 +31,7 @@ from hygrokf.live.tracker import Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import listening_socket
-from hygrokf.modelling.inputs import prepare_run
+from hygrokf.modelling.inputs import model_inputs
 
 ANSWER_S = 5.0
 """[s] allowed for a page's answer."""
@@ -231,7 +231,7 @@ def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
             "add it to [mapping.signals]",
         )
     try:
-        prepare_run(plan.design, record_of(plan, dict.fromkeys(values, times), values))
+        model_inputs(plan.design, record_of(plan, dict.fromkeys(values, times), values))
     except (ValueError, KeyError) as error:
         return (
             f"its model cannot be run on these signals: {error}",
