@@ -17,24 +17,24 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
+from hygrokf.engine.rates import rate_bound, sizes
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
-from hygrokf.physics.expression import is_zero
+from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
 INITIAL = ("prior", "stationary", "diffuse")
+FASTEST = 2.0**1000
+"""[1] product of a rate and a step beyond which a rate counts as infinite."""
 GAPS = 1_000
 """Largest number of long steps in one run; more mean a rate far above what the readings resolve."""
 
-Place = tuple[int, int]
-"""Row and column of an entry of a Jacobian."""
 Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 """First moments, their tangents, and the directions: one array each for every `LANES` directions."""
 
@@ -131,61 +131,25 @@ class Likelihood:
         """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
         if self.fastest is not None:
             return self.fastest
-        return max((0.0, *self._bounds(values, inputs)))
+        corners = self.timeline.corners if inputs is None else inputs
+        return rate_bound(self.recursion, self._sizes(values, corners))
 
-    def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
-        """Upper bound of the rate of each state [1/h] (n,)."""
-        r = self.recursion
-        known = r.symbols(values)
-        if self._rate_moves:
-            corners = self.timeline.corners if inputs is None else inputs
-            mean, _ = self.model.initial(values, corners)
-            known = r.symbols(values, map(np.asarray, mean), corners)
-        places, pairs = self._rate_entries
+    def _sizes(self, values: Mapping[str, float], corners: Mapping[str, np.ndarray]) -> dict[Place, float]:
         try:
-            found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+            return sizes(self.recursion, values, corners)
         except KeyError:
             expect_values(self.model.parameters, values)
             raise
-        except ZeroDivisionError:  # a parameter at a physical limit, such as a resistance of 0
-            return [math.inf] * r.n
-        entry = dict(zip(places, found, strict=True))
-        bounds = []
-        for i in range(r.n):
-            total = abs(entry.get((i, i), 0.0))
-            for a, b in pairs[i]:
-                total = total + np.sqrt(np.abs(entry[a] * entry[b]))
-            bounds.append(float(np.max(total)))
-        return bounds
-
-    @cached_property
-    def _rate_moves(self) -> bool:
-        """Whether the rates depend on anything besides the parameters."""
-        r = self.recursion
-        needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
-        symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
-        return not all(name.startswith(("p:", "c:")) for name in symbols)
-
-    @cached_property
-    def _rate_entries(self) -> tuple[list[Place], list[list[tuple[Place, Place]]]]:
-        """Entries of the Jacobian that bound its eigenvalues: diagonal, and non-zero pairs (i, j), (j, i)."""
-        r = self.recursion
-        there = [[not is_zero(v) for v in row] for row in r.jacobian]
-        pairs = [
-            [((i, j), (j, i)) for j in range(r.n) if j != i and there[i][j] and there[j][i]]
-            for i in range(r.n)
-        ]
-        places = {(i, i) for i in range(r.n) if there[i][i]}
-        places |= {place for row in pairs for pair in row for place in pair}
-        return sorted(places), pairs
 
     def _steps(self, values: Mapping[str, float]) -> SubSteps:
-        """Sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
+        """Doublings or sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
         steps = self.timeline.steps
-        limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
-        if not math.isfinite(rate):
+        if not rate * float(steps[:, 0].max()) < FASTEST:
             raise RatesFault(self._not_finite(values))
+        if self.recursion.exact:
+            return SubSteps(steps, doublings(steps[:, 0] * rate).astype(np.int32), tuple(self._gaps))
+        limit = self.rate_step or RATE_STEP
         if steps[:, 0].max() * rate <= limit:
             return SubSteps(steps, self._single, tuple(self._gaps))
         keys = steps.copy()
@@ -203,6 +167,8 @@ class Likelihood:
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
+        if self.recursion.exact:
+            return 1.0
         steps = self._steps(values)
         taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
         return float(taken) / len(self.timeline)
@@ -212,8 +178,9 @@ class Likelihood:
         if self.fastest is not None:
             return f"fastest: expected a finite rate [1/h], found {self.fastest}"
         r = self.recursion
-        lost = [i for i, bound in enumerate(self._bounds(values, None)) if not math.isfinite(bound)]
-        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in self._rate_entries[0] if a in lost or b in lost]
+        found = self._sizes(values, self.timeline.corners)
+        lost = sorted({i for (i, _), size in found.items() if not math.isfinite(size)})
+        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in r.rate_entries if a in lost]
         symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
         own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         return (
@@ -454,7 +421,9 @@ class Likelihood:
         out, theta_bar = np.zeros(3), np.zeros(len(r.p))
         store = self._store
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
-        buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
+        most = int(steps.parts.max(initial=1)) + 1
+        held = 0 if r.doubling is None else most * len(r.doubling.now)
+        buffer = np.empty(max(most * width, (len(r.updates) + 1) * width, held))
         common = self._common(values, steps, state, part)
         filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar
