@@ -22,7 +22,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.optimiser import AT_LIMIT, BETTER, Estimate, Objective, bounded_step
+from hygrokf.estimation.optimiser import (
+    AT_LIMIT,
+    BETTER,
+    Estimate,
+    Objective,
+    bounded_step,
+    secant_update,
+)
 from hygrokf.physics.parameters import Coordinates, Parameter
 
 STEP_OF_SE = 0.02
@@ -434,7 +441,7 @@ class _Walk:
                 # point
                 curvature, informed = self.objective.information(z).information, True
                 continue
-            curvature = _bfgs(curvature, step, gradient - new_gradient)
+            curvature = secant_update(curvature, step, gradient - new_gradient)
             z, value, gradient = trial, new, new_gradient
         self.last[offset] = z, gradient
         self.best = min(self.best, (self.estimate.objective - value, z), key=lambda pair: pair[0])
@@ -477,15 +484,6 @@ class _Walk:
         except FloatingPointError:
             return -math.inf, np.zeros_like(z)
         return (value, gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(z))
-
-
-def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The curvature (d, d) updated by a step s that changed the score by −y (Broyden, Fletcher, Goldfarb,
-    Shanno)."""
-    along = curvature @ s
-    if float(s @ y) <= 1e-12 or float(s @ along) <= 0.0:
-        return curvature
-    return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
 
 
 def _end(
