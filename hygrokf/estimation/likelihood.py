@@ -118,7 +118,7 @@ class Likelihood:
     def _diffuse(self) -> bool:
         return self.initial == "diffuse"
 
-    @property
+    @cached_property
     def recursion(self) -> Recursion:
         return traced(self.model, self._diffuse)
 
@@ -170,9 +170,13 @@ class Likelihood:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
         if self.recursion.exact:
             return 1.0
-        steps = self._steps(values)
-        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
-        return float(taken) / len(self.timeline)
+        parts = self._steps(values).parts
+        return float(self._instants @ parts) / len(self.timeline)
+
+    @cached_property
+    def _instants(self) -> np.ndarray:
+        """Number of instants that each distinct step leads to."""
+        return np.bincount(self.timeline.key, minlength=len(self.timeline.steps))
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
@@ -433,16 +437,20 @@ class Likelihood:
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            *found, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            read = np.isfinite(self.timeline.y[part])  # few instants have a reading
+            e, s, de, ds = (one[read] for one in found)
             weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
-            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            e, de, ds = weight * e, weight[:, None] * de[:, :count], ds[:, :count]
+            share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
             loglik += value
-            score += share.sum(axis=(0, 1))
+            score += share.sum(axis=0)
             if each:
-                scores[part] = share.sum(axis=1)
-            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
-            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
+                by_output = np.zeros((*read.shape, count))
+                by_output[read] = share
+                scores[part] = by_output.sum(axis=1)
+            a = de / np.sqrt(s)[:, None]
+            b = ds / (math.sqrt(2.0) * s)[:, None]
             information += a.T @ a + b.T @ b
         return Sensitivities(loglik, score, information, scores)
 
