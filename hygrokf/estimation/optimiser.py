@@ -64,7 +64,7 @@ class Optimum:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """The best optimum of several climbs.
 
@@ -81,6 +81,21 @@ class Estimate:
     message: str
     at_bounds: tuple[str, ...]
     others: tuple[tuple[float, dict[str, float]], ...] = ()
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  {p.name} = {self.values[p.name]:.6g}{'' if p.unit == '1' else f' {p.unit}'}"
+            + ("  (at a limit)" if p.name in self.at_bounds else "")
+            for p in self.coordinates.free
+        ]
+        more = f", {len(self.others)} other optima" if self.others else ""
+        head = f"Estimate: ln L = {self.loglik:.6f}, {len(rows)} free parameters; {self.message}{more}"
+        return "\n".join([head, *shortened(rows)])
+
+
+def shortened(lines: list[str], most: int = 30) -> list[str]:
+    """Lines that fit a screen, with the number of those left out."""
+    return lines if len(lines) <= most else [*lines[:most], f"  … and {len(lines) - most} more"]
 
 
 class _BudgetSpent(Exception):
