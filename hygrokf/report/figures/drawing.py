@@ -137,6 +137,7 @@ def svg(figure: Figure, name: str) -> str:
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        _lay_out(figure)
         _save(figure, buffer, format="svg", metadata=nothing)
     text = buffer.getvalue()
     text = re.sub(
@@ -153,12 +154,31 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def _save(figure: Figure, buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
+    with _any_letters():
+        figure.savefig(buffer, **settings)
+
+
+def _lay_out(figure: Figure) -> None:
+    """Lay a figure out as SVG for good: `savefig` would draw all of it for that, and then once more."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    if engine is not None:
+        FigureCanvasSVG(figure)
+        with _any_letters():
+            engine.execute(figure)
+        figure.set_layout_engine(None)
+        figure.dpi = dpi  # the layout's is that of SVG
+
+
+@contextmanager
+def _any_letters() -> Iterator[None]:
+    """A name may have letters that the layout's font lacks: the page's reader has a font for them."""
     import warnings
 
     with warnings.catch_warnings():
-        # a name in letters that the layout's font lacks: the page's reader has a font for them
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(buffer, **settings)
+        yield
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
