@@ -203,13 +203,9 @@ class Likelihood:
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
-        parts = self._steps(values).parts
-        return float(self._instants @ parts) / len(self.timeline)
-
-    @cached_property
-    def _instants(self) -> np.ndarray:
-        """Number of instants that each distinct step leads to."""
-        return np.bincount(self.timeline.key, minlength=len(self.timeline.steps))
+        steps = self._steps(values)
+        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
+        return float(taken) / len(self.timeline)
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
@@ -545,8 +541,7 @@ class Likelihood:
         blocks: Blocks,
         gain: bool,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Innovations and variances (t, k), the derivatives of both (blocks, t, k, `LANES`), and ln L, of
-        some instants."""
+        """Innovations, variances (t, k), the derivatives of both (blocks, t, k, `LANES`), ln L of instants."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
         de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
