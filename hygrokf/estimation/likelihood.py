@@ -170,13 +170,9 @@ class Likelihood:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
         if self.recursion.exact:
             return 1.0
-        parts = self._steps(values).parts
-        return float(self._instants @ parts) / len(self.timeline)
-
-    @cached_property
-    def _instants(self) -> np.ndarray:
-        """Number of instants that each distinct step leads to."""
-        return np.bincount(self.timeline.key, minlength=len(self.timeline.steps))
+        steps = self._steps(values)
+        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
+        return float(taken) / len(self.timeline)
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
@@ -437,11 +433,12 @@ class Likelihood:
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            *found, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
             read = np.isfinite(self.timeline.y[part])  # few instants have a reading
-            e, s, de, ds = (one[read] for one in found)
+            e, s = e[read], s[read]
+            de, ds = (np.concatenate(one[:, read], axis=1)[:, :count] for one in (de, ds))
             weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[:, None] * de[:, :count], ds[:, :count]
+            e, de = weight * e, weight[:, None] * de
             share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
             loglik += value
             score += share.sum(axis=0)
@@ -482,7 +479,8 @@ class Likelihood:
         blocks, steps = self._tangent_start(values, directions), self._steps(values)
         found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
         e, _, de, _, _ = zip(*found, strict=True)
-        return np.concatenate(e), np.concatenate(de)[..., : directions.shape[1]]
+        slopes = np.concatenate(list(np.concatenate(de, axis=1)), axis=-1)
+        return np.concatenate(e), slopes[..., : directions.shape[1]]
 
     def _parts(self, steps: SubSteps) -> Iterator[slice]:
         """The pieces of a run, a chunk at a time."""
@@ -501,13 +499,12 @@ class Likelihood:
         blocks: Blocks,
         gain: bool,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Innovations and variances (t, k), the derivatives of both (t, k, r), and ln L, of some instants."""
+        """Innovations, variances (t, k), the derivatives of both (blocks, t, k, `LANES`), ln L of instants."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
-        derivatives: list[tuple[np.ndarray, np.ndarray]] = []
-        for state, dot, seed in zip(*blocks, strict=True):
+        de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
+        for block, (state, dot, seed) in enumerate(zip(*blocks, strict=True)):
             e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
-            de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
             key_dot = np.empty(max(1, min(len(steps.keys), count) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in steps.long:
@@ -516,17 +513,10 @@ class Likelihood:
                 self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
-                rows = (e[own], s[own], de[own], ds[own])
+                rows = (e[own], s[own], de[block, own], ds[block, own])
                 filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
                 loglik += self._loglik(out)
-            derivatives.append((de, ds))
-        return (
-            e,
-            s,
-            np.concatenate([d[0] for d in derivatives], axis=2),
-            np.concatenate([d[1] for d in derivatives], axis=2),
-            loglik,
-        )
+        return e, s, de, ds, loglik
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
         """Run the filter and keep all moments; without `gain`, readings enter ln L but do not correct the
