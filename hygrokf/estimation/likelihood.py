@@ -23,13 +23,14 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.estimation.gaussian import Gaussian as Gaussian
+from hygrokf.estimation.gaussian import expect_initial, expect_variances
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
-from hygrokf.physics.parameters import expect_values
+from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
-INITIAL = ("prior", "stationary", "diffuse")
 GAPS = 1_000
 """Largest number of long steps in one run; more mean a rate far above what the readings resolve."""
 
@@ -41,15 +42,6 @@ Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 
 class RatesFault(FloatingPointError, ValueError):
     """Rates that no step can represent; the message names the state or the steps, and the remedy."""
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """State at `time_h` as a normal distribution, a filter's checkpoint: mean (n,), covariance (n, n)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    time_h: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,11 +97,7 @@ class Likelihood:
     fastest: float | None = None
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.diffuse_states) - set(self.model.states))
-        if unknown:
-            raise ValueError(f"diffuse_states: unknown {unknown}; the model has {list(self.model.states)}")
-        if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
-            raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
+        expect_initial(self.model, self.initial, self.diffuse_states)
 
     __getstate__ = fields_alone
 
@@ -121,11 +109,17 @@ class Likelihood:
     def recursion(self) -> Recursion:
         return traced(self.model, self._diffuse)
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.model.parameters
+
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
-        return np.array([*known, *self.recursion.constants], dtype=float)
+        theta = np.array([*known, *self.recursion.constants], dtype=float)
+        expect_variances(self.recursion, values, theta, self.timeline.whole)
+        return theta
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
         """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
@@ -257,15 +251,8 @@ class Likelihood:
         """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
         if isinstance(self.initial, Gaussian):
             return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
-        begun, variance = self.model.initial(values, self.first_inputs())
-        if self.initial == "prior":
-            n = len(begun)
-            places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
-            packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
-            packed[places] = variance
-            return np.concatenate([begun, packed])
-        mean = np.array(begun)
-        covariance = np.diag(np.array(variance))
+        moments = self.model.initial_moments(values, self.first_inputs())
+        mean, covariance = (np.array(part) for part in moments)
         if self.initial == "stationary":
             mean, covariance = self._stationary(values, mean)
         if not self._diffuse:
@@ -277,6 +264,7 @@ class Likelihood:
 
     def _start(self, values: Mapping[str, float]) -> np.ndarray:
         """The packed moments that a loop starts from and moves."""
+        expect_values(self.model.parameters, values)
         return np.ascontiguousarray(self.first_state(values), dtype=float)
 
     def _stationary(self, values: Mapping[str, complex], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -287,7 +275,7 @@ class Likelihood:
             matrix = self.jacobian(values, mean, u)
             rates = np.array(self.model.evaluate(list(mean), u, values).rates)
             mean = mean - np.linalg.solve(matrix, rates)
-        noise: np.ndarray = np.array(self.model.noise(values))
+        noise: np.ndarray = np.array(self.model.noise(values, u))
         matrix = self.jacobian(values, mean, u)
         if np.linalg.eigvals(matrix).real.max() >= 0:
             raise ValueError(

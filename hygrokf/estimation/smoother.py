@@ -27,8 +27,8 @@ def smooth(
     values: of all parameters, in the parameters' units.
     covariance: False leaves the second array empty.
 
-    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units.  Raises ValueError for
-    values that the model does not have.
+    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units (`Model.natural`).  Raises
+    ValueError for values that the model does not have.
 
     Modified Bryson–Frazier recursion, which needs no inverse of a covariance: with C_j = I − K_j H_j of the
     readings j of an instant and Φ the transition to it, backwards
@@ -56,9 +56,9 @@ def smooth(
             matrix = back[k] @ matrix @ back[k].T
     mean = found.prior_mean - np.einsum("tij,tj->ti", found.prior_covariance, vectors)
     if not covariance:
-        return mean, matrices
+        return likelihood.model.natural(mean, matrices)
     prior = found.prior_covariance
-    return mean, prior - prior @ matrices @ prior
+    return likelihood.model.natural(mean, prior - prior @ matrices @ prior)
 
 
 def _readings(

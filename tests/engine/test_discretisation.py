@@ -65,7 +65,8 @@ def traced_step(a: np.ndarray, q: np.ndarray, b: np.ndarray, h: float, hold: str
             for i in range(n)
         ]
 
-    made = step(graph, drift, [[float(v) for v in row] for row in q], x, cov, start, end, graph.symbol("h"))
+    noise = [[float(v) for v in row] for row in q]
+    made = step(graph, drift, lambda u: noise, x, cov, start, end, graph.symbol("h"))
 
     def mean(**given: float) -> np.ndarray:
         names = [f"x{i}" for i in range(n)] + [f"{s}{j}" for s in ("start", "end") for j in range(m)]
