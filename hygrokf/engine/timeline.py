@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.errors import suggestion
+from hygrokf.errors import unknown_names
 from hygrokf.physics.holds import REGIME
 from hygrokf.physics.model import Model
 
@@ -101,7 +101,7 @@ class Timeline:
         the old values and the new ones."""
         u = self.u.copy()
         for name, value in inputs.items():
-            u[1:, _place("input that varies within steps", name, self.varying)] = value
+            u[1:, _place("inputs that vary within steps", name, self.varying)] = value
         changed = replace(self, u=u)
         whole = {n: np.append(value, changed.input(n)) for n, value in self.corners.items()}
         return replace(changed, whole=whole)
@@ -200,17 +200,10 @@ def _faults(
     """What is wrong with the names and the numbers of a run."""
     faults = [
         f"the input {name!r} of the model is missing; given are {sorted(inputs)}"
-        f"{suggestion(name, inputs, 1).replace('did you mean', 'is it')}"
         for name in model.inputs
         if name not in inputs
     ]
-    for kind, names in (("readings", read), ("resets", resets)):
-        faults += [
-            f"{kind} for {name!r}, but the model's outputs are {list(model.outputs)}"
-            f"{suggestion(name, model.outputs, 1)}"
-            for name in names
-            if name not in model.outputs
-        ]
+    faults += unknown_names("readings", read, model.outputs) + unknown_names("resets", resets, model.outputs)
     for values, wrong, words in (
         (given, lambda x: ~np.isfinite(x), "not finite at instant {}; inputs must be known everywhere"),
         (read, np.isinf, "infinite at instant {}; a reading that is missing is NaN"),
@@ -254,58 +247,43 @@ def _hours(time: object, unit: str, origin_s: float, faults: list[str]) -> tuple
         faults.append("time: expected instants, found masked ones; leave their rows out")
     found = np.asarray(time)
     if found.dtype == object and found.size and isinstance(found.flat[0], datetime):
-        found = _utc(found)
+        zoned = (one if one.tzinfo else one.replace(tzinfo=UTC) for one in found)
+        found = np.array([one.astimezone(UTC).replace(tzinfo=None) for one in zoned], "datetime64[us]")
     if found.dtype.kind in "mM":
-        if np.isnat(found).any():
-            faults.append(f"time: not a date at instant {int(np.flatnonzero(np.isnat(found))[0])}")
-            return np.zeros(len(found)), origin_s
-        if unit != "h":
-            faults.append(f'time: expected numbers beside unit="{unit}", found dates; leave the unit out')
-        if found.dtype.kind == "M" and len(found):
-            if origin_s:
-                faults.append(f"origin_s: expected none beside dates, found {origin_s}")
+        if unit != "h" or origin_s:
+            faults.append("time: expected numbers beside a unit or origin_s, found dates; leave both out")
+        if found.dtype.kind == "M":
             origin_s = float((found[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
             found = found - found[0]
-        found = found / np.timedelta64(1, "h") if len(found) else np.empty(0)
+        found = found / np.timedelta64(1, "h")
     elif found.dtype.kind == "f" and found.dtype.itemsize < 8:
-        faults.append(
-            f"time: expected double precision, found {found.dtype}, which rounds; read the times as float64"
-        )
-    if unit not in UNITS_H:
-        faults.append(
-            f"unit: expected one of {', '.join(UNITS_H)}, found {unit!r}{suggestion(str(unit), UNITS_H, 1)}"
-        )
+        faults.append(f"time: expected double precision, found {found.dtype}, which rounds; read as float64")
+    faults += unknown_names("unit", [unit], UNITS_H)
     try:
-        hours = found.astype(float) * (1.0 if unit == "h" else UNITS_H.get(unit, 1.0))
+        hours = found.astype(float) * UNITS_H.get(unit, 1.0)
     except (TypeError, ValueError):
         hours = np.full(np.shape(found), np.nan)
     if hours.ndim != 1 or not len(hours):
         faults.append(f"time: expected at least one instant (T,), found shape {hours.shape}")
         return np.zeros(0), origin_s
-    if not np.isfinite(hours).all():
-        bad = int(np.flatnonzero(~np.isfinite(hours))[0])
-        faults.append(f"time: expected finite numbers or dates, found {found[bad]!r} at instant {bad}")
-    elif (hours[1:] < hours[:-1]).any():
-        bad = 1 + int(np.flatnonzero(hours[1:] < hours[:-1])[0])
+    wrong = np.flatnonzero(~np.isfinite(hours))
+    back = 1 + np.flatnonzero(hours[1:] < hours[:-1])
+    if len(wrong):
         faults.append(
-            f"time: expected instants in order, found {hours[bad]:.9g} h after {hours[bad - 1]:.9g} h at "
-            f"instant {bad}; sort the rows by time"
+            f"time: expected finite numbers or dates, found {found[wrong[0]]} at instant {wrong[0]}"
+        )
+    elif len(back):
+        faults.append(
+            f"time: expected instants in order, found {hours[back[0]]:.9g} h after "
+            f"{hours[back[0] - 1]:.9g} h at instant {back[0]}; sort the rows by time"
         )
     return hours, origin_s
-
-
-def _utc(stamps: np.ndarray) -> np.ndarray:
-    """Python's or pandas' dates (T,) as numpy's, in UTC."""
-    zoned = [one if one.tzinfo else one.replace(tzinfo=UTC) for one in stamps]
-    return np.array([one.astimezone(UTC).replace(tzinfo=None) for one in zoned], dtype="datetime64[us]")
 
 
 def _place(kind: str, name: str, names: Sequence[str], others: Sequence[str] = ()) -> int:
     """Place of a name in a tuple; raises ValueError for one that is not there."""
     if name not in names:
-        known = (*names, *others)
-        near = suggestion(name, known, 1)
-        raise ValueError(f'expected an {kind}, {", ".join(known) or "none"}, found "{name}"{near}')
+        raise ValueError("; ".join(unknown_names(kind, [name], (*names, *others))))
     return tuple(names).index(name)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.engine.traced_filter import Recursion
-from hygrokf.errors import suggestion
+from hygrokf.errors import suggestion, unknown_names
 from hygrokf.physics.model import Model, VarianceFault
 
 INITIAL = ("prior", "stationary", "diffuse")
@@ -34,15 +34,9 @@ class Gaussian:
 
 def expect_initial(model: Model, initial: object, diffuse_states: Sequence[str]) -> None:
     """Check a likelihood's first state; raises ValueError that lists every fault."""
-    names = model.states
-    faults = [
-        f'diffuse_states: expected states of the model, {", ".join(names)}, found "{name}"'
-        f"{suggestion(name, names, 1)}"
-        for name in diffuse_states
-        if name not in names
-    ]
+    faults = unknown_names("diffuse_states", diffuse_states, model.states)
     if isinstance(initial, Gaussian):
-        faults += _no_gaussian(initial, len(names))
+        faults += _no_gaussian(initial, len(model.states))
     elif initial not in INITIAL:
         near = suggestion(initial, INITIAL, 1) if isinstance(initial, str) else ""
         faults.append(f"initial: expected one of {INITIAL} or a Gaussian, found {initial!r}{near}")
@@ -77,12 +71,12 @@ def expect_variances(
 ) -> None:
     """Check that noise intensities and the variances of readings are at least 0 with these parameters; raises
     VarianceFault.  `theta` holds the values (d, …) in the model's order, `inputs` those of the whole run."""
-    below = [i for i in recursion.nonnegative if theta[i] < 0.0]
-    if below:
-        p = recursion.model.parameters[below[0]]
-        raise VarianceFault(
-            f"{p.name}: expected at least 0 {p.unit}, as its limits say, found {theta[below[0]]:g}"
-        )
+    for i in recursion.nonnegative:
+        if theta[i] < 0.0:
+            p = recursion.model.parameters[i]
+            raise VarianceFault(
+                f"{p.name}: expected at least 0 {p.unit}, as its limits say, found {theta[i]:g}"
+            )
     if not recursion.doubtful:
         return
     known = recursion.symbols(values, (), inputs)

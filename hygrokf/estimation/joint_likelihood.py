@@ -16,7 +16,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from hygrokf.errors import suggestion
+from hygrokf.errors import unknown_names
 from hygrokf.estimation.likelihood import Likelihood, Sensitivities
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Parameter, unique
@@ -65,19 +65,13 @@ class JointLikelihood:
         if not self.parts:
             raise ValueError("parts: expected the likelihood of at least one record, found none")
         first = self.model
-        names = [p.name for p in first.parameters]
         faults = [
             f"part {k}: expected the {kind} of the first part's model, found others"
             for k, one in enumerate(self.parts)
             for kind in ("parameters", "states", "outputs")
             if getattr(one.model, kind) != getattr(first, kind)
         ]
-        faults += [
-            f'own: expected parameters of the model, {", ".join(names)}, found "{name}"'
-            f"{suggestion(name, names, 1)}"
-            for name in self.own
-            if name not in names
-        ]
+        faults += unknown_names("own", self.own, [p.name for p in first.parameters])
         if faults:
             raise ValueError("; ".join(faults))
 
@@ -119,24 +113,22 @@ class JointLikelihood:
     def _name(self, name: str, k: int) -> str:
         return f"{name}_{k + 1}" if name in self.own else name
 
-    @cached_property
-    def _places(self) -> list[np.ndarray]:
-        """For every record, the places (m,) of its parameters among those of the joint likelihood."""
-        place = {p.name: i for i, p in enumerate(self.parameters)}
-        names = [p.name for p in self.model.parameters]
-        return [np.array([place[self._name(n, k)] for n in names], dtype=int) for k in range(len(self.parts))]
+    def _places(self, k: int) -> list[int]:
+        """Places (m,) of the parameters of record k among those of the joint likelihood."""
+        names = [p.name for p in self.parameters]
+        return [names.index(self._name(p.name, k)) for p in self.model.parameters]
 
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter of a record breaks down."""
-        return sum(one.value(self.values_of(values, k)) for k, one in enumerate(self.parts))
+        return sum(one.value(own) for one, own in records_of(self, values))
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters."""
         total, slopes = 0.0, np.zeros(len(self.parameters))
-        for k, (one, places) in enumerate(zip(self.parts, self._places, strict=True)):
-            value, own = one.score(self.values_of(values, k))
+        for k, (one, own) in enumerate(records_of(self, values)):
+            value, share = one.score(own)
             total += value
-            slopes[places] += own
+            slopes[self._places(k)] += share
         return total, slopes
 
     def sensitivities(
@@ -145,8 +137,8 @@ class JointLikelihood:
         """Score and expected information along directions (d, r), as `Likelihood.sensitivities`; `scores`
         (T, r) record after record."""
         found = [
-            one.sensitivities(self.values_of(values, k), directions[places], each)
-            for k, (one, places) in enumerate(zip(self.parts, self._places, strict=True))
+            one.sensitivities(own, directions[self._places(k)], each)
+            for k, (one, own) in enumerate(records_of(self, values))
         ]
         return Sensitivities(
             sum(one.loglik for one in found),
@@ -157,9 +149,8 @@ class JointLikelihood:
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass per instant of all records."""
-        counts = [len(one.timeline) for one in self.parts]
-        steps = [one.steps_per_instant(self.values_of(values, k)) for k, one in enumerate(self.parts)]
-        return float(np.average(steps, weights=counts))
+        steps = [one.steps_per_instant(own) for one, own in records_of(self, values)]
+        return float(np.average(steps, weights=[len(one.timeline) for one in self.parts]))
 
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states with the first record's parameters."""

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.errors import suggestion
+from hygrokf.errors import suggestion, unknown_names
 from hygrokf.physics.expression import Expression, Matrix, Value, exp, log
 from hygrokf.physics.holds import holds_named
 from hygrokf.physics.parameters import Parameter, unique
@@ -219,9 +219,8 @@ class Model:
             for name, power in self._of_states(m, "noise_exponents", m.noise_exponents).items():
                 if not 0.0 <= power <= 1.0:
                     raise ValueError(
-                        f'mechanism "{m.name}": expected a noise exponent from 0 to 1 for the state {name}, '
-                        f"found {power}; other dependences on the state have to be written in a coordinate "
-                        "in which the noise is constant"
+                        f"noise_exponents: expected 0 to 1 for the state {name}, found {power}; write the "
+                        "model in a coordinate in which its noise is constant"
                     )
                 found |= {name: float(power)} if power else {}
         return found
@@ -231,23 +230,13 @@ class Model:
     ) -> Mapping[str, Any]:
         """What a function of a mechanism gave, checked to be of states of the model that no other mechanism
         has `taken`."""
+        where = f'{kind} of the mechanism "{m.name}"'
         if not isinstance(found, Mapping):
-            raise ValueError(
-                f'{kind} of the mechanism "{m.name}": expected a mapping of states, found {found!r}; write '
-                '{"state": value, …}'
-            )
-        unknown = [
-            f'"{name}"{suggestion(str(name), self.own_states, 1)}'
-            for name in found
-            if name not in self.own_states
-        ]
-        if unknown:
-            raise ValueError(
-                f'{kind} of the mechanism "{m.name}": expected states of the model, '
-                f"{', '.join(self.own_states) or 'none'}, found {', '.join(unknown)}"
-            )
+            raise ValueError(f'{where}: expected a mapping {{"state": value, …}}, found {found!r}')
+        if faults := unknown_names(where, found, self.own_states):
+            raise ValueError("; ".join(faults))
         if twice := sorted(set(found) & set(taken)):
-            raise ValueError(f'{kind} of the mechanism "{m.name}": another mechanism gives those of {twice}')
+            raise ValueError(f"{where}: another mechanism gives those of {twice}")
         return found
 
     @cached_property
@@ -268,12 +257,8 @@ class Model:
         """The hold of every input.  Raises ValueError where one is not stated."""
         unknown = [name for name in self.inputs if name not in self.holds]
         if unknown:
-            near = "".join(
-                suggestion(name, self.holds, 1).replace("did you mean", "is it") for name in unknown[:1]
-            )
-            raise ValueError(
-                f"the holds of the inputs {unknown} are not stated{near} (compose takes holds by input)"
-            )
+            stated = f"; stated are those of {', '.join(self.holds) or 'none'}"
+            raise ValueError(f"the holds of the inputs {unknown} are not stated{stated}")
         return {name: self.holds[name] for name in self.inputs}
 
     # -- the model as functions ------------------------------------------------------------------------------
@@ -385,8 +370,8 @@ class Model:
             count = sum(one.default is one.empty for one in known.values())
             if count > 2:
                 raise ValueError(
-                    f'diffusion of the mechanism "{m.name}": expected a function of p or of (p, u), found '
-                    f"one of {', '.join(known)}{_NoiseInputs._hint}"
+                    f'diffusion of the mechanism "{m.name}": expected a function of p or (p, u), found one '
+                    f"of {', '.join(known)}{_NoiseInputs._hint}"
                 )
             found.append(count == 2)
         return tuple(found)
@@ -467,9 +452,9 @@ class Model:
             i = self.states.index(name)
             moved[..., i] = _natural(mean[..., i], power)
             scale[..., i] = _noise_size(mean[..., i], power)[0]
-        return moved, covariance * scale[..., :, None] * scale[
-            ..., None, :
-        ] if covariance.size else covariance
+        if covariance.size:
+            covariance = covariance * scale[..., :, None] * scale[..., None, :]
+        return moved, covariance
 
 
 def _once(kind: str, names: Iterable[str]) -> tuple[str, ...]:
@@ -555,12 +540,7 @@ def compose(
     hold.
     """
     made = Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
-    faults = [
-        f'averaged: expected outputs of the model, {", ".join(made.outputs) or "none"}, found "{name}"'
-        f"{suggestion(name, made.outputs, 1)}"
-        for name in made.averaged
-        if name not in made.outputs
-    ]
+    faults = unknown_names("averaged", made.averaged, made.outputs)
     faults += [
         f"averaged: expected an interval above 0 h for {name}, found {interval}"
         for name, interval in made.averaged.items()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.errors import suggestion
+from hygrokf.errors import unknown_names
 
 LIFT = 20.0
 """Factor by which a lifted guard widens a search range: at each end for a positive parameter, about the
@@ -152,7 +152,7 @@ class Coordinates:
     def __init__(self, parameters: Sequence[Parameter], fixed: Mapping[str, float] | None = None) -> None:
         self.parameters = tuple(parameters)
         self.fixed = dict(fixed or {})
-        faults = _unknown("fixed", self.parameters, self.fixed)
+        faults = unknown_names("fixed", self.fixed, [p.name for p in self.parameters])
         faults += [
             f"fixed: expected a finite {name}, found {value}"
             for name, value in self.fixed.items()
@@ -225,12 +225,11 @@ def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
 def expect_values(parameters: Iterable[Parameter], values: Mapping[str, float]) -> None:
     """Check that every parameter has a value; raises ValueError that names those without."""
-    missing = [p.name for p in parameters if p.name not in values]
+    known = [p.name for p in parameters]
+    missing = ", ".join(name for name in known if name not in values)
     if missing:
-        near = "".join(suggestion(name, values, 1).replace("did you mean", "is it") for name in missing[:1])
-        raise ValueError(
-            f"values: expected a value of every parameter, found none of {', '.join(missing)}{near}"
-        )
+        faults = [f"values: expected a value of every parameter, found none of {missing}"]
+        raise ValueError("; ".join(faults + unknown_names("values", values, known)))
 
 
 def expect_starts(
@@ -242,7 +241,7 @@ def expect_starts(
     """
     free, faults = {p.name: p for p in parameters if p.name not in fixed}, []
     for argument, given in starts.items():
-        faults += _unknown(argument, parameters, given)
+        faults += unknown_names(argument, given, [p.name for p in parameters])
         faults += [
             f"{argument}: expected {name} within {free[name].lower:g} … {free[name].upper:g} "
             f"{free[name].unit}, found {value}; start within its limits, or widen them"
@@ -263,13 +262,3 @@ def _inside(p: Parameter, value: float) -> bool:
     """Whether a value lies within a parameter's limits, but for the rounding of its coordinate."""
     slack = 1e-12 * max(abs(p.lower), abs(p.upper))
     return p.lower - slack <= value <= p.upper + slack
-
-
-def _unknown(argument: str, parameters: Iterable[Parameter], given: Iterable[str]) -> list[str]:
-    names = [p.name for p in parameters]
-    return [
-        f'{argument}: expected parameters of the model, {", ".join(names)}, found "{name}"'
-        f"{suggestion(name, names, 1)}"
-        for name in given
-        if name not in names
-    ]

@@ -252,6 +252,7 @@ def network_with(intensity, variance=lambda p: 0.1, first=lambda p: 1.0) -> Like
     [
         (lambda: network_with(lambda p: {"x": -0.1}), 0.5, "found -0.1 for the state x"),
         (lambda: network_with(lambda p: {"x": p.q}), -0.5, "found -0.5 for the noise intensity of"),
+        (lambda: network_with(lambda p: {"x": p.r * p.r / p.q}), -0.5, "found -0.5 for the noise"),
         (lambda: network_with(lambda p: {"x": 1.0 - p.q * p.q}), 2.0, "found -3 for the noise intensity"),
         (lambda: network_with(lambda p, u: {"x": 3.0 - u.push}), 0.5, "found -2 for the noise intensity"),
         (lambda: network_with(lambda p: {"x": 0.1}, lambda p: p.q), -0.5, "the variance of the reading y"),

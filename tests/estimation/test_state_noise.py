@@ -152,11 +152,11 @@ def test_other_exponents_correlated_noise_and_drift_agree_with_the_plain_filter(
 @pytest.mark.parametrize(
     ("exponents", "first", "words"),
     [
-        ({"x": 1.5}, 1.0, "expected a noise exponent from 0 to 1 for the state x, found 1.5"),
+        ({"x": 1.5}, 1.0, "expected 0 to 1 for the state x, found 1.5"),
         (
             {"y": 0.5},
             1.0,
-            'noise_exponents of the mechanism "one": expected states of the model, x, found "y"',
+            'noise_exponents of the mechanism "one": expected names of x, found "y"',
         ),
         ({"x": 0.5}, -1.0, r"mean above 0 of a state whose noise grows with it, found -1\.0"),
     ],
@@ -175,7 +175,7 @@ def test_what_has_no_lamperti_coordinate_is_refused(exponents, first, words):
 def test_diffusion_that_reads_a_state_says_what_to_do():
     for diffusion, words in (
         (lambda p, u: {"x": u.x}, r"reads u\.x, but.*noise_exponents"),
-        (lambda p, x, u: {"x": x.x}, r"of p or of \(p, u\), found one of p, x, u; .*noise_exponents"),
+        (lambda p, x, u: {"x": x.x}, r"of p or \(p, u\), found one of p, x, u; .*noise_exponents"),
     ):
         network = linear_network(
             "one", [], ["x"], [], lambda p, x, u: {"x": -x.x}, {"y": lambda p, x, u: (x.x, 1.0)},

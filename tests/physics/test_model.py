@@ -129,11 +129,11 @@ def test_what_does_not_fit_is_named() -> None:
         faulty().initial({}, {})
     with pytest.raises(ValueError, match=r"holds of the inputs \['outside'\]"):
         _ = compose([store(), READ, SHIFT]).input_holds
-    with pytest.raises(ValueError, match=r"\['outside'\] are not stated; is it .outsid."):
+    with pytest.raises(ValueError, match=r"\['outside'\] are not stated; stated are those of outsid"):
         _ = compose([store(), READ, SHIFT], {"outsid": "mean"}).input_holds
     with pytest.raises(ValueError, match=r"output of the same name: \['y'\]"):
         _ = compose([READ, READ]).outputs
-    with pytest.raises(ValueError, match=r'averaged: expected outputs .* y, found "Y"; did you mean "y"'):
+    with pytest.raises(ValueError, match=r'averaged: expected names of y, found "Y"; did you mean "y"'):
         compose([READ], averaged={"Y": 1.0})
     with pytest.raises(ValueError, match="averaged: expected an interval above 0 h for y, found 0"):
         compose([READ], averaged={"y": 0.0})
@@ -146,7 +146,7 @@ def test_what_does_not_fit_is_named() -> None:
             {"rates": lambda p, x, u: {"roon": -x.room}},
             'rates of .*"roon"; did you mean "room"',
         ),
-        ({"rates": lambda p, x, u: [-x.room]}, r"rates .*expected a mapping of states, found \["),
+        ({"rates": lambda p, x, u: [-x.room]}, r"rates .*expected a mapping .* found \["),
         (
             {"rates": lambda p, x, u: {"room": -x.rom}},
             'reads x.rom, but the states .* room; did you mean "room"',
@@ -163,7 +163,7 @@ def test_what_does_not_fit_is_named() -> None:
             {"intensities": lambda p: {"rom": 1.0}},
             'diffusion of .*"rom"; did you mean "room"',
         ),
-        ({"intensities": lambda p: 1.0}, "diffusion .*expected a mapping of states, found 1.0"),
+        ({"intensities": lambda p: 1.0}, r"diffusion .*expected a mapping .* found 1\.0"),
         (
             {"initial": lambda p, u: {"rom": (0.0, 1.0)}},
             'initial of .*"rom"; did you mean "room"',
