@@ -23,15 +23,19 @@ ARGUMENTS = [("i64", "blocks")] + [
     ("ptr", name)
     for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
 ]
-"""In columns: key leaves, sub-steps of each run, inputs before and now, readings.  In blocks: parameters,
-values kept between steps, moments.  Per block: the largest number of sub-steps, and whether its parameters or
-keys have changed.
+"""In columns: key leaves, sub-steps (doublings, of constant-rate steps) of each run, inputs before and now,
+readings.  In blocks: parameters, values kept between steps, moments.  Per block: the largest number of
+sub-steps, and whether its parameters or keys have changed.
 """
 
 
 def kept_nodes(recursion: Recursion) -> list[int]:
     """Nodes whose values are kept between steps."""
     return [*recursion.parameter_nodes, *recursion.key_nodes]
+
+
+def _all(number: int) -> str:
+    return "<" + ", ".join([f"i64 {number}"] * RUNS) + ">"
 
 
 def fleet_text(recursion: Recursion) -> str:
@@ -85,10 +89,37 @@ class _Emission:
         r, w = self.recursion, self.writer
         nodes = kept_nodes(r)
         leaves = self._parameters_and_keys(block)
+        leaves |= self._doubled(block, leaves)
         wanted = [Expression(r.graph, i) for i in nodes]
         for c, (kind, name) in enumerate(w.block(r.graph, wanted, leaves, list(leaves))):
             place = w.integer("add", w.integer("mul", block, len(nodes)), c)
             w.store(VECTOR, w.as_vector(kind, name), w.at(VECTOR, "%known", place))
+
+    def _doubled(self, block: str, leaves: dict[int, str]) -> dict[int, str]:
+        """The matrices of a constant-rate step, doubled to the whole step of each run."""
+        d, w = self.recursion.doubling, self.writer
+        if d is None:
+            return {}
+        times, most = self._column("parts", block, 0), self._most(block)
+        longs = vector(RUNS, "i64")
+        bits = w.value(f"fptosi {VECTOR} {times} to {longs}")
+        bits = w.value(f"sub {longs} {_all(1023)}, {bits}")
+        bits = w.value(f"shl {longs} {bits}, {_all(52)}")
+        share = w.value(f"bitcast {longs} {bits} to {VECTOR}")
+        slots = {e.index: w.slot(VECTOR) for e in d.now}
+        first = self._values(d.first, leaves | {d.share.index: share})
+        for slot, value in zip(slots.values(), first, strict=True):
+            w.store(VECTOR, value, slot)
+        with w.loop(most) as j:
+            still = w.value(f"fcmp olt {VECTOR} {w.splat(w.value(f'sitofp i64 {j} to double'))}, {times}")
+            old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+            for (i, slot), value in zip(slots.items(), self._values(d.twice, old), strict=True):
+                w.store(VECTOR, self._where(still, value, old[i]), slot)
+        return {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+
+    def _most(self, block: str) -> str:
+        w = self.writer
+        return w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
 
     def _known(self, block: str) -> dict[int, str]:
         return self._parameters_and_keys(block) | self._row("known", block, kept_nodes(self.recursion))
@@ -100,9 +131,9 @@ class _Emission:
 
     def _predict(self, slots: dict[int, str], block: str) -> None:
         r, w = self.recursion, self.writer
-        parts = self._column("parts", block, 0)
-        most = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
-        with w.loop(most) as j:
+        exact = r.exact
+        parts = w.splat(literal(1.0)) if exact else self._column("parts", block, 0)
+        with w.loop("1" if exact else self._most(block)) as j:
             here = w.splat(w.value(f"sitofp i64 {j} to double"))
             still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}

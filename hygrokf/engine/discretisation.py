@@ -21,14 +21,21 @@ computed only once.  Where rates vary, x₀ = m: the remainder then changes with
 and not with the distance of the state from zero (kelvins from absolute zero), which makes the error of a
 sub-step about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
 whose Jacobians are taken where a second-order rule places the nodes.  Sub-steps keep both below a stated size
-(`VARYING_RATES`).
+(`RATE_STEP`).
 
-The exponential and its relatives φ₁, φ₂ are Taylor polynomials in the traced entries, centred in the range of
-rates that sub-steps permit.  A sparse model costs as much as its non-zero entries, and entries that depend
-only on h and the parameters are computed once for each distinct h.
+Where rates are constant, the matrices are Taylor polynomials for a share c = 2^−s of the step, doubled s
+times: with D = e^{cΩ} − I, Γ = c φ₁(cΩ), W = c φ₂(cΩ) and N = c ∫₀¹ e^{cΩσ} Q̄ e^{cΩ'σ} dσ,
+
+    D ← 2 D + D²,    Γ ← 2 Γ + D Γ,    W ← W + (D W + Γ)/2,
+    N ← 2 N + D N + N D' + D N D'.
+
+I + D is never formed while D is small, so that slow states keep all digits beside fast ones; a step of any
+length is one step, whose cost grows with the logarithm of its stiffness.  Elsewhere the polynomials are
+centred in the range of rates that sub-steps permit.  A sparse model costs as much as its non-zero entries,
+and entries that depend only on h and the parameters are computed once for each distinct h.
 
 Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978,
-doi:10.1109/TAC.1978.1101743.
+doi:10.1109/TAC.1978.1101743; scaling and squaring: Moler & Van Loan 2003, doi:10.1137/S00361445024180.
 """
 
 from __future__ import annotations
@@ -36,6 +43,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from hygrokf.physics.expression import (
     Expression,
@@ -55,26 +64,13 @@ from hygrokf.physics.expression import (
 )
 from hygrokf.physics.model import Values
 
-
-@dataclass(frozen=True)
-class Range:
-    """Limit of the sub-steps h, and the degrees of the polynomials for this range.
-
-    `rate_step` is the largest product of the model's fastest rate and h.  `order` is the degree of the
-    polynomials for e^Ω, φ₁ and φ₂, with the remainder (rate_step/2)^(order+1) / (order+1)!; `noise_order`
-    that of the accumulated noise, with the remainder rate_step^(noise_order+1) / (noise_order+1)!.
-    """
-
-    rate_step: float
-    order: int
-    noise_order: int
-
-
-CONSTANT_RATES = Range(rate_step=0.85, order=13, noise_order=15)
-"""Rates that are constant within a step: the step is exact, with remainders of 7e-17 and 2e-15."""
-VARYING_RATES = Range(rate_step=0.35, order=8, noise_order=9)
-"""Rates that depend on the state or on a changing input: splitting a step changes ln L by < 1e-6; remainders
-4e-13, 8e-12."""
+SHARE = 0.25
+"""[1] largest product of the rates and the share of a constant-rate step, as its polynomials take it."""
+ORDER = 11
+"""Degree of these polynomials: the remainder of D is below SHARE^11 / 12! = 5e-16 of D."""
+RATE_STEP, DEGREE, NOISE_DEGREE = 0.35, 8, 9
+"""Largest product of rates that vary within a step and a sub-step, for which splitting a step changes ln L by
+< 1e-6, and the degrees of its polynomials: remainders (0.35/2)^9 / 9! = 4e-13 and 0.35^10 / 10! = 8e-12."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
 Drift = Callable[[Sequence[Value], Values], list[Value]]
@@ -83,13 +79,30 @@ Inputs = Mapping[str, Expression]
 
 
 @dataclass(frozen=True)
+class Doubling:
+    """The matrices of a constant-rate step: `first` their entries for the `share` c of the step, `twice`
+    those for twice the length of the entries `now` (w,), which the step is made from."""
+
+    share: Expression
+    first: list[Expression]
+    now: list[Expression]
+    twice: list[Expression]
+
+
+@dataclass(frozen=True)
 class Step:
-    """Traced moments after one sub-step, and the matrices that made them."""
+    """Traced moments after one sub-step, the matrices that made them, and how these are doubled."""
 
     mean: list[Expression]
     covariance: Matrix
     transition: Matrix
     noise: Matrix
+    doubling: Doubling | None
+
+
+def doublings(reach: np.ndarray) -> np.ndarray:
+    """Doublings of a constant-rate step whose rates times length are `reach` [1]; any shape."""
+    return np.ceil(np.log2(np.maximum(reach, SHARE) / SHARE))
 
 
 def step(
@@ -101,12 +114,14 @@ def step(
     start: Inputs,
     end: Inputs,
     h: Expression,
+    changing: Sequence[str],
 ) -> Step:
     """Trace one sub-step.
 
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
     and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
-    end (a constant input has the same node in both); `h` [h].
+    end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
+    from step to step, of which the Jacobian and the noise of a constant-rate step have none.
     """
     n = len(state)
     field = _Field(graph, drift, n, start)
@@ -114,6 +129,10 @@ def step(
     points = [_predictor(field, state, start, end, c, h) for c in NODES] if field.nonlinear else [state] * 2
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
+    intensity = noise(inputs[0])
+    constant = not _any(difference) and not any(
+        depends_on(graph, v, changing) for row in (*a1, *intensity) for v in row
+    )
     origin = state if _any(difference) else [0.0] * n
     b1, b2 = (field.rest_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
@@ -124,28 +143,31 @@ def step(
             correction, _difference(product(a2, a1), product(a1, a2)) if _any(difference) else _zeros(n, n)
         ),
     )
-    span = VARYING_RATES if _any(difference) else CONSTANT_RATES
-    exponential, phi1, phi2 = _exponentials(omega, span)
-    # b(t) is the straight line through b1 and b2 at the nodes; the weights of both do not depend on the
-    # inputs
-    gap = NODES[1] - NODES[0]
-    early = _weights(phi1, NODES[1] / gap, phi2, -1.0 / gap)
-    late = _weights(phi1, -NODES[0] / gap, phi2, 1.0 / gap)
-    early, late = (_corrected(h, m, correction, difference) for m in (early, late))
-    mean = [_driven(early[i], b1, late[i], b2) for i in range(n)]
-    carried = state if _any(difference) else [dot(row, state) for row in exponential]
-    mean = [x + v for x, v in zip(carried, mean, strict=True)]
-    intensities = [noise(inputs[0])]
-    if _any(_difference(noise(inputs[1]), intensities[0])):
-        intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
-    spreads = [add(product(difference, q), transpose(product(difference, q))) for q in intensities]
-    sums = [add(scale(h, q), scale(correction, v)) for q, v in zip(intensities, spreads, strict=True)]
-    accumulated = _accumulated(omega, sums, span)
+    carried: Sequence[Value] = state
+    if constant:
+        doubling, exponential, weights, slopes, accumulated = _doubled(graph, h, omega, intensity, b1, b2)
+        carried = [dot(row, state) for row in exponential]
+        weights, slopes = scale(h, weights), scale(h, slopes)
+    else:
+        doubling = None
+        exponential, *phi = _exponentials(omega)
+        weights, slopes = (_corrected(h, m, correction, difference) for m in phi)
+        if not _any(difference):
+            carried = [dot(row, state) for row in exponential]
+        intensities = [intensity]
+        if _any(_difference(noise(inputs[1]), intensity)):
+            intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
+        spreads = [add(product(difference, q), transpose(product(difference, q))) for q in intensities]
+        sums = [add(scale(h, q), scale(correction, v)) for q, v in zip(intensities, spreads, strict=True)]
+        accumulated = _accumulated(omega, sums)
+    # b(t) is the straight line through b1 and b2 at the nodes; the weights do not depend on the inputs
+    mean = [x + _driven(i, weights, slopes, b1, b2) for i, x in enumerate(carried)]
     return Step(
         mean=[graph.lift(v) for v in mean],
         covariance=[[graph.lift(v) for v in row] for row in congruence(exponential, covariance, accumulated)],
         transition=exponential,
         noise=accumulated,
+        doubling=doubling,
     )
 
 
@@ -187,28 +209,96 @@ class _Field:
         return [_minus(value[i], dot(a[i], moved)) if self.curved[i] else there[i] for i in range(len(value))]
 
 
-def _weights(a: Matrix, factor_a: float, b: Matrix, factor_b: float) -> Matrix:
-    return [
-        [0.0 if is_zero(x) and is_zero(y) else factor_a * x + factor_b * y for x, y in zip(r, s, strict=True)]
-        for r, s in zip(a, b, strict=True)
-    ]
+def _doubled(
+    graph: Graph, h: Expression, omega: Matrix, noise: Matrix, b1: Sequence[Value], b2: Sequence[Value]
+) -> tuple[Doubling, Matrix, Matrix, Matrix, Matrix]:
+    """How the matrices of a constant-rate step are doubled, and e^Ω, φ₁, φ₂ and the noise as results."""
+    n, share = len(omega), graph.symbol("share")
+    reach = closure(omega)
+    driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
+    rising = [j for j in driven if not _same(b1[j], b2[j])]
+    lower = [(i, j) for i in range(n) for j in range(i + 1)]
+    spread = {(i, j) for i, j in lower if any(
+        not is_zero(noise[a][b]) and (a == i or reach[i][a]) and (b == j or reach[j][b])
+        for a in range(n) for b in range(n)
+    )}  # fmt: skip
+    parts = {
+        "D": [(i, j) for i in range(n) for j in range(n) if reach[i][j]],
+        "G": [(i, j) for j in driven for i in range(n) if i == j or reach[i][j]],
+        "W": [(i, j) for j in rising for i in range(n) if i == j or reach[i][j]],
+        "N": sorted(spread),
+    }
+    matrices = {name: _zeros(n, n) for name in parts}
+    for name, places in parts.items():
+        for i, j in places:
+            matrices[name][i][j] = graph.symbol(f"{name}{i}.{j}")
+    d, g, w = (matrices[name] for name in "DGW")
+    q = matrices["N"] = _symmetric(matrices["N"])
+
+    x, inverse = scale(share, omega), [1.0 / f for f in factorials(ORDER + 3)]
+    first = {"D": _zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
+    power = identity(n)
+    for k in range(1, ORDER + 1):
+        power = product(power, x) if k > 1 else x
+        for name, c in (("D", inverse[k]), ("G", share * inverse[k + 1]), ("W", share * inverse[k + 2])):
+            first[name] = add(first[name], scale(c, power))
+    term = first["N"] = scale(share, scale(h, noise))
+    for k in range(1, ORDER + 1):
+        half = product(x, term)
+        term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
+        first["N"] = add(first["N"], scale(inverse[k + 1], term))
+    gained = product(d, q)
+    twice = {
+        "D": add(scale(2.0, d), product(d, d)),
+        "G": add(scale(2.0, g), product(d, g)),
+        "W": add(w, scale(0.5, add(product(d, w), g))),
+        "N": add(add(scale(2.0, q), add(gained, transpose(gained))), product(gained, transpose(d))),
+    }
+
+    def listed(rows: Mapping[str, Matrix]) -> list[Expression]:
+        return [graph.lift(rows[name][i][j]) for name, places in parts.items() for i, j in places]
+
+    return Doubling(share, listed(first), listed(matrices), listed(twice)), add(d, identity(n)), g, w, q
+
+
+def closure(a: Matrix) -> list[list[bool]]:
+    """Where the powers of a matrix, from the first on, have entries."""
+    n = len(a)
+    reach = [[not is_zero(v) for v in row] for row in a]
+    for k in range(n):
+        for i in range(n):
+            if reach[i][k]:
+                reach[i] = [x or y for x, y in zip(reach[i], reach[k], strict=True)]
+    return reach
 
 
 def _corrected(h: Expression, weights: Matrix, correction: Expression, difference: Matrix) -> Matrix:
     """W (h I + correction (A2 - A1))."""
-    whole = scale(h, weights)
-    return add(whole, scale(correction, product(weights, difference))) if _any(difference) else whole
+    return add(scale(h, weights), scale(correction, product(weights, difference)))
 
 
-def _driven(early: Sequence[Value], b1: Sequence[Value], late: Sequence[Value], b2: Sequence[Value]) -> Value:
-    """A row of W1 b1 + W2 b2; a remainder that is equal at both nodes takes the sum of the weights."""
+def _driven(i: int, whole: Matrix, slope: Matrix, b1: Sequence[Value], b2: Sequence[Value]) -> Value:
+    """Row i of φ₁ β + φ₂ s for the line β + s t through b1 and b2 at the nodes; β alone where both agree."""
     total: Value = 0.0
-    for w1, x1, w2, x2 in zip(early, b1, late, b2, strict=True):
-        if isinstance(x1, Expression) and isinstance(x2, Expression) and x1.index == x2.index:
-            total = total + dot([w1 + w2], [x1])
+    gap = NODES[1] - NODES[0]
+    for one, rise, x1, x2 in zip(whole[i], slope[i], b1, b2, strict=True):
+        if _same(x1, x2):
+            total = total + dot([one], [x1])
         else:
-            total = total + dot([w1, w2], [x1, x2])
+            early = _combined(one, NODES[1] / gap, rise, -1.0 / gap)
+            late = _combined(one, -NODES[0] / gap, rise, 1.0 / gap)
+            total = total + dot([early, late], [x1, x2])
     return total
+
+
+def _combined(x: Value, a: float, y: Value, b: float) -> Value:
+    return 0.0 if is_zero(x) and is_zero(y) else a * x + b * y
+
+
+def _same(x: Value, y: Value) -> bool:
+    if isinstance(x, Expression) and isinstance(y, Expression):
+        return x.index == y.index
+    return is_zero(x) and is_zero(y)
 
 
 def _between(start: Inputs, end: Inputs, c: float) -> dict[str, Expression]:
@@ -229,15 +319,15 @@ def _predictor(
     return [v + c * h * k for v, k in zip(x, middle, strict=True)]
 
 
-def _exponentials(omega: Matrix, span: Range) -> tuple[Matrix, Matrix, Matrix]:
+def _exponentials(omega: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     """e^Ω, φ₁(Ω) = ∫₀¹ e^{Ωσ} dσ, φ₂(Ω) = ∫₀¹ (1−σ) e^{Ωσ} dσ, as polynomials in Ω + μ I."""
     n = len(omega)
-    centre = 0.5 * span.rate_step
-    coefficients = [_taylor(centre, weight, span.order) for weight in (None, 0, 1)]
+    centre = 0.5 * RATE_STEP
+    coefficients = [_taylor(centre, weight, DEGREE) for weight in (None, 0, 1)]
     shifted = add(omega, scale(centre, identity(n)))
     power = identity(n)
     sums = [scale(c[0], power) for c in coefficients]
-    for k in range(1, span.order + 1):
+    for k in range(1, DEGREE + 1):
         power = product(power, shifted) if k > 1 else shifted
         sums = [add(total, scale(c[k], power)) for c, total in zip(coefficients, sums, strict=True)]
     return sums[0], sums[1], sums[2]
@@ -259,12 +349,12 @@ def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
     return result
 
 
-def _accumulated(omega: Matrix, noises: Sequence[Matrix], span: Range) -> Matrix:
+def _accumulated(omega: Matrix, noises: Sequence[Matrix]) -> Matrix:
     """∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ, a polynomial in L + 2μ with L(X) = Ω X + X Ω', for one Q̄ or the parabola
     through three of them at the start, the middle and the end of the step."""
     n = len(omega)
-    centre = 0.5 * span.rate_step
-    coefficients = [_taylor(2.0 * centre, weight, span.noise_order) for weight in range(len(noises))]
+    centre = 0.5 * RATE_STEP
+    coefficients = [_taylor(2.0 * centre, weight, NOISE_DEGREE) for weight in range(len(noises))]
     shifted = add(omega, scale(centre, identity(n)))
 
     def acted(x: Matrix) -> Matrix:

@@ -7,18 +7,13 @@ straight-line code.  `COMMON` lists the arguments that all kinds share, `ARGUMEN
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.engine.running_sums import RunningSums, accumulate
-from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, place, trace_width
+from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
+from hygrokf.engine.traced_filter import INSTANT, Block, Recursion, place, trace_width
 from hygrokf.physics.expression import Expression, forward, reverse
-from hygrokf.physics.holds import LINEAR, PREVIOUS
-
-Names = dict[int, str]
-"""Node -> the LLVM name of its value, or of the stack slot that holds it."""
-Symbols = dict[int, Expression]
-"""Node -> the expression of its adjoint."""
 
 COMMON = [
     ("i64", "count"),
@@ -34,9 +29,9 @@ COMMON = [
     ("ptr", "state"),
     ("ptr", "first"),
 ]
-"""Instants and keys; parameters, key leaves, sub-steps and workspace of the keys; key, inputs, readings and
-resets of every instant; moments before the first instant (overwritten by those after the last) and a copy of
-them."""
+"""Instants and keys; parameters, key leaves, sub-steps (doublings, of constant-rate steps) and workspace of
+the keys; key, inputs, readings and resets of every instant; moments before the first instant (overwritten by
+those after the last) and a copy of them."""
 ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
@@ -59,132 +54,17 @@ def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
     return emission.text()
 
 
-class Emission:
+class Emission(Stages):
     """LLVM text of one loop of a recursion, begun with the stages before the time loop."""
 
     def __init__(self, recursion: Recursion, kind: str, gain: bool) -> None:
-        self.recursion, self.gain = recursion, gain
-        self.writer = Writer(kind, COMMON + ARGUMENTS[kind])
-        self._parameters()
-        self._keys()
+        self.gain = gain
+        super().__init__(recursion, Writer(kind, COMMON + ARGUMENTS[kind]))
 
     def text(self) -> str:
         return declarations() + self.writer.text()
 
-    # -- stages before the time loop -------------------------------------------------------------------------
-    def _parameters(self) -> None:
-        r, w = self.recursion, self.writer
-        self.at_parameters: Names = {}
-        for i, e in enumerate([*r.p.values(), *r.given]):
-            self.at_parameters[e.index] = w.load(SCALAR, w.at(SCALAR, "%theta", i))
-        wanted = [Expression(r.graph, i) for i in r.parameter_nodes]
-        for e, (_, name) in zip(wanted, w.block(r.graph, wanted, self.at_parameters), strict=True):
-            self.at_parameters[e.index] = name
-
-    def _row(self, base: str, row: str, nodes: Sequence[int], kind: str = SCALAR) -> Names:
-        """The numbers of one row of an array, by node."""
-        w = self.writer
-        start = w.integer("mul", row, len(nodes))
-        return {i: w.load(kind, w.at(kind, base, w.integer("add", start, c))) for c, i in enumerate(nodes)}
-
-    def _key_row(self, key: str) -> Names:
-        """Values of the key's leaves: sub-step length and regimes."""
-        return self._row("%keys", key, [e.index for e in self.recursion.key_leaves])
-
-    def _keys(self) -> None:
-        r, w = self.recursion, self.writer
-        wanted = [Expression(r.graph, i) for i in r.key_nodes]
-        with w.loop("%nkeys") as key:
-            leaves = self._key_row(key) | self.at_parameters
-            values = w.block(r.graph, wanted, leaves)
-            row = w.integer("mul", key, len(wanted))
-            for c, (_, name) in enumerate(values):
-                w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
-
     # -- pieces of the time loop -----------------------------------------------------------------------------
-    def slots(self, prefix: Sequence[Expression]) -> Names:
-        return {e.index: self.writer.slot(SCALAR) for e in prefix}
-
-    def read(self, slots: Names, kind: str = SCALAR) -> Names:
-        return {i: self.writer.load(kind, s) for i, s in slots.items()}
-
-    def load_state(self, slots: Names, base: str, row: str | int = 0) -> None:
-        w = self.writer
-        start = w.integer("mul", row, len(slots))
-        for c, s in enumerate(slots.values()):
-            w.store(SCALAR, w.load(SCALAR, w.at(SCALAR, base, w.integer("add", start, c))), s)
-
-    def save_state(self, slots: Names, base: str, row: str | int = 0) -> None:
-        w = self.writer
-        start = w.integer("mul", row, len(slots))
-        for c, s in enumerate(slots.values()):
-            w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, base, w.integer("add", start, c)))
-
-    def instant_keys(self, k: str) -> tuple[str, str]:
-        """(row of the key table as i64, number of sub-steps as i64) for the step that ends at instant k."""
-        key = self._index("%key", k)
-        return key, self._index("%nsub", key)
-
-    def _index(self, base: str, place: str) -> str:
-        w = self.writer
-        value = w.load("i32", w.at("i32", base, place))
-        return w.value(f"sext i32 {value} to i64")
-
-    def table(self, key: str) -> Names:
-        values = self._row("%table", key, self.recursion.key_nodes)
-        return self._key_row(key) | values
-
-    def inputs_within(self, k: str, j: str | None = None, count: str = "") -> Names:
-        """Inputs at the start and the end of sub-step j of `count`, by default of the whole step, between
-        instants k−1 and k."""
-        r, w = self.recursion, self.writer
-        m = len(r.varying)
-        row = w.integer("mul", k, m)
-        before = w.integer("sub", row, m)
-        if j is not None:
-            part = w.real("fdiv", literal(1.0), w.value(f"sitofp i64 {count} to double"))
-            left = w.real("fmul", w.value(f"sitofp i64 {j} to double"), part)
-            right = w.real("fmul", w.value(f"sitofp i64 {w.integer('add', j, 1)} to double"), part)
-        result = {}
-        for c, name in enumerate(r.varying):
-            hold = r.holds[name]
-            end = w.integer("add", before if hold == PREVIOUS else row, c)
-            value = w.load(SCALAR, w.at(SCALAR, "%u", end))
-            result[r.end[name].index] = value
-            if hold == LINEAR:
-                old = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
-                result[r.start[name].index] = old
-                if j is not None:
-                    rise = w.real("fsub", value, old)
-                    for table, share in ((r.start, left), (r.end, right)):
-                        result[table[name].index] = w.real("fadd", old, w.real("fmul", rise, share))
-        return result
-
-    def _inputs_at(self, k: str) -> Names:
-        r = self.recursion
-        return self._row("%u", k, [r.now[name].index for name in r.varying])
-
-    def _predict(
-        self, slots: Names, k: str, key: str, count: str, each: Callable[[str], None] | None = None
-    ) -> None:
-        w = self.writer
-        rest = count
-        if each is None:  # nearly every step has a single sub-step, whose inputs need no fractions
-            one = w.value(f"icmp eq i64 {count}, 1")
-            with w.when(one):
-                self._advance(slots, key, self.inputs_within(k))
-            rest = w.value(f"select i1 {one}, i64 0, i64 {count}")
-        with w.loop(rest) as j:
-            if each is not None:
-                each(j)
-            self._advance(slots, key, self.inputs_within(k, j, count))
-
-    def _advance(self, slots: Names, key: str, inputs: Names) -> None:
-        r, w = self.recursion, self.writer
-        leaves = self.read(slots) | self.table(key) | inputs
-        values = w.block(r.graph, r.predict, leaves | self.at_parameters)
-        self._store(slots, values)
-
     def _readings(self, k: str) -> list[tuple[str, str]]:
         """(value, condition that a reading exists) of every output at instant k."""
         w = self.writer
@@ -251,11 +131,6 @@ class Emission:
             if self.gain:
                 self._store(slots, values)
 
-    def _store(self, slots: Names, values: Sequence[tuple[str, str]]) -> None:
-        """Store the first of some (kind, value) in the slots of the state."""
-        for s, (_, name) in zip(slots.values(), values, strict=False):
-            self.writer.store(SCALAR, name, s)
-
     def _kept(self, update: Block) -> Block:
         """Results of an update; without gain only the innovation, its variance and the quadratic form."""
         return update if self.gain else update[-3:]
@@ -300,7 +175,7 @@ class Emission:
         r, w = self.recursion, self.writer
         n = r.n
         with w.loop(count) as j:
-            leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, count)
+            leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, count)
             both = [*r.predict, *r.transition]
             values = w.block(r.graph, both, leaves | self.at_parameters)
             f = [name for _, name in values[len(slots) :]]
@@ -366,11 +241,11 @@ class Emission:
                 seeds: Symbols = {}
                 if self.gain:
                     for e, i in zip(update, bars, strict=False):
-                        _seed(seeds, e, bar_symbol[i])
+                        seed(seeds, e, bar_symbol[i])
                 spread, quadratic = update[-2:]
                 g = r.graph
-                _seed(seeds, spread, -0.5 / spread)
-                _seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
+                seed(seeds, spread, -0.5 / spread)
+                seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
                 self._reverse_block(update, seeds, leaves, bars, bar_symbol, key, keep=not self.gain)
 
     def _reverse_predict(
@@ -387,17 +262,19 @@ class Emission:
         def keep(j: str) -> None:
             self.save_state(slots, "%buffer", j)
 
-        one = w.value(f"icmp sle i64 {parts}, 1")
-        with w.when(one):
-            self.save_state(slots, "%buffer", 0)
-        with w.when(w.value(f"xor i1 {one}, true")):
-            self._predict(slots, k, key, parts, each=keep)
+        if not r.exact:
+            one = w.value(f"icmp sle i64 {parts}, 1")
+            with w.when(one):
+                self.save_state(slots, "%buffer", 0)
+            with w.when(w.value(f"xor i1 {one}, true")):
+                self._predict(slots, k, key, parts, each=keep)
         with w.loop(parts, backwards=True) as j:
-            self.load_state(slots, "%buffer", j)
-            leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
+            if not r.exact:
+                self.load_state(slots, "%buffer", j)
+            leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, parts)
             seeds: Symbols = {}
             for e, i in zip(r.predict, bars, strict=True):
-                _seed(seeds, e, bar_symbol[i])
+                seed(seeds, e, bar_symbol[i])
             self._reverse_block(
                 r.predict, seeds, leaves | self.at_parameters, bars, bar_symbol, key, keep=False
             )
@@ -442,16 +319,25 @@ class Emission:
         """Pass the adjoints of the key table on to the parameter stage, and from there to the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         keys = [Expression(g, i) for i in r.key_nodes]
-        inner, _ = r.boundary(keys, KEY)
         seeds = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
-        found = reverse(g, seeds, inner)
-        order = [i for i in inner if i in found and i in self.parameter_bars]
         with w.loop("%nkeys") as key:
+            slots, first = self._doubled(key, lambda slots, j: self.save_state(slots, "%buffer", j))
             names = self._row("%keybar", key, [seeds[i].index for i in r.key_nodes])
-            leaves = self._key_row(key) | self.at_parameters | names
-            values = w.block(g, [found[i] for i in order], leaves)
-            for i, (_, name) in zip(order, values, strict=True):
-                accumulate(w, name, self.parameter_bars[i])
+            leaves = self._key_row(key) | self.at_parameters | self.read(slots)
+            bars = {i: w.slot(SCALAR, literal(0.0)) for i in slots}
+            self._pull(keys, seeds, leaves | names, bars)
+            if r.doubling is not None:
+                symbols = {i: g.symbol(f"bar:{i}") for i in slots}
+                backward: Symbols = {}
+                for e, i in zip(r.doubling.twice, slots, strict=True):
+                    seed(backward, e, symbols[i])
+                with w.loop(self._index("%nsub", key), backwards=True) as j:
+                    self.load_state(slots, "%buffer", j)
+                    self._pull([], backward, self.read(slots) | self._bars(symbols, bars), bars)
+                backward = {}
+                for e, i in zip(r.doubling.first, slots, strict=True):
+                    seed(backward, e, symbols[i])
+                self._pull(r.doubling.first, backward, first | self._bars(symbols, bars), {})
         leaf = {e.index for e in r.p.values()}
         seeds = {i: g.symbol(f"parbar:{i}") for i in r.estimated_nodes if i not in leaf}
         names = {seeds[i].index: w.load(SCALAR, self.parameter_bars[i]) for i in seeds}
@@ -495,7 +381,7 @@ class Emission:
         with w.loop("%count") as k:
             key, parts = self.instant_keys(k)
             with w.loop(parts) as j:
-                leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
+                leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, parts)
                 values, derivatives = run(r.predict, leaves | self.at_parameters, key)
                 self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
@@ -545,16 +431,24 @@ class Emission:
             directions[i] = g.symbol(f"dot:{i}")
             dots[directions[i].index] = w.as_vector(kind, name)
         keys = [Expression(g, i) for i in r.key_nodes]
-        derivative = forward(g, keys, directions)
+        moving: Symbols = {}
+        if r.doubling is not None:
+            moving = {e.index: g.symbol(f"dot:{e.index}") for e in r.doubling.now}
         with w.loop("%nkeys") as key:
-            leaves = self._key_row(key) | self.at_parameters | dots
-            values = w.block(g, derivative, leaves, list(dots))
+            ahead = {i: w.slot(VECTOR, "zeroinitializer") for i in moving}
+
+            def derivatives(block: Block, leaves: Names) -> list[tuple[str, str]]:
+                vectors = dots | {moving[i].index: w.load(VECTOR, s) for i, s in ahead.items()}
+                return w.block(g, forward(g, block, directions | moving), leaves | vectors, list(vectors))
+
+            def along(block: Block, leaves: Names) -> None:
+                for s, made in zip(ahead.values(), derivatives(block, leaves), strict=True):
+                    w.store(VECTOR, w.as_vector(*made), s)
+
+            slots, _ = self._doubled(key, along=along)
+            values = derivatives(keys, self._key_row(key) | self.at_parameters | self.read(slots))
             row = w.integer("mul", key, len(keys))
             for c, (kind, name) in enumerate(values):
                 pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
                 w.store(VECTOR, w.as_vector(kind, name), pointer)
         return directions, dots
-
-
-def _seed(seeds: Symbols, output: Expression, bar: Expression) -> None:
-    seeds[output.index] = seeds[output.index] + bar if output.index in seeds else bar

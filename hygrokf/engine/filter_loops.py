@@ -66,7 +66,7 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
             column = w.integer("add", row, r.varying.index(control.input))
             w.store(SCALAR, position, w.at(SCALAR, "%u", column))
         with w.loop(parts) as j:
-            leaves = emission.read(slots) | emission.table(key) | emission.inputs_within(k, j, parts)
+            leaves = emission.read(slots) | emission.table(key) | emission.inputs_of(k, j, parts)
             after = w.block(r.graph, r.predict[: len(means)], leaves | emission.at_parameters)
             for i, (_, name) in zip(means, after, strict=True):
                 w.store(SCALAR, name, slots[i])

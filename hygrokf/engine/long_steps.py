@@ -17,8 +17,8 @@ doubled s times: with z = (m − x₀, 1, t), z(t+h) = (I + D) z(t) and N = ∫�
 I + D is never formed while D is small, so that slow states keep all digits.  The compiled loops take the
 second part, the last `TAIL` sub-steps.
 
-The jump is exact where rates depend only on parameters and regimes.  Elsewhere it is divided into pieces,
-each at most half of the remaining time: for a state that follows the inputs every piece is a Newton step, and
+Steps of constant rates need no jump (`discretisation.Doubling`).  A jump is divided into pieces, each at most
+half of the remaining time: for a state that follows the inputs every piece is a Newton step, and
 the tail removes the remaining error.  States that outlast the tail (random walks, slow disturbances) are
 linear, so their moments are exact too.
 
@@ -154,7 +154,7 @@ def jump(
             'two instants, found a longer one; hold this input "previous" or "mean", or give instants within'
         )
     transition = np.broadcast_to(np.eye(recursion.n), (len(mean), recursion.n, recursion.n))
-    pieces = 1 if recursion.exact else max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
+    pieces = max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
     shrink = (1.0 + hours / rest_h) ** (-1.0 / pieces)
     share = [(hours + rest_h) * (1.0 - shrink**k) / hours for k in range(pieces)] + [np.ones_like(hours)]
     carried, holds = tuple(covariances), recursion.holds

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
-from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.long_steps import MOST, TAIL, jump
@@ -47,8 +47,8 @@ class SideBySide:
         self.model = model
         self.varying = tuple(recursion.varying)
         self.regimes = tuple(recursion.regimes)
-        self._limit = (CONSTANT_RATES if recursion.exact else VARYING_RATES).rate_step
         self._fastest = np.asarray(fastest, dtype=float)
+        self._exact = recursion.exact
         self._count = count
         given = list(recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
@@ -121,12 +121,17 @@ class SideBySide:
         for place, name in enumerate(self.model.outputs):
             self._fill(self._y[place], (readings or {}).get(name, np.nan))
         keys = self._keys.copy()
-        parts = np.maximum(np.ceil(np.multiply(hours, self._fastest) / self._limit - 1e-9), 1.0)
-        if (far := parts > MOST).any():
-            hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
-            hours[far], parts[far] = self._jump(far, hours[far], inputs), TAIL
-        self._fill(self._parts, parts)
-        self._fill(self._keys[0], hours / parts)
+        reach = np.multiply(hours, self._fastest)
+        if self._exact:
+            self._fill(self._parts, doublings(reach))
+            self._fill(self._keys[0], hours)
+        else:
+            parts = np.maximum(np.ceil(reach / RATE_STEP - 1e-9), 1.0)
+            if (far := parts > MOST).any():
+                hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
+                hours[far], parts[far] = self._jump(far, hours[far], inputs), TAIL
+            self._fill(self._parts, parts)
+            self._fill(self._keys[0], hours / parts)
         for place, name in enumerate(self.regimes):
             self._fill(self._keys[1 + place], inputs[name])
         # before the first step the keys are NaN, so that everything kept is computed then
@@ -142,7 +147,7 @@ class SideBySide:
     ) -> np.ndarray:
         """Move the runs `far` (N,) to the tails of their long steps of `hours` [h]; returns the remaining
         time [h] of each."""
-        rest_h = TAIL * self._limit / self._fastest[far]
+        rest_h = TAIL * RATE_STEP / self._fastest[far]
         now = {name: np.broadcast_to(inputs[name], self._count)[far] for name in self.model.inputs}
         before = {
             name: row[: self._count][far] for name, row in zip(self.varying, self._before, strict=False)

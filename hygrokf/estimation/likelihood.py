@@ -17,25 +17,26 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
+from hygrokf.engine.rates import rate_bound, sizes
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
 from hygrokf.estimation.gaussian import expect_initial, expect_variances
-from hygrokf.physics.expression import is_zero
+from hygrokf.estimation.start import Moments, Slopes, prior, prior_slopes, stationary, stationary_slopes
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
+FASTEST = 2.0**1000
+"""[1] product of a rate and a step beyond which a rate counts as infinite."""
 GAPS = 1_000
 """Largest number of long steps in one run; more mean a rate far above what the readings resolve."""
 
-Place = tuple[int, int]
-"""Row and column of an entry of a Jacobian."""
 Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 """First moments, their tangents, and the directions: one array each for every `LANES` directions."""
 
@@ -105,7 +106,7 @@ class Likelihood:
     def _diffuse(self) -> bool:
         return self.initial == "diffuse"
 
-    @property
+    @cached_property
     def recursion(self) -> Recursion:
         return traced(self.model, self._diffuse)
 
@@ -125,61 +126,25 @@ class Likelihood:
         """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
         if self.fastest is not None:
             return self.fastest
-        return max((0.0, *self._bounds(values, inputs)))
+        corners = self.timeline.corners if inputs is None else inputs
+        return rate_bound(self.recursion, self._sizes(values, corners))
 
-    def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
-        """Upper bound of the rate of each state [1/h] (n,)."""
-        r = self.recursion
-        known = r.symbols(values)
-        if self._rate_moves:
-            corners = self.timeline.corners if inputs is None else inputs
-            mean, _ = self.model.initial(values, corners)
-            known = r.symbols(values, map(np.asarray, mean), corners)
-        places, pairs = self._rate_entries
+    def _sizes(self, values: Mapping[str, float], corners: Mapping[str, np.ndarray]) -> dict[Place, float]:
         try:
-            found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+            return sizes(self.recursion, values, corners)
         except KeyError:
             expect_values(self.model.parameters, values)
             raise
-        except ZeroDivisionError:  # a parameter at a physical limit, such as a resistance of 0
-            return [math.inf] * r.n
-        entry = dict(zip(places, found, strict=True))
-        bounds = []
-        for i in range(r.n):
-            total = abs(entry.get((i, i), 0.0))
-            for a, b in pairs[i]:
-                total = total + np.sqrt(np.abs(entry[a] * entry[b]))
-            bounds.append(float(np.max(total)))
-        return bounds
-
-    @cached_property
-    def _rate_moves(self) -> bool:
-        """Whether the rates depend on anything besides the parameters."""
-        r = self.recursion
-        needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
-        symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
-        return not all(name.startswith(("p:", "c:")) for name in symbols)
-
-    @cached_property
-    def _rate_entries(self) -> tuple[list[Place], list[list[tuple[Place, Place]]]]:
-        """Entries of the Jacobian that bound its eigenvalues: diagonal, and non-zero pairs (i, j), (j, i)."""
-        r = self.recursion
-        there = [[not is_zero(v) for v in row] for row in r.jacobian]
-        pairs = [
-            [((i, j), (j, i)) for j in range(r.n) if j != i and there[i][j] and there[j][i]]
-            for i in range(r.n)
-        ]
-        places = {(i, i) for i in range(r.n) if there[i][i]}
-        places |= {place for row in pairs for pair in row for place in pair}
-        return sorted(places), pairs
 
     def _steps(self, values: Mapping[str, float]) -> SubSteps:
-        """Sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
+        """Doublings or sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
         steps = self.timeline.steps
-        limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
-        if not math.isfinite(rate):
+        if not rate * float(steps[:, 0].max()) < FASTEST:
             raise RatesFault(self._not_finite(values))
+        if self.recursion.exact:
+            return SubSteps(steps, doublings(steps[:, 0] * rate).astype(np.int32), tuple(self._gaps))
+        limit = self.rate_step or RATE_STEP
         if steps[:, 0].max() * rate <= limit:
             return SubSteps(steps, self._single, tuple(self._gaps))
         keys = steps.copy()
@@ -197,17 +162,24 @@ class Likelihood:
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
-        steps = self._steps(values)
-        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
-        return float(taken) / len(self.timeline)
+        if self.recursion.exact:
+            return 1.0
+        parts = self._steps(values).parts
+        return float(self._instants @ parts) / len(self.timeline)
+
+    @cached_property
+    def _instants(self) -> np.ndarray:
+        """Number of instants that each distinct step leads to."""
+        return np.bincount(self.timeline.key, minlength=len(self.timeline.steps))
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
         if self.fastest is not None:
             return f"fastest: expected a finite rate [1/h], found {self.fastest}"
         r = self.recursion
-        lost = [i for i, bound in enumerate(self._bounds(values, None)) if not math.isfinite(bound)]
-        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in self._rate_entries[0] if a in lost or b in lost]
+        found = self._sizes(values, self.timeline.corners)
+        lost = sorted({i for (i, _), size in found.items() if not math.isfinite(size)})
+        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in r.rate_entries if a in lost]
         symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
         own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         return (
@@ -243,64 +215,60 @@ class Likelihood:
 
     def first_gaussian(self, values: Mapping[str, float]) -> Gaussian:
         """Moments of the state before the first reading (the finite part, for a diffuse start)."""
-        n = len(self.model.states)
-        state = np.asarray(self.first_state(values), dtype=float)
-        return Gaussian(state[:n], unpack(state[n : n + n * (n + 1) // 2], n), float(self.timeline.time[0]))
+        first = self._first_moments(values)
+        return Gaussian(first.mean, first.covariance, float(self.timeline.time[0]))
 
-    def first_state(self, values: Mapping[str, complex]) -> np.ndarray:
-        """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
+    def first_state(self, values: Mapping[str, float]) -> np.ndarray:
+        """Packed moments (w,) before the first reading."""
+        return self._packed(self._first_moments(values))
+
+    def _first_moments(self, values: Mapping[str, float]) -> Moments:
+        expect_values(self.model.parameters, values)
         if isinstance(self.initial, Gaussian):
-            return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
-        moments = self.model.initial_moments(values, self.first_inputs())
-        mean, covariance = (np.array(part) for part in moments)
+            return Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         if self.initial == "stationary":
-            mean, covariance = self._stationary(values, mean)
+            return stationary(self.model, self.recursion, values, self.first_inputs())[0]
+        return prior(self.model, values, self.first_inputs())
+
+    def _packed(self, first: Moments | Slopes) -> np.ndarray:
+        """Moments (w,), or their derivatives (d, w), as the loops take them."""
+        known = 1.0 - self._infinite
+        mean, covariance = first.mean * known, first.covariance * np.outer(known, known)
+        found = np.concatenate([mean, pack(covariance)], axis=-1)
         if not self._diffuse:
-            return np.concatenate([mean, pack(covariance)])
-        chosen = self.diffuse_states or self.model.states
-        infinite = np.array([float(name in chosen) for name in self.model.states])
-        covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
-        return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
+            return found
+        start = pack(np.diag(self._infinite)) * isinstance(first, Moments)
+        return np.concatenate([found, np.broadcast_to(start, (*found.shape[:-1], len(start)))], axis=-1)
+
+    @cached_property
+    def _infinite(self) -> np.ndarray:
+        """(n,) 1 for states of which nothing is known, 0 for the others."""
+        chosen = (self.diffuse_states or self.model.states) if self._diffuse else ()
+        return np.array([float(name in chosen) for name in self.model.states])
 
     def _start(self, values: Mapping[str, float]) -> np.ndarray:
         """The packed moments that a loop starts from and moves."""
-        expect_values(self.model.parameters, values)
         return np.ascontiguousarray(self.first_state(values), dtype=float)
 
-    def _stationary(self, values: Mapping[str, complex], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Steady state at the first inputs, and the covariance that solves A P + P A' + Q = 0."""
-        n = len(mean)
-        u = self.first_inputs()
-        for _ in range(5):  # a linear model needs one step
-            matrix = self.jacobian(values, mean, u)
-            rates = np.array(self.model.evaluate(list(mean), u, values).rates)
-            mean = mean - np.linalg.solve(matrix, rates)
-        noise: np.ndarray = np.array(self.model.noise(values, u))
-        matrix = self.jacobian(values, mean, u)
-        if np.linalg.eigvals(matrix).real.max() >= 0:
-            raise ValueError(
-                "initial: the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
-            )
-        eye = np.eye(n)
-        flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
-        return mean, flat.reshape(n, n)
+    def _start_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The packed moments that a loop starts from, and their derivatives (d, w)."""
+        expect_values(self.model.parameters, values)
+        inputs = self.first_inputs()
+        if self.initial == "stationary":
+            first, matrix = stationary(self.model, self.recursion, values, inputs)
+            found = stationary_slopes(self.model, self.recursion, values, inputs, first, matrix)
+        else:
+            first = self._first_moments(values)
+            found = prior_slopes(self.model, values, inputs)
+            if isinstance(self.initial, Gaussian):
+                found = Slopes(0.0 * found.mean, 0.0 * found.covariance)
+        return np.ascontiguousarray(self._packed(first), dtype=float), self._packed(found)
 
-    def jacobian(self, values: Mapping[str, complex], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
+    def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
         r = self.recursion
         known = r.symbols(values, mean, u)
         return np.array([r.graph.evaluate(row, known) for row in r.jacobian])
-
-    def _first_state_slopes(self, values: Mapping[str, float]) -> np.ndarray:
-        """Derivatives (d, w) of the first moments, by complex steps (exact to rounding)."""
-        width = len(self.first_state(values))
-        result = np.zeros((len(self.model.parameters), width))
-        if isinstance(self.initial, Gaussian):
-            return result
-        for i, p in enumerate(self.model.parameters):
-            moved = {**values, p.name: values[p.name] + 1e-30j}
-            result[i] = np.imag(self.first_state(moved)) * 1e30
-        return result
 
     def _common(
         self, values: Mapping[str, float], steps: SubSteps, state: np.ndarray, part: slice
@@ -408,7 +376,7 @@ class Likelihood:
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        state = self._start(values)
+        state, first_slopes = self._start_with_slopes(values)
         steps = self._steps(values)
         pieces = steps.pieces(self._whole)
         states = [state]
@@ -426,7 +394,7 @@ class Likelihood:
                 before = self._widened(part.start, state)
                 state_bar, slopes = self._long(steps, part.start).adjoints(values, before, state_bar)
                 theta_bar = theta_bar + slopes
-        return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
+        return loglik, theta_bar + first_slopes @ state_bar
 
     def _pulled_back(
         self,
@@ -442,7 +410,9 @@ class Likelihood:
         out, theta_bar = np.zeros(3), np.zeros(len(r.p))
         store = self._store
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
-        buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
+        most = int(steps.parts.max(initial=1)) + 1
+        held = 0 if r.doubling is None else most * len(r.doubling.now)
+        buffer = np.empty(max(most * width, (len(r.updates) + 1) * width, held))
         common = self._common(values, steps, state, part)
         filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar
@@ -463,16 +433,20 @@ class Likelihood:
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            *found, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            read = np.isfinite(self.timeline.y[part])  # few instants have a reading
+            e, s, de, ds = (one[read] for one in found)
             weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
-            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            e, de, ds = weight * e, weight[:, None] * de[:, :count], ds[:, :count]
+            share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
             loglik += value
-            score += share.sum(axis=(0, 1))
+            score += share.sum(axis=0)
             if each:
-                scores[part] = share.sum(axis=1)
-            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
-            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
+                by_output = np.zeros((*read.shape, count))
+                by_output[read] = share
+                scores[part] = by_output.sum(axis=1)
+            a = de / np.sqrt(s)[:, None]
+            b = ds / (math.sqrt(2.0) * s)[:, None]
             information += a.T @ a + b.T @ b
         return Sensitivities(loglik, score, information, scores)
 
@@ -481,8 +455,8 @@ class Likelihood:
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
         padded[:, :count] = directions
-        first = self._start(values)
-        slopes = self._first_state_slopes(values).T @ padded
+        first, first_slopes = self._start_with_slopes(values)
+        slopes = first_slopes.T @ padded
         states = [first.copy() for _ in blocks]
         dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
         seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]

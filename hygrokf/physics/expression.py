@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any, NoReturn
 
@@ -47,6 +48,15 @@ class Given(float):
     __slots__ = ()
 
 
+@dataclass(frozen=True)
+class _Program:
+    """What the interpreter does for some outputs: constants and leaves by node, then operations in order."""
+
+    constants: dict[int, float]
+    symbols: list[tuple[int, str]]
+    operations: list[tuple[int, Callable[..., Value], tuple[int, ...]]]
+
+
 class Graph:
     """A growing list of nodes; arguments are indices of earlier nodes, `given` holds the numbers of the
     leaves `c:i`."""
@@ -56,7 +66,7 @@ class Graph:
         self.given: list[Given] = []
         self._index: dict[Node, int] = {}
         self._growing = Lock()
-        self._orders: dict[tuple[int, ...], list[int]] = {}
+        self._programs: dict[tuple[int, ...], _Program] = {}
 
     def _node(self, key: Node) -> Expression:
         index = self._index.get(key)
@@ -234,21 +244,24 @@ class Graph:
 
     def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, Value]) -> list[Value]:
         """Interpreter: compute `outputs` with numbers, arrays or complex numbers in place of the symbols."""
-        lifted = [self.lift(e) for e in outputs]
-        result: dict[int, Value] = {}
-        wanted = tuple(e.index for e in lifted)
-        if wanted not in self._orders:
-            self._orders[wanted] = self.needed(lifted)
-        for i in self._orders[wanted]:
-            node = self.nodes[i]
-            if node[0] == "const":
-                result[i] = node[1]
-            elif node[0] == "symbol":
-                name = node[1]
-                result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
-            else:
-                result[i] = _COMPUTE[node[0]](*(result[j] for j in node[1:]))
-        return [result[e.index] for e in lifted]
+        wanted = tuple(self.lift(e).index for e in outputs)
+        program = self._programs.get(wanted)
+        if program is None:
+            program = self._programs[wanted] = self._program(wanted)
+        result: dict[int, Value] = dict(program.constants)
+        for i, name in program.symbols:
+            result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
+        for i, compute, places in program.operations:
+            result[i] = compute(*[result[j] for j in places])
+        return [result[i] for i in wanted]
+
+    def _program(self, wanted: Sequence[int]) -> _Program:
+        order = [(i, self.nodes[i]) for i in self.needed([Expression(self, i) for i in wanted])]
+        return _Program(
+            {i: node[1] for i, node in order if node[0] == "const"},
+            [(i, node[1]) for i, node in order if node[0] == "symbol"],
+            [(i, _COMPUTE[node[0]], node[1:]) for i, node in order if arguments(node)],
+        )
 
     def substitute(
         self, outputs: Sequence[Expression | float], values: Mapping[int, Expression]
@@ -265,8 +278,7 @@ class Graph:
 
 
 class Expression:
-    """One node of a graph; it supports the operators of a number, and those functions of numpy that a model
-    may use (`_FUNCTIONS`)."""
+    """One node of a graph; it supports the operators of a number, and numpy's `_FUNCTIONS`."""
 
     __slots__ = ("graph", "index")
 
@@ -331,7 +343,6 @@ class Expression:
     def __rpow__(self, base: Expression | float) -> Expression:
         return self.graph.lift(base) ** self
 
-    # -- what a number can do and a traced value cannot, or only by another function -------------------------
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *values: Value, **options: Any) -> Expression:
         return self._by_numpy(ufunc.__name__ if method == "__call__" and not options else method, *values)
 
@@ -424,11 +435,10 @@ def _less(a: Value, b: Value) -> Value:
 _FUNCTIONS: dict[str, Callable[..., Expression]] = {
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
     "negative": operator.neg, "positive": lambda a: a, "absolute": abs, "power": operator.pow,
-    "float_power": operator.pow, "square": lambda a: a * a, "reciprocal": lambda a: 1.0 / a,
+    "square": lambda a: a * a, "reciprocal": lambda a: 1.0 / a,
     "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
     "equal": operator.eq, "not_equal": operator.ne, "exp": exp, "log": log, "sqrt": sqrt, "where": where,
-    "maximum": maximum, "minimum": minimum, "fmax": maximum, "fmin": minimum,
-    "clip": lambda value, low, high: minimum(maximum(value, low), high),
+    "maximum": maximum, "minimum": minimum, "clip": lambda a, low, high: minimum(maximum(a, low), high),
 }  # fmt: skip
 """What numpy's functions, by name, do with traced values."""
 

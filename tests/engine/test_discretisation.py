@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from builders.linear_oracles import linear_hold, van_loan
 
-from hygrokf.engine.discretisation import CONSTANT_RATES, congruence, step
+from hygrokf.engine.discretisation import Doubling, congruence, doublings, step
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Graph
@@ -65,37 +65,48 @@ def traced_step(a: np.ndarray, q: np.ndarray, b: np.ndarray, h: float, hold: str
             for i in range(n)
         ]
 
+    names = [f"x{i}" for i in range(n)] + [f"{s}{j}" for s in ("start", "end") for j in range(m)]
     noise = [[float(v) for v in row] for row in q]
-    made = step(graph, drift, lambda u: noise, x, cov, start, end, graph.symbol("h"))
+    made = step(graph, drift, lambda u: noise, x, cov, start, end, graph.symbol("h"), names)
+    times = int(doublings(np.abs(np.linalg.eigvals(a)).max() * h))
+    whole = {"h": h} | doubled(graph, made.doubling, h, times)
 
     def mean(**given: float) -> np.ndarray:
-        names = [f"x{i}" for i in range(n)] + [f"{s}{j}" for s in ("start", "end") for j in range(m)]
-        return np.array(graph.evaluate(made.mean, dict.fromkeys(names, 0.0) | given | {"h": h}), dtype=float)
+        return np.array(graph.evaluate(made.mean, dict.fromkeys(names, 0.0) | given | whole), dtype=float)
 
     prior = np.diag(np.arange(1.0, n + 1))
-    values = {"h": h} | {f"P{i}{j}": prior[i, j] for i in range(n) for j in range(i + 1)}
+    values = whole | {f"P{i}{j}": prior[i, j] for i in range(n) for j in range(i + 1)}
     return {
-        "F": np.array([graph.evaluate(row, {"h": h}) for row in made.transition], dtype=float),
+        "F": np.array([graph.evaluate(row, whole) for row in made.transition], dtype=float),
         "response": np.column_stack([mean(**{f"x{j}": 1.0}) for j in range(n)]),
         "start": np.column_stack([mean(**{f"start{j}": 1.0}) for j in range(m)]),
         "end": np.column_stack([mean(**{f"end{j}": 1.0}) for j in range(m)]),
-        "Q": np.array([graph.evaluate(row, {"h": h}) for row in made.noise], dtype=float),
+        "Q": np.array([graph.evaluate(row, whole) for row in made.noise], dtype=float),
         "P": np.array([graph.evaluate(row, values) for row in made.covariance], dtype=float) if m else prior,
         "prior": prior,
     }
 
 
+def doubled(graph: Graph, doubling: Doubling, h: float, times: int) -> dict[str, float]:
+    """The numbers of a constant-rate step's matrices by the names of their symbols."""
+    names = [graph.nodes[e.index][1] for e in doubling.now]
+    now = graph.evaluate(doubling.first, {"h": h, "share": 2.0**-times})
+    for _ in range(times):
+        now = graph.evaluate(doubling.twice, dict(zip(names, now, strict=True)))
+    return dict(zip(names, now, strict=True))
+
+
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("share", [1e-6, 0.3, 1.0])
-def test_one_sub_step_of_a_network_is_exact(seed: int, share: float) -> None:
+@pytest.mark.parametrize("reach", [1e-6, 0.2, 1.0, 300.0])
+def test_one_step_of_a_network_is_exact(seed: int, reach: float) -> None:
     a, b, q = network(seed)
-    h = share * CONSTANT_RATES.rate_step / np.abs(np.linalg.eigvals(a)).max()
+    h = reach / np.abs(np.linalg.eigvals(a)).max()
     f, gain = zero_order(a, b, h)
     found = traced_step(a, q, b, h, "mean")
     close(found["F"], f)
     close(found["response"], f)
     close(found["end"], gain)
-    close(found["Q"] / h, van_loan(a, q, h)[1] / h, 2e-11)  # the polynomial of the noise stops at 8e-12
+    close(found["Q"] / h, van_loan(a, q, h)[1] / h)
     close(found["P"], f @ found["prior"] @ f.T + van_loan(a, q, h)[1])
     found = traced_step(a, q, b, h, "linear")
     first, last = linear_hold(a, b, h)
@@ -148,10 +159,10 @@ def test_compiled_steps_from_a_second_to_a_fortnight_are_exact(seed: int, h: flo
 
     f, gain = zero_order(a, b, length)
     transition, _, noise = run(np.zeros((2, m)), "mean")
-    # rounding of up to thousands of sub-steps adds to the 1e-12
+    # rounding of the oracle's own squarings adds to the 1e-12
     rounding = EXACT + 2e-16 * 20 * np.abs(a).max() * length
     close(transition, f, rounding)
-    close(noise, van_loan(a, q, length)[1], rounding + 1e-11)
+    close(noise, van_loan(a, q, length)[1], rounding)
     first, last = linear_hold(a, b, length)
     for j in range(m):
         unit = np.eye(m)[j]

@@ -153,12 +153,12 @@ def test_the_joint_model_is_the_integrator_s(joint: object, joint_moments: Calla
     np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["thermal", "cascade", "joint", "averaged"])
+@pytest.mark.parametrize("name", ["cascade", "joint", "averaged"])
 def test_every_verb_gives_what_every_sub_step_gives(
     name: str, request: pytest.FixtureRequest, every_sub_step: Callable
 ) -> None:
     """Months; the likelihood, its score, information and free run, and the moments."""
-    case = gapped(request.getfixturevalue(name), 3000.0 if name != "thermal" else 3.0 * YEAR_H)
+    case = gapped(request.getfixturevalue(name), 3000.0)
     values, eye = case.values, np.eye(len(case.values))
     likelihood, plain = case.likelihood, every_sub_step
     assert likelihood._steps(values).long == (AT,) and plain(lambda: likelihood._steps(values)).long == ()
@@ -231,12 +231,19 @@ def test_what_was_known_before_is_forgotten(joint: object) -> None:
     np.testing.assert_allclose(ends[0][1], ends[1][1], rtol=1e-9, atol=1e-12)
 
 
-def test_the_smoother_and_the_transition_cross_a_gap(thermal: object, every_sub_step: Callable) -> None:
+def through_days(case: object) -> object:
+    """The case with an instant on every day of its gap."""
+    before, after = case.timeline.time[[AT - 1, AT]]
+    return case.split(np.arange(before + 24.0, after, 24.0))
+
+
+def test_the_smoother_and_the_transition_cross_a_gap(thermal: object) -> None:
     case = gapped(thermal, 2.0 * YEAR_H)
     values = case.values | {"heat_disturbance_time": 20000.0}
-    assert case.likelihood._steps(values).long == (AT,)
     mean, covariance = smooth(case.likelihood, values)
-    expected, spread = every_sub_step(lambda: smooth(case.likelihood, values))
+    daily = through_days(case)
+    kept = np.isin(daily.timeline.time, case.timeline.time)
+    expected, spread = (part[kept] for part in smooth(daily.likelihood, values))
     np.testing.assert_allclose(mean, expected, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
     _, f, _ = transition(case.likelihood, values, AT, case.likelihood.trace(values).mean[AT - 1])
@@ -244,21 +251,19 @@ def test_the_smoother_and_the_transition_cross_a_gap(thermal: object, every_sub_
     assert f[1, 1] == pytest.approx(math.exp(-hours / 20000.0), rel=1e-12)
 
 
-def test_a_diffuse_start_before_a_gap(thermal: object, every_sub_step: Callable) -> None:
+def test_a_diffuse_start_before_a_gap(thermal: object) -> None:
     case = gapped(thermal, YEAR_H * 2)
-    never = case.timeline.y.copy()
-    never[:AT] = np.nan  # the infinite variance outlasts the gap where nothing is read before it
-    likelihood = Likelihood(
-        case.model,
-        case.timeline.with_readings(never),
-        initial="diffuse",
-        diffuse_states=("heat_disturbance",),
-    )
+
+    def likelihood(one: object) -> Likelihood:
+        never = one.timeline.y.copy()
+        never[:AT] = np.nan  # the infinite variance outlasts the gap where nothing is read before it
+        line = one.timeline.with_readings(never)
+        return Likelihood(one.model, line, initial="diffuse", diffuse_states=("heat_disturbance",))
+
     values = case.values | {"heat_disturbance_time": 9000.0}
-    assert likelihood.value(values) == pytest.approx(
-        every_sub_step(lambda: likelihood.value(values)), rel=1e-9
-    )
-    check_score(likelihood, values)
+    daily = likelihood(through_days(case)).value(values)
+    assert likelihood(case).value(values) == pytest.approx(daily, rel=1e-9)
+    check_score(likelihood(case), values)
 
 
 # -- pieces of a run, many runs, the tracker -----------------------------------------------------------------
@@ -409,15 +414,15 @@ def many_gaps(case: object, count: int) -> Timeline:
     return timeline(case.model, hours, inputs, {}, origin_s=1.6e9)
 
 
-def test_rates_that_no_reading_resolves_are_told_with_gap_and_remedy(thermal: object) -> None:
-    t = many_gaps(thermal, 1200)
-    fast = thermal.values | {"thermal_time_constant": 1e-3}
+def test_rates_that_no_reading_resolves_are_told_with_gap_and_remedy(joint: object) -> None:
+    t = many_gaps(joint, 1200)
+    fast = joint.values | {"thermal_time_constant": 1e-3}
     with pytest.raises(
         ValueError, match=r"3\.6 s.*found 1199 .*365 d.*the first until 2021-.*narrow the bounds"
     ) as told:
-        Likelihood(thermal.model, t).value(fast)
+        Likelihood(joint.model, t).value(fast)
     assert isinstance(told.value, RatesFault) and isinstance(told.value, FloatingPointError)
-    assert math.isfinite(Likelihood(thermal.model, t.window(0, 40)).value(fast))
+    assert math.isfinite(Likelihood(joint.model, t.window(0, 40)).value(fast))
 
 
 def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -> None:

@@ -245,7 +245,7 @@ def test_a_stiff_corner_ends_with_its_budget() -> None:
     likelihood = stiff()
     first = {"lag": 1 / 3600.0, "noise": 1.0}
     each = likelihood.steps_per_instant(first)
-    assert each > 4_000  # sub-steps of a second's fraction through an hour
+    assert each == 1.0  # a second's lag over an hour is one step
     begun = Objective(likelihood, Coordinates(likelihood.model.parameters))
     start = begun.coordinates.start(first)
     ended = climb(begun, start, budget=2.5 * each)
