@@ -27,3 +27,17 @@ def suggestion(name: str, candidates: Iterable[str], count: int = 3) -> str:
     near = near_names(name, candidates, count)
     quoted = " or ".join(f'"{one}"' for one in near)
     return f"; did you mean {quoted}?" if near else ""
+
+
+def unknown_names(where: str, given: Iterable[object], known: Iterable[str]) -> list[str]:
+    """A fault for each name that is not a known one.
+
+    where: the argument, or the function, that gave the names.
+    """
+    known = tuple(known)
+    return [
+        f'{where}: expected names of {", ".join(known) or "nothing"}, found "{name}"'
+        f"{suggestion(str(name), known, 1)}"
+        for name in given
+        if name not in known
+    ]

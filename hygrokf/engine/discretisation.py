@@ -11,6 +11,10 @@ remainder b = f − A (x − x₀) interpolated through them as b(t) = β + s t,
     m⁺ = x₀ + e^Ω (m−x₀) + φ₁(Ω) (h β + (√3/12) h² D β) + φ₂(Ω) h (h s + (√3/12) h² D s),
     P⁺ = e^Ω P e^Ω' + ∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ,    Q̄ = h Q + (√3/12) h² (D Q + Q D').
 
+An intensity Q that follows a changing input is a parabola through its values at the start, the middle and the
+end of a sub-step: under constant rates the accumulated noise is exact for the square of a linear input, and
+of order h⁵ a sub-step for any other function.
+
 Rows of a linear model have A₁ = A₂ and an exactly affine b.  For them every formula above is *exact* under
 the stated hold (constant or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are
 computed only once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step
@@ -104,7 +108,7 @@ def doublings(reach: np.ndarray) -> np.ndarray:
 def step(
     graph: Graph,
     drift: Drift,
-    noise: Matrix,
+    noise: Callable[[Values], Matrix],
     state: Sequence[Expression],
     covariance: Matrix,
     start: Inputs,
@@ -114,10 +118,10 @@ def step(
 ) -> Step:
     """Trace one sub-step.
 
-    `drift(x, u)` -> list of n rates [unit of the state per h]; `noise` Q (n, n) [unit² per h]; `state` and
-    `covariance` before the step; `start` and `end` the inputs just after its start and just before its end (a
-    constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change from
-    step to step, of which the Jacobian of a constant-rate step has none.
+    `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
+    and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
+    end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
+    from step to step, of which the Jacobian and the noise of a constant-rate step have none.
     """
     n = len(state)
     field = _Field(graph, drift, n, start)
@@ -125,7 +129,10 @@ def step(
     points = [_predictor(field, state, start, end, c, h) for c in NODES] if field.nonlinear else [state] * 2
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
-    constant = not _any(difference) and not any(depends_on(graph, v, changing) for row in a1 for v in row)
+    intensity = noise(inputs[0])
+    constant = not _any(difference) and not any(
+        depends_on(graph, v, changing) for row in (*a1, *intensity) for v in row
+    )
     origin = state if _any(difference) else [0.0] * n
     b1, b2 = (field.rest_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
@@ -138,7 +145,7 @@ def step(
     )
     carried: Sequence[Value] = state
     if constant:
-        doubling, exponential, weights, slopes, accumulated = _doubled(graph, h, omega, noise, b1, b2)
+        doubling, exponential, weights, slopes, accumulated = _doubled(graph, h, omega, intensity, b1, b2)
         carried = [dot(row, state) for row in exponential]
         weights, slopes = scale(h, weights), scale(h, slopes)
     else:
@@ -147,8 +154,12 @@ def step(
         weights, slopes = (_corrected(h, m, correction, difference) for m in phi)
         if not _any(difference):
             carried = [dot(row, state) for row in exponential]
-        spread = add(product(difference, noise), transpose(product(difference, noise)))
-        accumulated = _accumulated(omega, add(scale(h, noise), scale(correction, spread)))
+        intensities = [intensity]
+        if _any(_difference(noise(inputs[1]), intensity)):
+            intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
+        spreads = [add(product(difference, q), transpose(product(difference, q))) for q in intensities]
+        sums = [add(scale(h, q), scale(correction, v)) for q, v in zip(intensities, spreads, strict=True)]
+        accumulated = _accumulated(omega, sums)
     # b(t) is the straight line through b1 and b2 at the nodes; the weights do not depend on the inputs
     mean = [x + _driven(i, weights, slopes, b1, b2) for i, x in enumerate(carried)]
     return Step(
@@ -323,7 +334,8 @@ def _exponentials(omega: Matrix) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
-    """Taylor coefficients about z = −centre of e^z (weight None) or of ∫₀¹ (1−σ)^weight e^{zσ} dσ."""
+    """Taylor coefficients about z = −centre of e^z (weight None) or of ∫₀¹ (1−σ)^w e^{zσ} dσ for the weight
+    w."""
     if weight is None:
         return [math.exp(-centre) / f for f in factorials(order + 1)]
     terms = 40  # terms of the series of e^{−centre σ}: beyond machine precision for centre < 1
@@ -331,23 +343,36 @@ def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
     result = []
     for k in range(order + 1):
         moments = (
-            (1.0 / (k + j + 1) if weight == 0 else 1.0 / ((k + j + 1) * (k + j + 2))) for j in range(terms)
+            math.factorial(weight) / math.prod(range(k + j + 1, k + j + 2 + weight)) for j in range(terms)
         )
         result.append(inverse[k] * math.fsum((-centre) ** j * inverse[j] * m for j, m in enumerate(moments)))
     return result
 
 
-def _accumulated(omega: Matrix, noise: Matrix) -> Matrix:
-    """∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ, a polynomial in L + 2μ with L(X) = Ω X + X Ω'."""
+def _accumulated(omega: Matrix, noises: Sequence[Matrix]) -> Matrix:
+    """∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ, a polynomial in L + 2μ with L(X) = Ω X + X Ω', for one Q̄ or the parabola
+    through three of them at the start, the middle and the end of the step."""
     n = len(omega)
     centre = 0.5 * RATE_STEP
-    coefficients = _taylor(2.0 * centre, 0, NOISE_DEGREE)
+    coefficients = [_taylor(2.0 * centre, weight, NOISE_DEGREE) for weight in range(len(noises))]
     shifted = add(omega, scale(centre, identity(n)))
-    term = noise
-    total = scale(coefficients[0], noise)
-    for c in coefficients[1:]:
-        half = product(shifted, term)
-        term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
+
+    def acted(x: Matrix) -> Matrix:
+        half = product(shifted, x)
+        return _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
+
+    if len(noises) > 1:
+        total = _zeros(n, n)
+        for whole, slope, curve in zip(*map(reversed, coefficients), strict=True):
+            total = acted(total)
+            shares = (whole - 3.0 * slope + 2.0 * curve, 4.0 * (slope - curve), 2.0 * curve - slope)
+            for share, q in zip(shares, noises, strict=True):
+                total = add(total, scale(share, q))
+        return total
+    term = noises[0]
+    total = scale(coefficients[0][0], term)
+    for c in coefficients[0][1:]:
+        term = acted(term)
         if not _any(term):
             break
         total = add(total, scale(c, term))

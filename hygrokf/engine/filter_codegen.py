@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
+from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
-from hygrokf.engine.traced_filter import INSTANT, Block, Recursion, place, trace_width
+from hygrokf.engine.traced_filter import INSTANT, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
 COMMON = [

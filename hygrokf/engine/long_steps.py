@@ -46,8 +46,9 @@ from itertools import pairwise
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
+from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, pack, unpack
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model, Values
@@ -156,7 +157,11 @@ def jump(
     first one accumulates the noise, the others are only propagated.  Accepts complex numbers, so that complex
     steps give exact derivatives.  A model that grows without limit yields numbers that are not finite.
     """
-    noise = _matrix(recursion, recursion.noise, recursion.symbols(values), len(mean))
+    if recursion.rising_noise:
+        raise ValueError(
+            f"expected steps of at most {MOST} sub-steps where the process noise follows an input between "
+            'two instants, found a longer one; hold this input "previous" or "mean", or give instants within'
+        )
     transition = np.broadcast_to(np.eye(recursion.n), (len(mean), recursion.n, recursion.n))
     pieces = max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
     shrink = (1.0 + hours / rest_h) ** (-1.0 / pieces)
@@ -167,10 +172,9 @@ def jump(
             first, last = (inputs_between(holds, before, after, share[i]) for i in (k, k + 1))
             at_end = recursion.symbols(values, mean.T, last)
             matrix = _matrix(recursion, recursion.jacobian, at_end, len(mean))
-            rest = [
-                _vector(recursion, at_end | recursion.symbols({}, (), inputs), len(mean))
-                for inputs in (inputs_between(holds, first, last, c) for c in NODES)
-            ]
+            nodes = [at_end | recursion.symbols({}, (), inputs_between(holds, first, last, c)) for c in NODES]
+            rest = [_vector(recursion, known, len(mean)) for known in nodes]
+            noise = _matrix(recursion, recursion.noise, nodes[0], len(mean))
             change, gained = _doubled(matrix, rest, noise, (share[k + 1] - share[k]) * hours)
             n = recursion.n
             step = np.eye(n) + change[:, :n, :n]

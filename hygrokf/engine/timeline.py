@@ -11,12 +11,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.errors import unknown_names
 from hygrokf.physics.holds import REGIME
 from hygrokf.physics.model import Model
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+UNITS_H = {"s": 1.0 / 3600.0, "min": 1.0 / 60.0, "h": 1.0, "d": 24.0, "a": 24.0 * 365.25}
+"""[h] units in which times may be given."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +84,11 @@ class Timeline:
         """Values (T,) of one input as the filter sees them."""
         if name in self.regimes:
             return self.steps[self.key, 1 + self.regimes.index(name)]
-        return self.u[1:, self.varying.index(name)]
+        return self.u[1:, _place("input", name, self.varying, self.regimes)]
 
     def reading(self, name: str) -> np.ndarray:
         """Readings (T,) of one output, NaN where there is none."""
-        return self.y[:, self.outputs.index(name)]
+        return self.y[:, _place("output", name, self.outputs)]
 
     def with_readings(self, y: np.ndarray) -> Timeline:
         """The same run with other readings (T, k); with NaN everywhere it is a forecast."""
@@ -92,7 +101,7 @@ class Timeline:
         the old values and the new ones."""
         u = self.u.copy()
         for name, value in inputs.items():
-            u[1:, self.varying.index(name)] = value
+            u[1:, _place("inputs that vary within steps", name, self.varying)] = value
         changed = replace(self, u=u)
         whole = {n: np.append(value, changed.input(n)) for n, value in self.corners.items()}
         return replace(changed, whole=whole)
@@ -116,39 +125,41 @@ class Timeline:
 
 def timeline(
     model: Model,
-    time: np.ndarray,
-    inputs: Mapping[str, np.ndarray],
-    readings: Mapping[str, np.ndarray],
-    resets: Mapping[str, np.ndarray] | None = None,
+    time: ArrayLike,
+    inputs: Mapping[str, ArrayLike],
+    readings: Mapping[str, ArrayLike],
+    resets: Mapping[str, ArrayLike] | None = None,
     origin_s: float = 0.0,
     ends: np.ndarray | None = None,
+    unit: str = "h",
 ) -> Timeline:
-    """Timeline of a model.
+    """Timeline of a model: its instants with inputs and readings.
 
-    `time` (T,) [h], strictly increasing; `inputs[name]` (T,) and `readings[name]` (T,) as in `Timeline` (an
-    output without readings may be omitted); `resets[name]` (T,) bool for outputs that are read as interval
-    means; `ends` (T,) as in `Timeline`.
+    model: of `compose`, with m inputs and k outputs.
+    time: (T,) numbers in `unit`, or dates (numpy's, pandas' or Python's; without a zone they count as UTC),
+        which become hours since the first one.  They do not decrease: several rows of one instant take their
+        readings one after the other, and a running mean restarts after the last of them.
+    inputs: name → (T,), finite everywhere; they continue between instants as their hold says.
+    readings: output → (T,), NaN or masked where there is none; an output without readings may be omitted.
+    resets: output that is read as an interval mean → (T,) True where an interval ends.
+    origin_s: [s since 1970, UTC] of time 0; dates bring it with them.
+    ends: (T,) as in `Timeline`.
+    unit: of `time`: "s", "min", "h", "d" or "a" (365.25 d).  The model's own unit of time stays the hour.
 
-    Raises ValueError that lists every input that is missing or not finite.
+    Returns the timeline.  Raises ValueError that lists what is missing, misspelt, of another shape,
+    infinite, or not in order.
     """
-    time = np.asarray(time, dtype=float)
-    count = len(time)
-    faults = []
-    if count == 0 or not np.isfinite(time).all() or not (time[1:] > time[:-1]).all():
-        faults.append("time must hold at least one instant and increase strictly")
-    for name in model.inputs:
-        if name not in inputs:
-            faults.append(f"the input {name!r} of the model is missing; given are {sorted(inputs)}")
-        elif np.shape(inputs[name]) != (count,):
-            faults.append(f"{name}: expected {count} values, found shape {np.shape(inputs[name])}")
-        elif not np.isfinite(inputs[name]).all():
-            bad = int(np.flatnonzero(~np.isfinite(inputs[name]))[0])
-            faults.append(f"{name}: not finite at instant {bad}; inputs must be known everywhere")
-    for name in readings:
-        if name not in model.outputs:
-            faults.append(f"readings for {name!r}, but the model's outputs are {list(model.outputs)}")
-        elif np.shape(readings[name]) != (count,):
-            faults.append(f"{name}: expected {count} readings, found shape {np.shape(readings[name])}")
+    faults: list[str] = []
+    time, origin_s = _hours(time, unit, origin_s, faults)
+    count, resets = len(time), resets or {}
+    given = {name: _numbers(name, inputs[name], count, faults) for name in model.inputs if name in inputs}
+    read = {name: _numbers(name, values, count, faults) for name, values in readings.items()}
+    ended = {
+        name: _numbers(f"resets of {name}", flags, count, faults) > 0.0 for name, flags in resets.items()
+    }
+    faults += _faults(model, given, read, [*inputs], [*ended])
+    if ends is not None and np.shape(ends) not in ((count,), (0,)):
+        faults.append(f"ends: expected {count} values, found shape {np.shape(ends)}")
     if faults:
         raise ValueError("the run cannot be set up: " + "; ".join(faults))
     varying = tuple(n for n in model.inputs if model.holds[n] != REGIME)
@@ -157,18 +168,19 @@ def timeline(
     # points
     lengths = np.zeros(count)
     lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
-    steps, key = _distinct(_columns([lengths, *(inputs[n] for n in regimes)], count))
+    steps, key = _distinct(_columns([lengths, *(given[n] for n in regimes)], count))
     flags = np.zeros(count, dtype=np.int32)
     for bit, name in enumerate(model.averaged):
-        flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
-    u = _columns([inputs[n] for n in varying], count)
+        if name in ended:
+            flags |= (_at_last_rows(ended[name], lengths) << bit).astype(np.int32)
+    u = _columns([given[n] for n in varying], count)
     return Timeline(
-        whole={n: np.asarray(inputs[n], float) for n in model.inputs},
+        whole=given,
         time=time,
         key=key,
         steps=steps,
         u=np.concatenate([u[:1], u]),
-        y=_columns([readings.get(n, math.nan) for n in model.outputs], count),
+        y=_columns([read.get(n, math.nan) for n in model.outputs], count),
         reset=flags,
         varying=varying,
         regimes=regimes,
@@ -176,6 +188,103 @@ def timeline(
         origin_s=origin_s,
         ends=np.empty(0, dtype=bool) if ends is None else ends,
     )
+
+
+def _faults(
+    model: Model,
+    given: Mapping[str, np.ndarray],
+    read: Mapping[str, np.ndarray],
+    inputs: Sequence[str],
+    resets: Sequence[str],
+) -> list[str]:
+    """What is wrong with the names and the numbers of a run."""
+    faults = [
+        f"the input {name!r} of the model is missing; given are {sorted(inputs)}"
+        for name in model.inputs
+        if name not in inputs
+    ]
+    faults += unknown_names("readings", read, model.outputs) + unknown_names("resets", resets, model.outputs)
+    for values, wrong, words in (
+        (given, lambda x: ~np.isfinite(x), "not finite at instant {}; inputs must be known everywhere"),
+        (read, np.isinf, "infinite at instant {}; a reading that is missing is NaN"),
+    ):
+        places = {name: np.flatnonzero(wrong(value)) for name, value in values.items()}
+        faults += [f"{name}: {words.format(at[0])}" for name, at in places.items() if len(at)]
+    return faults
+
+
+def _at_last_rows(ended: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Ends of averaging intervals (T,), each moved to the last row of its instant: all readings of an instant
+    are of the interval that ends there."""
+    instant = np.cumsum(lengths > 0.0)
+    last = np.append(instant[1:] != instant[:-1], True)
+    return last & (np.bincount(instant, ended)[instant] > 0)
+
+
+def _numbers(name: str, values: object, count: int, faults: list[str]) -> np.ndarray:
+    """Numbers (T,), NaN where they are masked or missing; adds a fault where they are others."""
+    try:
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.ma.filled(values.astype(float), np.nan)
+        elif hasattr(values, "to_numpy") and getattr(values, "hasnans", False):
+            values = values.to_numpy(dtype=float, na_value=np.nan)
+        found = np.asarray(values)
+        if found.dtype.kind in "mM":
+            raise TypeError
+        found = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        faults.append(f"{name}: expected numbers, found {getattr(values, 'dtype', type(values).__name__)}")
+        return np.zeros(count)
+    if found.shape != (count,):
+        faults.append(f"{name}: expected {count} values, found shape {found.shape}")
+        return np.zeros(count)
+    return found
+
+
+def _hours(time: object, unit: str, origin_s: float, faults: list[str]) -> tuple[np.ndarray, float]:
+    """The instants (T,) [h] and what time 0 is [s since 1970, UTC]; adds a fault for each thing wrong."""
+    if np.ma.is_masked(time):
+        faults.append("time: expected instants, found masked ones; leave their rows out")
+    found = np.asarray(time)
+    if found.dtype == object and found.size and isinstance(found.flat[0], datetime):
+        zoned = (one if one.tzinfo else one.replace(tzinfo=UTC) for one in found)
+        found = np.array([one.astimezone(UTC).replace(tzinfo=None) for one in zoned], "datetime64[us]")
+    if found.dtype.kind in "mM":
+        if unit != "h" or origin_s:
+            faults.append("time: expected numbers beside a unit or origin_s, found dates; leave both out")
+        if found.dtype.kind == "M":
+            origin_s = float((found[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+            found = found - found[0]
+        found = found / np.timedelta64(1, "h")
+    elif found.dtype.kind == "f" and found.dtype.itemsize < 8:
+        faults.append(f"time: expected double precision, found {found.dtype}, which rounds; read as float64")
+    faults += unknown_names("unit", [unit], UNITS_H)
+    try:
+        hours = found.astype(float) * UNITS_H.get(unit, 1.0)
+    except (TypeError, ValueError):
+        hours = np.full(np.shape(found), np.nan)
+    if hours.ndim != 1 or not len(hours):
+        faults.append(f"time: expected at least one instant (T,), found shape {hours.shape}")
+        return np.zeros(0), origin_s
+    wrong = np.flatnonzero(~np.isfinite(hours))
+    back = 1 + np.flatnonzero(hours[1:] < hours[:-1])
+    if len(wrong):
+        faults.append(
+            f"time: expected finite numbers or dates, found {found[wrong[0]]} at instant {wrong[0]}"
+        )
+    elif len(back):
+        faults.append(
+            f"time: expected instants in order, found {hours[back[0]]:.9g} h after "
+            f"{hours[back[0] - 1]:.9g} h at instant {back[0]}; sort the rows by time"
+        )
+    return hours, origin_s
+
+
+def _place(kind: str, name: str, names: Sequence[str], others: Sequence[str] = ()) -> int:
+    """Place of a name in a tuple; raises ValueError for one that is not there."""
+    if name not in names:
+        raise ValueError("; ".join(unknown_names(kind, [name], (*names, *others))))
+    return tuple(names).index(name)
 
 
 def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

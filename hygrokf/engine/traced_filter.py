@@ -21,12 +21,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
-from functools import cache, cached_property
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from hygrokf.engine.discretisation import closure, congruence, step
+from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised
 from hygrokf.physics.expression import (
     Expression,
@@ -111,11 +112,14 @@ class Recursion:
             table.update(regime)
         self.reading = g.symbol("y")
 
-        self.noise = [[_lifted(g, v) for v in row] for row in model.noise(self.p)]
+        def noise(u: Values) -> Matrix:
+            return [[_lifted(g, v) for v in row] for row in model.noise(self.p, u)]
+
+        self.noise = noise(self.now)
         made = step(
             g,
             lambda x, u: model.traced(x, u, self.p).rates,
-            self.noise,
+            noise,
             self.mean,
             self.covariance,
             self.start,
@@ -458,6 +462,41 @@ class Recursion:
         return found
 
     @cached_property
+    def _variances(self) -> list[tuple[str, Expression]]:
+        """Noise intensities, and variances of readings that do not depend on the state."""
+        g, model = self.graph, self.model
+        found = [
+            (f"noise intensity of the state {state}", g.lift(spread))
+            for state, spread in model.noise_spreads(self.p, self.now)
+            if not isinstance(spread, Mapping)
+        ]
+        outputs = model.traced(self.mean, self.now, self.p).outputs
+        found += [(f"variance of the reading {name}", g.lift(pair[1])) for name, pair in outputs.items()]
+        states = [f"m{i}" for i in range(self.n)]
+        return [(what, e) for what, e in found if not depends_on(g, e, states)]
+
+    @cached_property
+    def nonnegative(self) -> list[int]:
+        """Places of the parameters that are at least 0 by their limits, on which `doubtful` relies."""
+        read = {i for _, e in self._variances for i in self.graph.needed([e])}
+        return [
+            i for i, p in enumerate(self.model.parameters) if p.lower >= 0.0 and self.p[p.name].index in read
+        ]
+
+    @cached_property
+    def doubtful(self) -> list[tuple[str, Expression]]:
+        """Noise intensities and variances of readings whose form leaves open whether they are negative."""
+        positive = [f"c:{i}" for i, number in enumerate(self.graph.given) if number >= 0.0]
+        positive += [f"p:{self.model.parameters[i].name}" for i in self.nonnegative]
+        return [(what, e) for what, e in self._variances if not _never_negative(self.graph, e, positive)]
+
+    @cached_property
+    def rising_noise(self) -> bool:
+        """Whether the noise follows an input that changes within a step."""
+        names = [f"b:{name}" for name in self.varying if self.holds[name] == LINEAR]
+        return any(depends_on(self.graph, v, names) for row in self.noise for v in row)
+
+    @cached_property
     def _blocks(self) -> list[Block]:
         return [self.predict, *self.updates]
 
@@ -535,38 +574,29 @@ def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
     return 0.0 if is_zero(value) else graph.lift(value)
 
 
-# -- memory layout of the moments: a mean, then the lower triangle of a covariance by rows -------------------
-def place(i: int, j: int) -> int:
-    """Place of entry (i, j) in a packed lower triangle."""
-    i, j = max(i, j), min(i, j)
-    return i * (i + 1) // 2 + j
-
-
-def trace_width(width: int, n: int, outputs: int) -> int:
-    """Numbers in one row of a trace: moments (width) before and after, two for every output, the transition
-    matrix and the packed noise of the step."""
-    return 2 * width + 2 * outputs + n * n + n * (n + 1) // 2
-
-
-@cache
-def _places(n: int) -> np.ndarray:
-    return np.array([[place(i, j) for j in range(n)] for i in range(n)])
-
-
-@cache
-def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.tril_indices(n)
-
-
-def unpack(packed: np.ndarray, n: int) -> np.ndarray:
-    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
-    return packed[..., _places(n)]
-
-
-def pack(matrix: np.ndarray) -> np.ndarray:
-    """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
-    rows, columns = _triangle(matrix.shape[-1])
-    return np.ascontiguousarray(matrix[..., rows, columns])
+def _never_negative(graph: Graph, expression: Expression, positive: Iterable[str]) -> bool:
+    """Whether an expression is at least 0 by its form, as a sum, product or quotient of squares,
+    exponentials, roots, numbers and symbols that are `positive`; False where this does not show."""
+    known, sure = set(positive), set[int]()
+    for i in graph.needed([expression]):
+        operation, *args = graph.nodes[i]
+        match operation:
+            case "const":
+                holds = args[0] >= 0.0
+            case "symbol":
+                holds = args[0] in known
+            case "mul" | "fma":
+                holds = args[0] == args[1] or {args[0], args[1]} <= sure
+                holds = holds and set(args[2:]) <= sure
+            case "add" | "div":
+                holds = set(args) <= sure
+            case "select":
+                holds = set(args[1:]) <= sure
+            case _:
+                holds = operation in ("exp", "sqrt")
+        if holds:
+            sure.add(i)
+    return expression.index in sure
 
 
 def traced(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:

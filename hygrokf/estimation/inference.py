@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.errors import suggestion
 from hygrokf.estimation.confidence import (
     FLAT_SE,
     OPEN,
@@ -27,7 +28,7 @@ from hygrokf.estimation.confidence import (
     widest,
     widths,
 )
-from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
 from hygrokf.estimation.optimiser import Estimate, Objective, shortened
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.physics.parameters import Coordinates, Parameter
@@ -52,7 +53,7 @@ it has not, the bound is open."""
 
 
 def confidence_intervals(
-    likelihood: Likelihood,
+    likelihood: AnyLikelihood,
     estimate: Estimate,
     names: Sequence[str] | None = None,
     method: str = "profile",
@@ -77,11 +78,12 @@ def confidence_intervals(
     """
     free = estimate.coordinates.names
     wanted = free if names is None else tuple(names)
-    unknown = [name for name in wanted if name not in free]
+    unknown = [f"{name}{suggestion(name, free, 1)}" for name in wanted if name not in free]
     if unknown:
         raise ValueError(f"names: expected free parameters, {', '.join(free)}, found {', '.join(unknown)}")
     if method not in METHODS:
-        raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
+        near = suggestion(str(method), METHODS, 1)
+        raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}{near}")
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
     objective = Objective(likelihood, estimate.coordinates)
@@ -117,7 +119,7 @@ class TimeConstant:
 
 
 def modal_time_constants(
-    likelihood: Likelihood,
+    likelihood: AnyLikelihood,
     estimate: Estimate,
     level: float = 0.95,
     state: Mapping[str, float] | None = None,
@@ -195,17 +197,18 @@ def modal_time_constants(
 
 
 def _point(
-    likelihood: Likelihood, estimate: Estimate, state: Mapping[str, float], inputs: Mapping[str, float]
+    likelihood: AnyLikelihood, estimate: Estimate, state: Mapping[str, float], inputs: Mapping[str, float]
 ) -> tuple[np.ndarray, dict[str, float]]:
     """State (n,) and inputs at which a model is linearised."""
-    model, timeline = likelihood.model, likelihood.timeline
+    model, records = likelihood.model, records_of(likelihood, estimate.values)
     for kind, given, there in (("state", state, model.states), ("inputs", inputs, model.inputs)):
-        unknown = sorted(set(given) - set(there))
+        unknown = [f"{name}{suggestion(name, there, 1)}" for name in sorted(set(given) - set(there))]
         if unknown:
             raise ValueError(f"{kind}: expected names of {', '.join(there)}, found {', '.join(unknown)}")
-    mean = likelihood.trace(estimate.values).mean.mean(axis=0)
+    mean = np.concatenate([one.trace(own).mean for one, own in records]).mean(axis=0)
     point = np.array([state.get(name, float(m)) for name, m in zip(model.states, mean, strict=True)])
-    known = {name: float(np.median(timeline.input(name))) for name in model.inputs}
+    lines = [one.timeline for one, _ in records]
+    known = {name: float(np.median(np.concatenate([t.input(name) for t in lines]))) for name in model.inputs}
     return point, {**known, **inputs}
 
 
@@ -289,7 +292,7 @@ def _cells(row: ParameterEstimate) -> tuple[str, ...]:
     )
 
 
-def parameter_table(likelihood: Likelihood, estimate: Estimate, level: float = 0.95) -> ParameterTable:
+def parameter_table(likelihood: AnyLikelihood, estimate: Estimate, level: float = 0.95) -> ParameterTable:
     """Values, standard errors, bounds, correlations and identifiable combinations of a model's parameters.
 
     likelihood, estimate: the estimate that `fit_mle` made from this likelihood.

@@ -21,21 +21,22 @@ from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
+from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.rates import rate_bound, sizes
 from hygrokf.engine.square_root import square_root
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, pack, trace_width, traced, unpack
-from hygrokf.estimation.moments import Gaussian as Gaussian
+from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, traced
+from hygrokf.estimation.gaussian import Gaussian as Gaussian
+from hygrokf.estimation.gaussian import expect_initial, expect_variances
 from hygrokf.estimation.moments import Kept, checked_loglik, covariances, loglik_of
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.model import Model, fields_alone
-from hygrokf.physics.parameters import expect_values
+from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
-INITIAL = ("prior", "stationary", "diffuse")
 FASTEST = 2.0**1000
 """[1] product of a rate and a step beyond which a rate counts as infinite."""
 GAPS = 1_000
@@ -77,11 +78,7 @@ class Likelihood:
     square_root: bool = False
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.diffuse_states) - set(self.model.states))
-        if unknown:
-            raise ValueError(f"diffuse_states: unknown {unknown}; the model has {list(self.model.states)}")
-        if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
-            raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
+        expect_initial(self.model, self.initial, self.diffuse_states)
 
     __getstate__ = fields_alone
 
@@ -97,11 +94,17 @@ class Likelihood:
         chosen = self.diffuse_states or self.model.states
         return [i for i, name in enumerate(self.model.states) if name in chosen]
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.model.parameters
+
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
-        return np.array([*known, *self.recursion.constants], dtype=float)
+        theta = np.array([*known, *self.recursion.constants], dtype=float)
+        expect_variances(self.recursion, values, theta, self.timeline.whole)
+        return theta
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
         """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
@@ -197,6 +200,7 @@ class Likelihood:
 
     def first_state(self, values: Mapping[str, float]) -> np.ndarray:
         """Packed moments (w,) before the first reading."""
+        expect_values(self.model.parameters, values)
         if isinstance(self.initial, Gaussian):
             first = Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         else:
@@ -205,6 +209,7 @@ class Likelihood:
 
     def _first_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """The packed moments before the first reading, and their derivatives (d, w)."""
+        expect_values(self.model.parameters, values)
         if isinstance(self.initial, Gaussian):
             state = self.first_state(values)
             return state, np.zeros((len(self.model.parameters), len(state)))

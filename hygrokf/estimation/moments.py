@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.engine.traced_filter import Recursion
+from hygrokf.estimation.gaussian import Gaussian
 
 DIGITS = 1e9
 """[1] ratio of an output's innovation variances from which plain covariances have lost too many digits: what
@@ -22,15 +23,6 @@ FACTORS = 1e24
 
 class DigitsFault(FloatingPointError, ValueError):
     """Innovation variances so far apart that no digit of a covariance is left."""
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """State at `time_h` as a normal distribution, a filter's checkpoint: mean (n,), covariance (n, n)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    time_h: float = 0.0
 
 
 @dataclass(frozen=True)

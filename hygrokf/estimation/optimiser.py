@@ -24,8 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.estimation.likelihood import Likelihood, Sensitivities
-from hygrokf.physics.parameters import Coordinates, Parameter
+from hygrokf.estimation.joint_likelihood import AnyLikelihood
+from hygrokf.estimation.likelihood import Sensitivities
+from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
 
 TOLERANCE = 1e-9
 """A climb has converged when the next full step promises less than this much log-likelihood: the estimate is
@@ -105,7 +106,7 @@ class _BudgetSpent(Exception):
 class Objective:
     """Penalised log-likelihood of the free coordinates, with score and information."""
 
-    def __init__(self, likelihood: Likelihood, coordinates: Coordinates) -> None:
+    def __init__(self, likelihood: AnyLikelihood, coordinates: Coordinates) -> None:
         self.likelihood = likelihood
         self.coordinates = coordinates
         self._place = coordinates.place()
@@ -373,20 +374,20 @@ def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> fl
 
 
 def fit_mle(
-    likelihood: Likelihood,
+    likelihood: AnyLikelihood,
     values: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     count: int = 4,
     progress: Callable[[str], None] | None = None,
     more_starts: Sequence[Mapping[str, float]] = (),
-    search: Likelihood | None = None,
+    search: AnyLikelihood | None = None,
     parents: Sequence[Estimate] = (),
     budget: float = BUDGET,
     tolerance: float = TOLERANCE,
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported too.
 
-    likelihood: of the model on its readings.
+    likelihood: of the model on its readings; of several records, a `JointLikelihood`.
     values: start values of some parameters, in their units; the others begin at their own start.
     fixed: parameters to hold, with their values in their units.
     count, more_starts: number of starts (see `starts`), and further complete ones in the parameters' units.
@@ -401,9 +402,18 @@ def fit_mle(
     progress: called with a sentence about each step.
 
     Returns the estimate: `values` in the parameters' units, `loglik`, `converged` and `message`, `others`.
-    Raises KeyError for unknown names in `fixed`.
+    Raises ValueError for unknown names, starts outside their limits, and where there are no readings.
     """
-    coordinates = Coordinates(likelihood.model.parameters, fixed)
+    coordinates = Coordinates(likelihood.parameters, fixed)
+    further = {f"more_starts[{k}]": one for k, one in enumerate(more_starts)}
+    expect_starts(coordinates.parameters, coordinates.fixed, {"values": values or {}, **further})
+    if count < 1:
+        raise ValueError(f"count: expected at least 1 start, found {count}")
+    if not likelihood.timeline.n_readings:
+        raise ValueError(
+            "likelihood: expected readings, found none at any instant; give `timeline` readings of "
+            f"{', '.join(likelihood.model.outputs) or 'the outputs'}"
+        )
     objective = Objective(likelihood, coordinates)
     scout = objective if search is None else Objective(search, coordinates)
     candidates = starts(coordinates, values, count)
@@ -449,14 +459,14 @@ def reject_below(least: float, found: Estimate) -> Estimate:
     return replace(found, converged=False, message=message)
 
 
-def refine(likelihood: Likelihood, values: Mapping[str, float]) -> Estimate:
+def refine(likelihood: AnyLikelihood, values: Mapping[str, float]) -> Estimate:
     """The estimate after a climb from values near a maximum."""
-    coordinates = Coordinates(likelihood.model.parameters)
+    coordinates = Coordinates(likelihood.parameters)
     found = climb(Objective(likelihood, coordinates), coordinates.start(values))
     return estimate_of(likelihood, coordinates, [found])
 
 
-def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
+def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
     """The best of some optima, with the others beside it."""
     optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]

@@ -72,7 +72,7 @@ def predicted(
     from scipy.integrate import solve_ivp
 
     model, line, n = likelihood.model, likelihood.timeline, len(m)
-    length, Q = float(line.steps[line.key[k], 0]), np.array(model.noise(values), dtype=float)
+    length = float(line.steps[line.key[k], 0])
     regimes = dict(zip(line.regimes, line.steps[line.key[k], 1:], strict=True))
 
     def inputs(share: float) -> dict[str, float]:
@@ -84,6 +84,7 @@ def predicted(
         u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)
         A = _jacobian(lambda x: model.evaluate(x, u, values).rates, x)
         f = np.array(model.evaluate(list(x), u, values).rates, dtype=float)
+        Q = np.array(model.noise(values, u), dtype=float)
         return np.concatenate([f, (A @ C + C @ A.T + Q).ravel()])
 
     if length == 0.0:

@@ -33,8 +33,9 @@ def smooth(
     values: of all parameters, in the parameters' units.
     covariance: False leaves the second array empty.
 
-    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units; infinite variances where
-    the start is diffuse and no reading tells.  Raises ValueError for values that the model does not have.
+    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units (`Model.natural`); infinite
+    variances where the start is diffuse and no reading tells.  Raises ValueError for values that the model
+    does not have.
 
     Backwards from the last instant, with the law of x_k given x_{k+1} and the readings until k,
         x_k = m_k + C (x_{k+1} − m⁻_{k+1}) + D ν,    ν ~ N(0, I),
@@ -63,7 +64,7 @@ def smooth(
                 if unknown.size:
                     unknown = np.linalg.qr(np.hstack([gain @ unknown, still[k - first]]).T)[1].T
                 matrices[k] = _with_infinite(matrix, unknown)
-    return mean, matrices
+    return likelihood.model.natural(mean, matrices)
 
 
 def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -69,19 +69,16 @@ def law_with_slopes(
 
 def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """The mechanisms' own law at the first inputs."""
-    mean, variance = model.initial(values, inputs)
-    covariance = np.zeros((len(mean), len(mean)))
-    covariance.flat[:: len(mean) + 1] = variance
-    return Moments(np.array(mean, dtype=float), covariance)
+    mean, covariance = model.initial_moments(values, inputs)
+    return Moments(np.array(mean, dtype=float), np.array(covariance, dtype=float))
 
 
 def prior_slopes(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Slopes:
     """Derivatives of `prior`."""
-    mean, variance = model.initial(_stepped(model, values), inputs)
+    mean, covariance = model.initial_moments(_stepped(model, values), inputs)
     n, count = len(mean), len(model.parameters)
-    covariance = np.zeros((count, n, n))
-    covariance[:, np.arange(n), np.arange(n)] = _slopes(variance, count)
-    return Slopes(_slopes(mean, count), covariance)
+    slopes = _slopes([value for row in covariance for value in row], count)
+    return Slopes(_slopes(mean, count), slopes.reshape(count, n, n))
 
 
 def stationary(

@@ -37,6 +37,7 @@ from hygrokf.identification.needed_inputs import WithoutInput, without_input
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.parameters import within_limits
 
 LEVEL = 0.95
 """[1] probability of the bounds of the time constants."""
@@ -116,7 +117,8 @@ def estimate_design(
     """Maximum likelihood of one design; `values`: of the first start."""
     run = model_inputs(base, early)
     likelihood = Likelihood(base.model, run.timeline)
-    estimate = fit_mle(likelihood, values, count=starts, progress=say, search=_search(likelihood))
+    begin = within_limits(base.model.parameters, values or {})
+    estimate = fit_mle(likelihood, begin, count=starts, progress=say, search=_search(likelihood))
     return DesignEstimate(base, run, estimate)
 
 

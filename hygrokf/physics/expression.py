@@ -32,6 +32,10 @@ else c.
 """
 Coefficients = Sequence[float | None]
 """The values of an operation's arguments; None for an argument that is not a constant."""
+WORDS = ("exp", "log", "sqrt", "where", "maximum", "minimum")
+"""The functions that a model may use."""
+LARGEST_POWER = 32
+"""Largest whole exponent that is written out as a product."""
 
 
 class Given(float):
@@ -90,7 +94,14 @@ class Graph:
         # 0 and ±1 stay constants, because they simplify the operations they enter
         if isinstance(value, Given) and value not in (0.0, 1.0, -1.0):
             return self._given(value)
-        return self.constant(value)
+        try:
+            return self.constant(value)
+        except (TypeError, ValueError):
+            found = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
+            raise TypeError(
+                f"expected a number beside a traced value, found {found}: a model's functions are traced "
+                "with one number of each name; write every component out"
+            ) from None
 
     def _given(self, value: Given) -> Expression:
         """The leaf `c:i` of the given number i; the same object always yields the same leaf."""
@@ -267,11 +278,9 @@ class Graph:
 
 
 class Expression:
-    """One node of a graph; it supports the operators of a number."""
+    """One node of a graph; it supports the operators of a number, and numpy's `_FUNCTIONS`."""
 
     __slots__ = ("graph", "index")
-    __array_priority__ = 1000
-    __array_ufunc__ = None
 
     def __init__(self, graph: Graph, index: int) -> None:
         self.graph = graph
@@ -313,16 +322,59 @@ class Expression:
     def __neg__(self) -> Expression:
         return self.graph.make("neg", self)
 
+    def __abs__(self) -> Expression:
+        return where(self < 0.0, -self, self)
+
     def __pow__(self, exponent: Expression | float) -> Expression:
-        if isinstance(exponent, int) and 0 <= exponent <= 8:
-            result = self.graph.constant(1.0)
-            for _ in range(exponent):
-                result = result * self
-            return result
-        return exp(exponent * log(self))
+        """xⁿ; a whole exponent is a product, so that x may be negative, and a half one has a square root."""
+        if isinstance(exponent, Expression | Given):
+            number = self.graph.number(self.graph.lift(exponent).index)
+        else:
+            number = float(exponent)
+        if number is None or not (2.0 * number).is_integer() or abs(number) > LARGEST_POWER:
+            return exp(exponent * log(self))
+        result = self.graph.constant(1.0)
+        for _ in range(int(abs(number))):
+            result = result * self
+        if number % 1.0:
+            result = result * sqrt(self)
+        return 1.0 / result if number < 0.0 else result
+
+    def __rpow__(self, base: Expression | float) -> Expression:
+        return self.graph.lift(base) ** self
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *values: Value, **options: Any) -> Expression:
+        return self._by_numpy(ufunc.__name__ if method == "__call__" and not options else method, *values)
+
+    def __array_function__(self, function: Any, types: Any, values: Any, options: Any) -> Expression:
+        return self._by_numpy(function.__name__, *values, *options.values())
+
+    def _by_numpy(self, name: str, *values: Value) -> Expression:
+        """The function that numpy has under this name; raises TypeError where a model has none."""
+        if name not in _FUNCTIONS:
+            raise TypeError(
+                f"numpy.{name} of a traced value: a model computes with + - * / **, abs, "
+                f"{', '.join(WORDS)}; give what else it needs as an input"
+            )
+        return _FUNCTIONS[name](*map(self.graph.lift, values))
 
     def __bool__(self) -> NoReturn:
         raise TypeError("a model must not branch on a traced value with `if`: write where(condition, a, b)")
+
+    def __eq__(self, other: object) -> NoReturn:
+        raise TypeError(
+            "a traced value cannot be compared with ==, <= or >=: write where(a < b, yes, no), which takes "
+            "`no` where both are equal; codes such as 0, 1, 2 are compared with 0.5, 1.5"
+        )
+
+    __le__ = __ge__ = __ne__ = __eq__
+    __hash__ = object.__hash__
+
+    def __float__(self) -> NoReturn:
+        raise TypeError(
+            "a traced value is not a number yet: in place of the functions of `math`, float() and int() "
+            f"write {', '.join(WORDS)} (of hygrokf, or of numpy)"
+        )
 
     def __repr__(self) -> str:
         return f"Expression({self.graph.nodes[self.index]})"
@@ -378,6 +430,17 @@ def minimum(a: Value, b: Value) -> Value:
 
 def _less(a: Value, b: Value) -> Value:
     return a < b if isinstance(a, Expression) or isinstance(b, Expression) else np.real(a) < np.real(b)
+
+
+_FUNCTIONS: dict[str, Callable[..., Expression]] = {
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
+    "negative": operator.neg, "positive": lambda a: a, "absolute": abs, "power": operator.pow,
+    "square": lambda a: a * a, "reciprocal": lambda a: 1.0 / a,
+    "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
+    "equal": operator.eq, "not_equal": operator.ne, "exp": exp, "log": log, "sqrt": sqrt, "where": where,
+    "maximum": maximum, "minimum": minimum, "clip": lambda a, low, high: minimum(maximum(a, low), high),
+}  # fmt: skip
+"""What numpy's functions, by name, do with traced values."""
 
 
 # -- derivatives ---------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ temperature difference [K] that it sustains across R_AT.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,14 +23,50 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.errors import suggestion
-from hygrokf.physics.expression import Matrix, Value
+from hygrokf.errors import suggestion, unknown_names
+from hygrokf.physics.expression import Expression, Matrix, Value, exp, log
 from hygrokf.physics.holds import holds_named
 from hygrokf.physics.parameters import Parameter, unique
 
-Space = SimpleNamespace
-"""Named values that a mechanism's function reads as attributes: parameters, states, inputs, quantities or
-sums."""
+
+class VarianceFault(FloatingPointError, ValueError):
+    """A variance or a noise intensity below 0; the message names the state or the output, and the remedy."""
+
+
+class UnknownName(AttributeError, ValueError):
+    """A mechanism's function reads a name that the model does not have."""
+
+
+class Space(SimpleNamespace):
+    """Named values that a mechanism's function reads as attributes: parameters, states, inputs, quantities or
+    sums.  A name that is not there raises `UnknownName`, which says what is."""
+
+    _letter, _kind, _hint = "q", "quantities", ""
+
+    def __getattr__(self, name: str) -> Value:
+        known = list(vars(self))
+        raise UnknownName(
+            f"a mechanism reads {self._letter}.{name}, but the {self._kind} here are "
+            f"{', '.join(known) or 'none'}{suggestion(name, known, 1)}{self._hint}"
+        )
+
+
+class _Parameters(Space):
+    _letter, _kind = "p", "parameters"
+
+
+class _States(Space):
+    _letter, _kind = "x", "states"
+
+
+class _Inputs(Space):
+    _letter, _kind = "u", "inputs"
+
+
+class _NoiseInputs(_Inputs):
+    _hint = "; noise that grows with a state is given by noise_exponents"
+
+
 Values = Mapping[str, Value]
 """Values by name."""
 Feature = tuple[Callable[..., np.ndarray], str]
@@ -37,8 +74,11 @@ Feature = tuple[Callable[..., np.ndarray], str]
 gives."""
 Pair = tuple[Value, Value]
 """A mean, or a prediction, and its variance."""
-Initial = Callable[[Space, Space], Mapping[str, Pair]]
-"""(p, u) -> mean and variance of each of the mechanism's states."""
+Spread = Value | Mapping[str, Value]
+"""A variance of its own, or loadings by the names of independent sources with variance 1, which several
+states may share: states i and j have the covariance Σ_k l_ik l_jk, the matrix L L'."""
+Initial = Callable[[Space, Space], Mapping[str, tuple[Value, Spread]]]
+"""(p, u) -> mean and spread of each of the mechanism's states."""
 Output = Callable[[Space, Space, Space, Space, Space], Pair]
 """(p, x, u, q, s) -> expected reading and the variance of its noise."""
 
@@ -72,14 +112,16 @@ class Mechanism:
         quantities(p, x, u, g)         shared quantities, such as the temperature of the cabinet air
         contributions(p, x, u, q)      terms of named sums (`SUMS`), such as the heat release [K]
         drift(p, x, u, q, s)           rates of the mechanism's own states [unit/h]
-        diffusion(p)                   intensities of their white noise [unit²/h]
-        initial(p, u)                  their (mean, variance) at the first instant
+        diffusion(p) or (p, u)         intensities of their white noise [unit²/h], as `Spread`
+        initial(p, u)                  their (mean, variance) at the first instant, the variance as `Spread`
         outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
     name: identifier in the library.
     parameters, states, inputs: what its functions read; states and inputs by name.
     corrections, conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions
         above.
+    noise_exponents: γ of the states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
+        `diffusion` and 0 ≤ γ ≤ 1 (`Model.natural`).
     amounts: states that cannot be negative; simulations enforce this, the filter does not.
     features: those inputs that no signal gives and that this mechanism brings with it, by name.
     settings: the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
@@ -97,9 +139,10 @@ class Mechanism:
     quantities: Callable[[Space, Space, Space, Value], Values] | None = None
     contributions: Callable[[Space, Space, Space, Space], Values] | None = None
     drift: Callable[[Space, Space, Space, Space, Space], Values] | None = None
-    diffusion: Callable[[Space], Values] | None = None
+    diffusion: Callable[..., Mapping[str, Spread]] | None = None
     initial: Initial | None = None
     outputs: Mapping[str, Output] = field(default_factory=dict)
+    noise_exponents: Mapping[str, float] = field(default_factory=dict)
     amounts: tuple[str, ...] = ()
     features: Mapping[str, Feature] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -126,6 +169,11 @@ class Model:
     `parameters`, `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate`
     gives rates [unit/h] and expected readings at one point.  A model can be pickled; functions of mechanisms
     outside the library must then be those of a module.
+
+    A state x with white noise that grows with it, dx = f dt + x^γ dV, is carried in its Lamperti coordinate
+    z, in which the noise is constant (Itô's formula, with the intensity Q of dV):
+        z = x^(1−γ)/(1−γ), or ln x for γ = 1;    dz = (f x^−γ − ½ γ Q x^(γ−1)) dt + dV.
+    Arrays of states and their covariances hold z; all functions of mechanisms read x.  `natural` leads back.
     Raises ValueError for an unknown hold or bound, and at first use where mechanisms do not fit together.
     """
 
@@ -150,11 +198,7 @@ class Model:
 
     @cached_property
     def own_states(self) -> tuple[str, ...]:
-        names = [s for m in self.mechanisms for s in m.states]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"two mechanisms have a state of the same name: {twice}")
-        return tuple(names)
+        return _once("a state", (s for m in self.mechanisms for s in m.states))
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -164,8 +208,36 @@ class Model:
     @cached_property
     def amounts(self) -> tuple[bool, ...]:
         """For every state, whether it cannot be negative."""
-        names = {name for m in self.mechanisms for name in m.amounts}
+        names = {name for m in self.mechanisms for name in m.amounts} - set(self.exponents)
         return tuple(name in names for name in self.states)
+
+    @cached_property
+    def exponents(self) -> dict[str, float]:
+        """γ of the states whose noise grows with them.  Raises ValueError for unknown states and other γ."""
+        found: dict[str, float] = {}
+        for m in self.mechanisms:
+            for name, power in self._of_states(m, "noise_exponents", m.noise_exponents).items():
+                if not 0.0 <= power <= 1.0:
+                    raise ValueError(
+                        f"noise_exponents: expected 0 to 1 for the state {name}, found {power}; write the "
+                        "model in a coordinate in which its noise is constant"
+                    )
+                found |= {name: float(power)} if power else {}
+        return found
+
+    def _of_states(
+        self, m: Mechanism, kind: str, found: object, taken: Iterable[str] = ()
+    ) -> Mapping[str, Any]:
+        """What a function of a mechanism gave, checked to be of states of the model that no other mechanism
+        has `taken`."""
+        where = f'{kind} of the mechanism "{m.name}"'
+        if not isinstance(found, Mapping):
+            raise ValueError(f'{where}: expected a mapping {{"state": value, …}}, found {found!r}')
+        if faults := unknown_names(where, found, self.own_states):
+            raise ValueError("; ".join(faults))
+        if twice := sorted(set(found) & set(taken)):
+            raise ValueError(f"{where}: another mechanism gives those of {twice}")
+        return found
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
@@ -173,7 +245,7 @@ class Model:
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
-        return tuple(name for m in self.mechanisms for name in m.outputs)
+        return _once("an output", (name for m in self.mechanisms for name in m.outputs))
 
     @property
     def resets(self) -> tuple[int, ...]:
@@ -185,7 +257,8 @@ class Model:
         """The hold of every input.  Raises ValueError where one is not stated."""
         unknown = [name for name in self.inputs if name not in self.holds]
         if unknown:
-            raise ValueError(f"the holds of the inputs {unknown} are not stated")
+            stated = f"; stated are those of {', '.join(self.holds) or 'none'}"
+            raise ValueError(f"the holds of the inputs {unknown} are not stated{stated}")
         return {name: self.holds[name] for name in self.inputs}
 
     # -- the model as functions ------------------------------------------------------------------------------
@@ -194,7 +267,7 @@ class Model:
 
         Accepts numbers, arrays (broadcast), complex numbers and traced expressions.
         """
-        return self._equations(x, u, p, lambda sums: SimpleNamespace(**sums))
+        return self._equations(x, u, p, lambda sums: Space(**sums))
 
     def traced(self, x: Sequence[Value], u: Values, p: Values) -> Equations:
         """`evaluate`, with a check that some mechanism reads every sum that is contributed to; raises
@@ -204,7 +277,7 @@ class Model:
         known = (*SUMS, *sorted(read - set(SUMS)))
         unknown = [name for name in found.sums if name not in known]
         if unknown:
-            added = self._contributions(*self._spaces(x, u, p), SimpleNamespace(**found.quantities))
+            added = self._contributions(*self._spaces(x, u, p), Space(**found.quantities))
             raise ValueError(
                 "; ".join(
                     f'mechanism "{mechanism}" adds to the sum "{name}", which no mechanism '
@@ -223,18 +296,20 @@ class Model:
         spaces = self._spaces(x, u, p)
         state = vars(spaces[1])
         quantities = self._quantities(spaces)
-        q = SimpleNamespace(**quantities)
+        q = Space(**quantities)
         sums: dict[str, Value] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
         for _, name, value in self._contributions(*spaces, q):
             sums[name] = sums[name] + value
         s = as_read(sums)
         outputs = {
-            name: function(*spaces, q, s) for m in self.mechanisms for name, function in m.outputs.items()
+            name: _pair(f'output "{name}"', function(*spaces, q, s))
+            for m in self.mechanisms
+            for name, function in m.outputs.items()
         }
         rates: dict[str, Value] = {}
         for m in self.mechanisms:
             if m.drift is not None:
-                rates.update(m.drift(*spaces, q, s))
+                rates.update(self._of_states(m, "rates", m.drift(*spaces, q, s), rates))
         for name, interval in self.averaged.items():
             rates[f"mean_{name}"] = outputs[name][0] * (1.0 / interval)
             outputs[name] = (state[f"mean_{name}"], outputs[name][1])
@@ -244,6 +319,12 @@ class Model:
                 f"no rate is given for the states {missing}: the drift of a mechanism must return the "
                 "rates of all its states"
             )
+        if self.exponents:
+            noise = self.noise(p, u)
+            for name, power in self.exponents.items():
+                i = self.states.index(name)
+                size, slope = _noise_size(x[i], power)
+                rates[name] = rates[name] / size - 0.5 * noise[i][i] * slope
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
     def quantities(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> dict[str, Value]:
@@ -252,11 +333,14 @@ class Model:
 
     def _spaces(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> tuple[Space, Space, Space]:
         """Parameters, states and inputs in the form that mechanisms read."""
-        state, inputs = SimpleNamespace(**dict(zip(self.states, x, strict=True))), dict(u)
+        known, inputs = dict(zip(self.states, x, strict=True)), dict(u)
+        for name, power in self.exponents.items():
+            known[name] = _natural(known[name], power)
+        state = _States(**known)
         for m in self.mechanisms:
             if m.corrections is not None:
-                inputs.update(m.corrections(state, SimpleNamespace(**inputs)))
-        return SimpleNamespace(**p), state, SimpleNamespace(**inputs)
+                inputs.update(m.corrections(state, _Inputs(**inputs)))
+        return _Parameters(**p), state, _Inputs(**inputs)
 
     def _contributions(self, p: Space, x: Space, u: Space, q: Space) -> Iterator[tuple[str, str, Value]]:
         """Every term of every sum as (mechanism, sum, value)."""
@@ -277,30 +361,140 @@ class Model:
                 found.update(m.quantities(p, x, u, g))
         return found
 
-    def noise(self, p: Values) -> Matrix:
-        """White noise intensity Q (n, n) [unit²/h] of the states."""
-        n = len(self.states)
-        result: Matrix = [[0.0] * n for _ in range(n)]
+    @cached_property
+    def _noise_reads_inputs(self) -> tuple[bool, ...]:
+        """For every mechanism, whether its diffusion takes the inputs as a second argument."""
+        found = []
         for m in self.mechanisms:
+            known = {} if m.diffusion is None else inspect.signature(m.diffusion).parameters
+            count = sum(one.default is one.empty for one in known.values())
+            if count > 2:
+                raise ValueError(
+                    f'diffusion of the mechanism "{m.name}": expected a function of p or (p, u), found one '
+                    f"of {', '.join(known)}{_NoiseInputs._hint}"
+                )
+            found.append(count == 2)
+        return tuple(found)
+
+    def noise(self, p: Values, u: Values | None = None) -> Matrix:
+        """White noise intensity Q (n, n) [unit²/h] of the states, at inputs u as they were read."""
+        return self._covariance(self.noise_spreads(p, u))
+
+    def noise_spreads(self, p: Values, u: Values | None = None) -> Iterator[tuple[str, Spread]]:
+        """What the mechanisms add to `noise`, state by state."""
+        for m, reads in zip(self.mechanisms, self._noise_reads_inputs, strict=True):
             if m.diffusion is not None:
-                for name, value in m.diffusion(SimpleNamespace(**p)).items():
-                    i = self.states.index(name)
-                    result[i][i] = result[i][i] + value
+                spaces = (_Parameters(**p), _NoiseInputs(**(u or {})))
+                yield from self._of_states(m, "diffusion", m.diffusion(*spaces[: 1 + reads])).items()
+
+    def _covariance(self, given: Iterable[tuple[str, Spread]]) -> Matrix:
+        """The covariance (n, n) of states with these spreads.  Raises VarianceFault for a negative one."""
+        result: Matrix = [[0.0] * len(self.states) for _ in self.states]
+        sources: dict[str, dict[int, Value]] = {}
+        for state, spread in given:
+            i = self.states.index(state)
+            if isinstance(spread, Mapping):
+                for name, loading in spread.items():
+                    row = sources.setdefault(name, {})
+                    row[i] = row.get(i, 0.0) + loading
+            elif not isinstance(spread, Expression) and np.any(np.real(spread) < 0.0):
+                raise VarianceFault(
+                    "expected variances and noise intensities of at least 0, found "
+                    f"{np.min(np.real(spread)):g} for the state {state}; square a standard deviation, "
+                    "or bound its parameters below by 0"
+                )
+            else:
+                result[i][i] = result[i][i] + spread
+        for row in sources.values():
+            for i, a in row.items():
+                for j, b in row.items():
+                    result[i][j] = result[i][j] + a * b
         return result
 
     def initial(self, p: Values, u: Values) -> tuple[list[Value], list[Value]]:
         """Mean and variance (n,) of the states at an instant with inputs u, before any reading."""
-        given: dict[str, Pair] = {f"mean_{name}": (0.0, 0.0) for name in self.averaged}
+        mean, covariance = self.initial_moments(p, u)
+        return mean, [row[i] for i, row in enumerate(covariance)]
+
+    def initial_moments(self, p: Values, u: Values) -> tuple[list[Value], Matrix]:
+        """Mean (n,) and covariance (n, n) of the states at an instant with inputs u, before any reading.
+
+        Those of a state that is carried in its Lamperti coordinate are transformed to first order.
+        """
+        means: dict[str, Value] = {f"mean_{name}": 0.0 for name in self.averaged}
+        given: list[tuple[str, Spread]] = []
         for m in self.mechanisms:
-            if m.initial is not None:
-                given.update(m.initial(SimpleNamespace(**p), SimpleNamespace(**u)))
-        missing = [n for n in self.states if n not in given]
+            if m.initial is None:
+                continue
+            found = self._of_states(m, "initial", m.initial(_Parameters(**p), _Inputs(**u)), means)
+            for name, pair in found.items():
+                mean, spread = _pair(f'initial of the state "{name}"', pair)
+                if name in self.exponents:
+                    power = self.exponents[name]
+                    mean = _coordinate(mean, power)
+                    size, _ = _noise_size(mean, power)
+                    shared = isinstance(spread, Mapping)
+                    spread = {k: v / size for k, v in spread.items()} if shared else spread / (size * size)
+                means[name] = mean
+                given.append((name, spread))
+        missing = [n for n in self.states if n not in means]
         if missing:
             raise ValueError(f"no initial mean and variance for the states {missing}")
-        return [given[n][0] for n in self.states], [given[n][1] for n in self.states]
+        return [means[n] for n in self.states], self._covariance(given)
+
+    def natural(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States in their own units: means (..., n) and covariances (..., n, n) of states that are carried in
+        their Lamperti coordinate, led back; a mean then is a median, a covariance that of first order."""
+        if not self.exponents:
+            return mean, covariance
+        moved, scale = mean.copy(), np.ones_like(mean)
+        for name, power in self.exponents.items():
+            i = self.states.index(name)
+            moved[..., i] = _natural(mean[..., i], power)
+            scale[..., i] = _noise_size(mean[..., i], power)[0]
+        if covariance.size:
+            covariance = covariance * scale[..., :, None] * scale[..., None, :]
+        return moved, covariance
 
 
-class _Sums(SimpleNamespace):
+def _once(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """The names; raises ValueError where two mechanisms use one."""
+    found = tuple(names)
+    if twice := sorted({name for name in found if found.count(name) > 1}):
+        raise ValueError(f"two mechanisms have {kind} of the same name: {twice}")
+    return found
+
+
+def _pair(kind: str, found: object) -> tuple[Any, Any]:
+    if isinstance(found, Sequence) and len(found) == 2:
+        return found[0], found[1]
+    raise ValueError(f"{kind}: expected a pair (mean, variance), found {found!r}")
+
+
+def _coordinate(x: Value, power: float) -> Value:
+    """The Lamperti coordinate z of a state."""
+    if not isinstance(x, Expression) and not np.all(np.real(x) > 0.0):
+        raise ValueError(
+            "initial: expected a mean above 0 of a state whose noise grows with it, found "
+            f"{np.min(np.real(x))}"
+        )
+    return log(x) if power == 1.0 else x ** (1.0 - power) * (1.0 / (1.0 - power))
+
+
+def _natural(z: Value, power: float) -> Value:
+    """The state at its Lamperti coordinate z."""
+    return exp(z) if power == 1.0 else ((1.0 - power) * z) ** (1.0 / (1.0 - power))
+
+
+def _noise_size(z: Value, power: float) -> tuple[Value, Value]:
+    """x^γ at the coordinate z, and its derivative γ x^(γ−1) by the state."""
+    if power == 1.0:
+        return exp(z), 1.0
+    inner = (1.0 - power) * z
+    return inner ** (power / (1.0 - power)), power / inner
+
+
+class _Sums(Space):
     """The sums of a model as a mechanism reads them; records the names that were read."""
 
     def __init__(self, sums: Values, read: set[str]) -> None:
@@ -312,7 +506,7 @@ class _Sums(SimpleNamespace):
         self._read.add(name)
         if name in self._sums:
             return self._sums[name]
-        raise AttributeError(
+        raise UnknownName(
             f'a mechanism reads the sum "{name}", to which no mechanism adds'
             f"{suggestion(name, self._sums, 1)} (the sums of this model: {', '.join(self._sums)})"
         )
@@ -342,9 +536,19 @@ def compose(
     averaged: output → interval [h] over which its readings are means.
 
     Returns the model.  Its equations are put together at first use.  Raises ValueError for an unknown hold
-    and, then, for two states of one name, for a sum that nobody reads, and for an input without a hold.
+    or output and, then, for two states of one name, for a sum that nobody reads, and for an input without a
+    hold.
     """
-    return Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
+    made = Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
+    faults = unknown_names("averaged", made.averaged, made.outputs)
+    faults += [
+        f"averaged: expected an interval above 0 h for {name}, found {interval}"
+        for name, interval in made.averaged.items()
+        if not 0.0 < interval < math.inf
+    ]
+    if faults:
+        raise ValueError("; ".join(faults))
+    return made
 
 
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:

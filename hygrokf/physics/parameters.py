@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.errors import unknown_names
+
 LIFT = 20.0
 """Factor by which a lifted guard widens a search range: at each end for a positive parameter, about the
 middle of the range for any other."""
@@ -19,14 +21,24 @@ middle of the range for any other."""
 
 @dataclass(frozen=True)
 class Prior:
-    """A normal prior of one parameter [the parameter's unit]: knowledge from outside the record.
+    """A normal prior of one parameter, knowledge from outside the record: θ ~ N(mean, sd²).
 
-    `logarithmic`: the prior applies to ln θ, and `mean` and `sd` are those of ln θ.
+    mean, sd: in the parameter's unit; sd above 0.
+    logarithmic: the prior applies to ln θ, and `mean` and `sd` are those of ln θ.
+
+    Raises ValueError where a number is not finite or `sd` is not above 0.
     """
 
     mean: float
     sd: float
     logarithmic: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and math.isfinite(self.sd) and self.sd > 0.0):
+            raise ValueError(
+                f"prior: expected a finite mean and a standard deviation above 0, found {self.mean} and "
+                f"{self.sd}; to hold a parameter at a value, give it in `fixed`"
+            )
 
     def log_density(self, value: float) -> float:
         return -0.5 * self._distance(value) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
@@ -140,10 +152,14 @@ class Coordinates:
     def __init__(self, parameters: Sequence[Parameter], fixed: Mapping[str, float] | None = None) -> None:
         self.parameters = tuple(parameters)
         self.fixed = dict(fixed or {})
-        known = {p.name for p in self.parameters}
-        unknown = sorted(set(self.fixed) - known)
-        if unknown:
-            raise KeyError(f"fixed values for unknown parameters {unknown}; the model has {sorted(known)}")
+        faults = unknown_names("fixed", self.fixed, [p.name for p in self.parameters])
+        faults += [
+            f"fixed: expected a finite {name}, found {value}"
+            for name, value in self.fixed.items()
+            if not math.isfinite(value)
+        ]
+        if faults:
+            raise ValueError("; ".join(faults))
         self.free = tuple(p for p in self.parameters if p.name not in self.fixed)
         self.names = tuple(p.name for p in self.free)
         self.lower = np.array([p.to_coordinate(p.lower) for p in self.free])
@@ -209,6 +225,40 @@ def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
 def expect_values(parameters: Iterable[Parameter], values: Mapping[str, float]) -> None:
     """Check that every parameter has a value; raises ValueError that names those without."""
-    missing = [p.name for p in parameters if p.name not in values]
+    known = [p.name for p in parameters]
+    missing = ", ".join(name for name in known if name not in values)
     if missing:
-        raise ValueError(f"values: expected a value of every parameter, found none of {', '.join(missing)}")
+        faults = [f"values: expected a value of every parameter, found none of {missing}"]
+        raise ValueError("; ".join(faults + unknown_names("values", values, known)))
+
+
+def expect_starts(
+    parameters: Sequence[Parameter], fixed: Mapping[str, float], starts: Mapping[str, Mapping[str, float]]
+) -> None:
+    """Check start values, by the name of the argument that gave them: known names, numbers within the limits.
+
+    Raises ValueError that lists every fault.  Values of parameters that are `fixed` are not starts.
+    """
+    free, faults = {p.name: p for p in parameters if p.name not in fixed}, []
+    for argument, given in starts.items():
+        faults += unknown_names(argument, given, [p.name for p in parameters])
+        faults += [
+            f"{argument}: expected {name} within {free[name].lower:g} … {free[name].upper:g} "
+            f"{free[name].unit}, found {value}; start within its limits, or widen them"
+            for name, value in given.items()
+            if name in free and not _inside(free[name], value)
+        ]
+    if faults:
+        raise ValueError("; ".join(faults))
+
+
+def within_limits(parameters: Iterable[Parameter], values: Mapping[str, float]) -> dict[str, float]:
+    """Those values that belong to the parameters, moved into their limits: starts from a fit of another
+    record, whose limits may differ."""
+    return {p.name: min(max(values[p.name], p.lower), p.upper) for p in parameters if p.name in values}
+
+
+def _inside(p: Parameter, value: float) -> bool:
+    """Whether a value lies within a parameter's limits, but for the rounding of its coordinate."""
+    slack = 1e-12 * max(abs(p.lower), abs(p.upper))
+    return p.lower - slack <= value <= p.upper + slack

@@ -36,6 +36,7 @@ from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import JOINT, PARTS
+from hygrokf.physics.parameters import within_limits
 from hygrokf.transfer.baseline import Baseline, Origin, baseline_of, difference
 from hygrokf.transfer.course import Course
 from hygrokf.transfer.groups import OFFSETS, Difference, SelectionStep, members, selection
@@ -108,7 +109,10 @@ class _Estimates:
 
 
 def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
-    starts = dict(baseline.origin.values) | {n: 0.0 for n in members(baseline.groups, OFFSETS)}
+    parameters = baseline.likelihood.model.parameters
+    starts = within_limits(parameters, baseline.origin.values) | {
+        n: 0.0 for n in members(baseline.groups, OFFSETS)
+    }
     cabinet = {n: baseline.origin.values[n] for n in baseline.cabinet}
     say("own loggers")
     logger = fit_mle(baseline.likelihood, starts, {**baseline.held, **cabinet}, count=1)
@@ -189,8 +193,7 @@ def _adapted(baseline: Baseline, logger: Estimate, own: Estimate, differing: Seq
     fixed = {n: baseline.origin.values[n] for n in baseline.cabinet if baseline.groups[n] not in differing}
     if not fixed:
         return own
-    start = {**own.values, **fixed}
-    return fit_mle(baseline.likelihood, start, {**baseline.held, **fixed}, count=1)
+    return fit_mle(baseline.likelihood, own.values, {**baseline.held, **fixed}, count=1)
 
 
 # --- held-out errors -------------------------------------------------------------------------

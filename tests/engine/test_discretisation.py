@@ -67,7 +67,7 @@ def traced_step(a: np.ndarray, q: np.ndarray, b: np.ndarray, h: float, hold: str
 
     names = [f"x{i}" for i in range(n)] + [f"{s}{j}" for s in ("start", "end") for j in range(m)]
     noise = [[float(v) for v in row] for row in q]
-    made = step(graph, drift, noise, x, cov, start, end, graph.symbol("h"), names)
+    made = step(graph, drift, lambda u: noise, x, cov, start, end, graph.symbol("h"), names)
     times = int(doublings(np.abs(np.linalg.eigvals(a)).max() * h))
     whole = {"h": h} | doubled(graph, made.doubling, h, times)
 

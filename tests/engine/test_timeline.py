@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -106,13 +108,102 @@ def test_all_faults_come_in_one_message() -> None:
     for piece in (
         "'sun' of the model is missing", "fan: expected 6 values, found shape (3,)",
         "mode: not finite at instant 2",
-        "'q', but the model's outputs are ['y', 'z']", "y: expected 6 readings, found shape (4,)",
+        "readings: expected names of y, z, found \"q\"", "y: expected 6 values, found shape (4,)",
     ):  # fmt: skip
         assert piece in text
 
 
-@pytest.mark.parametrize("time", [[], [0.0, 0.0], [1.0, 0.5], [0.0, np.nan]])
-def test_instants_must_increase(time: list[float]) -> None:
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        ([], "at least one instant"),
+        ([1.0, 0.5], "found 0.5 h after 1 h at instant 1; sort"),
+        ([0.0, np.nan], "found nan at instant 1"),
+        ([["0"]], r"found shape \(1, 1\)"),
+        (np.array([0.0, 1.0], np.float32), "double precision, found float32"),
+        (np.ma.array([0.0, 1.0], mask=[False, True]), "masked"),
+        (np.array(["2020-01-01", "NaT"], "datetime64[s]"), "found nan at instant 1"),
+        (["first", "second"], "numbers or dates, found first at"),
+    ],
+)
+def test_instants_that_are_none_are_refused(time: list[float], words: str) -> None:
     values = {name: np.ones(len(time)) for name in INPUTS}
-    with pytest.raises(ValueError, match="increase strictly"):
-        timeline(room(), np.array(time), values, {})
+    with pytest.raises(ValueError, match=words):
+        timeline(room(), time, values, {})
+
+
+def test_dates_become_hours_since_the_first() -> None:
+    """Numpy's, Python's and pandas' dates of one instant are the same; a zone counts."""
+    import pandas as pd
+
+    values = {name: np.ones(3) for name in INPUTS}
+    stamps = ["2026-03-01T12:00:00", "2026-03-01T12:30:00", "2026-03-02T12:00:00"]
+    naive = [datetime.fromisoformat(one) for one in stamps]
+    aware = pd.to_datetime(stamps).tz_localize("UTC").tz_convert("Europe/Berlin")
+    for one in (np.array(stamps, "datetime64[ns]"), naive, pd.Series(aware), aware, pd.to_datetime(stamps)):
+        made = timeline(room(), one, values, {})
+        np.testing.assert_array_equal(made.time, [0.0, 0.5, 24.0])
+        assert made.origin_s == datetime(2026, 3, 1, 12, tzinfo=UTC).timestamp()
+    lags = np.array([0, 1800, 86400], "timedelta64[s]")
+    np.testing.assert_array_equal(timeline(room(), lags, values, {}).time, [0.0, 0.5, 24.0])
+    for word, options in (("beside a unit", {"unit": "s"}), ("origin_s", {"origin_s": 1e9})):
+        with pytest.raises(ValueError, match=word):
+            timeline(room(), naive, values, {}, **options)
+
+
+def test_times_in_other_units_are_converted_and_misspelt_units_named() -> None:
+    values = {name: np.ones(2) for name in INPUTS}
+    for unit, hours in (("s", 1 / 3600), ("min", 1 / 60), ("h", 1.0), ("d", 24.0), ("a", 8766.0)):
+        np.testing.assert_array_equal(timeline(room(), [0, 3], values, {}, unit=unit).time, [0.0, 3 * hours])
+    with pytest.raises(ValueError, match='s, min, h, d, a, found "hours"'):
+        timeline(room(), [0, 3], values, {}, unit="hours")
+
+
+def test_missing_readings_of_all_kinds_are_nan() -> None:
+    import pandas as pd
+
+    values = {name: np.ones(3) for name in INPUTS}
+    wanted = timeline(room(), [0, 1, 2], values, {"y": [1.0, np.nan, 3.0]}).y
+    for one in (
+        np.ma.array([1.0, 99.0, 3.0], mask=[0, 1, 0]), np.ma.array([1, 99, 3], mask=[0, 1, 0]),
+        [1.0, None, 3.0], pd.Series([1.0, None, 3.0], dtype="Float64"), pd.Series([1, None, 3],
+        dtype="Int64"),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(timeline(room(), [0, 1, 2], values, {"y": one}).y, wanted)
+
+
+def test_numbers_that_are_none_and_misspelt_names_are_refused() -> None:
+    values = {name: np.ones(3) for name in INPUTS}
+    masked = {**values, "sun": np.ma.array(np.ones(3), mask=[0, 1, 0])}
+    misspelt = {"suun": np.ones(3), "fan": np.ones(3), "mode": np.ones(3)}
+    dates = np.array(["2020-01-01"] * 3, "datetime64[s]")
+    for inputs, read, resets, words in (
+        (masked, {}, {}, "sun: not finite at instant 1"),
+        (misspelt, {}, {}, "'sun' of the model is missing; given are .*suun"),
+        (values, {"y": [1.0, np.inf, 2.0]}, {}, "y: infinite at instant 1"),
+        (values, {"y": ["a", "b", "c"]}, {}, "y: expected numbers, found list"),
+        (values, {"y": dates}, {}, r"y: expected numbers, found datetime64\[s\]"),
+        (values, {}, {"x": np.ones(3, bool)}, "resets: expected names of y, z, found"),
+        (values, {}, {"z": np.ones(2, bool)}, r"resets of z: expected 3 values, found shape \(2,\)"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            timeline(room({"z": 1.0}), [0, 1, 2], inputs, read, resets)
+    made = timeline(room(), [0, 1, 2], values, {})
+    for call, words in (
+        (lambda: made.input("sum"), 'found "sum"; did you mean "sun"'),
+        (lambda: made.reading("yy"), 'found "yy"; did you mean "y"'),
+        (
+            lambda: made.with_inputs({"mode": np.ones(3)}),
+            'vary within steps: expected names of sun, fan, found "mode"',
+        ),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_a_running_mean_restarts_after_the_last_row_of_an_instant() -> None:
+    values = {name: np.ones(5) for name in INPUTS}
+    model = room({"z": 1.0})
+    made = timeline(model, [0, 1, 1, 1, 2], values, {}, {"z": np.array([1, 0, 1, 0, 0], bool)})
+    assert made.reset.tolist() == [1, 0, 0, 1, 0]
+    assert made.steps[made.key, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0]

@@ -24,8 +24,9 @@ from builders.linear_oracles import (
 from filterpy.kalman import ExtendedKalmanFilter
 
 from hygrokf.engine.filter_loops import filter_loop
+from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.timeline import timeline
-from hygrokf.engine.traced_filter import pack, traced, unpack
+from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.physics.expression import where
 from hygrokf.physics.holds import REGIME

@@ -435,7 +435,7 @@ def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -
 
 def test_a_model_that_grows_without_limit_is_minus_infinity(thermal: object) -> None:
     case = gapped(thermal, 10.0 * YEAR_H)
-    assert case.likelihood.value(case.values | {"heat_disturbance_time": -2.0}) == -math.inf
+    assert case.likelihood.value(case.values | {"thermal_time_constant": -2.0}) == -math.inf
 
 
 def test_the_short_step_s_polynomials_are_exact_to_rounding() -> None:

@@ -278,7 +278,7 @@ def test_a_climb_that_stops_early_says_so() -> None:
 
 
 def test_a_start_without_a_likelihood_says_so() -> None:
-    broken = sample(np.append(READ, math.inf))
+    broken = sample(np.append(READ, 1e200))  # its square is infinite
     found = fit_mle(broken, count=1)
     assert not found.converged
     assert "not finite at the start" in found.message and "try more starts" in found.message
@@ -324,3 +324,36 @@ def test_a_promise_is_kept_within_the_box_and_never_negative(seed: int) -> None:
     assert np.all(step >= -2.0 - 1e-12) and np.all(step <= 0.5 + 1e-12)
     assert promised == pytest.approx(gradient @ step - 0.5 * step @ information @ step, rel=1e-9, abs=1e-12)
     assert promised >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"values": {"maen": 1.0}}, 'values: .*found "maen"; did you mean "mean"'),
+        ({"fixed": {"spraed": 1.0}}, 'fixed: .*found "spraed"; did you mean "spread"'),
+        (
+            {"more_starts": [{"mean": 1.0}, {"men": 2.0}]},
+            r'more_starts\[1\]: .*found "men"; did you mean "mean"',
+        ),
+        ({"values": {"spread": 1e9}}, r"values: expected spread within 0\.001 … 1000 1, found 1000000000"),
+        ({"count": 0}, "count: expected at least 1 start, found 0"),
+    ],
+)
+def test_misspelt_and_impossible_options_are_refused(options: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        fit_mle(sample(), **options)
+
+
+def test_a_record_without_readings_is_refused() -> None:
+    """Its ln L is 0 everywhere: nothing could be estimated, and nothing has converged."""
+    with pytest.raises(ValueError, match=r"expected readings, found none at any instant.*of y"):
+        fit_mle(sample(np.full(5, np.nan)))
+
+
+def test_misspelt_values_of_a_likelihood_are_refused_by_every_verb() -> None:
+    likelihood = sample()
+    for verb in (likelihood.value, likelihood.score, likelihood.trace):
+        with pytest.raises(ValueError, match=r'found none of spread; .*did you mean "spread"'):
+            verb({"mean": 1.0, "spred": 2.0})
+    with pytest.raises(ValueError, match=r'found none of spread; .*did you mean "spread"'):
+        likelihood.sensitivities({"mean": 1.0, "spred": 2.0}, np.eye(2))

@@ -118,7 +118,7 @@ def test_a_likelihood_that_breaks_down_is_minus_infinity(thermal: object) -> Non
 def test_unknown_starts_and_states_are_refused(thermal: object) -> None:
     with pytest.raises(ValueError, match=r"expected one of .*'steady'"):
         replace(thermal.likelihood, initial="steady")
-    with pytest.raises(ValueError, match=r"unknown \['cold'\].*converter_temperature"):
+    with pytest.raises(ValueError, match=r'names of converter_temperature.*found "cold"'):
         replace(thermal.likelihood, initial="diffuse", diffuse_states=("cold",))
 
 

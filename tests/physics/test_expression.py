@@ -8,6 +8,7 @@ errors scale with.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -375,3 +376,60 @@ def test_small_matrices_are_numpys() -> None:
     graph = Graph()
     x = graph.symbol("x")
     assert is_zero(product([[x, 0.0]], [[0.0], [x]])[0][0])  # zeros of structure stay zeros
+
+
+def test_numpys_functions_of_a_traced_value_are_the_models_own() -> None:
+    """Each gives the node that the package's own function gives, or computes what numpy computes."""
+    g = Graph()
+    x, y = g.symbol("x"), g.symbol("y")
+    for made, same in (
+        (np.exp(x), exp(x)), (np.log(x), log(x)), (np.sqrt(x), sqrt(x)),
+        (np.where(x < y, x, 2.0), where(x < y, x, 2.0)), (np.maximum(x, 0.5), maximum(x, 0.5)),
+        (np.minimum(0.5, x), minimum(0.5, x)), (np.float64(2.0) * x, 2.0 * x), (np.float64(2.0) - x, 2.0 - x),
+        (np.clip(x, 0.0, 1.0), minimum(maximum(x, 0.0), 1.0)), (np.square(x), x * x), (np.power(x, 3), x**3),
+        (np.array(2.0) * x, 2.0 * x), (x / np.float64(4.0), x / 4.0), (np.float64(1.0) < x, x > 1.0),
+    ):  # fmt: skip
+        assert made.index == same.index
+    for at in (-1.7, 0.3):
+        found = g.evaluate([abs(x), np.abs(x), 2.0**x, np.negative(x)], {"x": at})
+        np.testing.assert_allclose(found, [abs(at), abs(at), 2.0**at, -at], rtol=1e-15)
+
+
+@pytest.mark.parametrize("exponent", [2, 2.0, 3, 5.0, np.int64(2), np.float64(4.0), -1, -2.0, 12, 0, 0.0])
+def test_a_whole_power_takes_negative_numbers(exponent: float) -> None:
+    g = Graph()
+    x = g.symbol("x")
+    (slope,) = jacobian([x**exponent], [x])[0]
+    for at in (-1.7, 2.3):
+        value, derivative = g.evaluate([x**exponent, slope], {"x": at})
+        assert value == pytest.approx(at ** float(exponent), rel=1e-14)
+        assert derivative == pytest.approx(float(exponent) * at ** (float(exponent) - 1.0), rel=1e-13)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.5, -0.5, 2.5])
+def test_a_half_power_is_a_root(exponent: float) -> None:
+    g = Graph()
+    x = g.symbol("x")
+    assert g.evaluate([x**exponent], {"x": 2.3})[0] == pytest.approx(2.3**exponent, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda x: np.sin(x), r"numpy\.sin of a traced value: .* exp, log, sqrt, where, maximum"),
+        (lambda x: np.add.reduce(x), r"numpy\.reduce"),
+        (lambda x: math.exp(x), "in place of the functions of `math`.* exp, log"),
+        (lambda x: float(x), "not a number yet"),
+        (lambda x: x == 1.0, "compared with ==.*where"),
+        (lambda x: x != 1.0, "compared with =="),
+        (lambda x: x <= 1.0, "compared with =="),
+        (lambda x: np.float64(1.0) >= x, "compared with =="),
+        (lambda x: 1.0 if x < 0.0 else 2.0, "must not branch"),
+        (lambda x: np.ones(2) * x, r"expected a number .* found an array of shape \(2,\)"),
+        (lambda x: x + "1a", "expected a number .* found '1a'"),
+        (lambda x: x + None, "expected a number .* found None"),
+    ],
+)
+def test_what_a_traced_value_cannot_do_is_said(call: Callable, words: str) -> None:
+    with pytest.raises(TypeError, match=words):
+        call(Graph().symbol("x"))

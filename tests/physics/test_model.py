@@ -129,6 +129,74 @@ def test_what_does_not_fit_is_named() -> None:
         faulty().initial({}, {})
     with pytest.raises(ValueError, match=r"holds of the inputs \['outside'\]"):
         _ = compose([store(), READ, SHIFT]).input_holds
+    with pytest.raises(ValueError, match=r"\['outside'\] are not stated; stated are those of outsid"):
+        _ = compose([store(), READ, SHIFT], {"outsid": "mean"}).input_holds
+    with pytest.raises(ValueError, match=r"output of the same name: \['y'\]"):
+        _ = compose([READ, READ]).outputs
+    with pytest.raises(ValueError, match=r'averaged: expected names of y, found "Y"; did you mean "y"'):
+        compose([READ], averaged={"Y": 1.0})
+    with pytest.raises(ValueError, match="averaged: expected an interval above 0 h for y, found 0"):
+        compose([READ], averaged={"y": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"rates": lambda p, x, u: {"roon": -x.room}},
+            'rates of .*"roon"; did you mean "room"',
+        ),
+        ({"rates": lambda p, x, u: [-x.room]}, r"rates .*expected a mapping .* found \["),
+        (
+            {"rates": lambda p, x, u: {"room": -x.rom}},
+            'reads x.rom, but the states .* room; did you mean "room"',
+        ),
+        (
+            {"rates": lambda p, x, u: {"room": p.pace * x.room}},
+            "reads p.pace, but the parameters .* rate",
+        ),
+        (
+            {"rates": lambda p, x, u: {"room": u.warm}},
+            'reads u.warm, but the inputs .* "warmth"',
+        ),
+        (
+            {"intensities": lambda p: {"rom": 1.0}},
+            'diffusion of .*"rom"; did you mean "room"',
+        ),
+        ({"intensities": lambda p: 1.0}, r"diffusion .*expected a mapping .* found 1\.0"),
+        (
+            {"initial": lambda p, u: {"rom": (0.0, 1.0)}},
+            'initial of .*"rom"; did you mean "room"',
+        ),
+        (
+            {"initial": lambda p, u: {"room": 0.0}},
+            r'initial of .* "room": expected a pair .*found 0.0',
+        ),
+        ({"outputs": {"y": lambda p, x, u: x.room}}, r'output "y": expected a pair \(mean, variance\)'),
+    ],
+)
+def test_misspelt_names_and_wrong_forms_of_a_network_are_named(changes: dict, words: str) -> None:
+    parts = {
+        "rates": lambda p, x, u: {"room": p.rate * (u.warmth - x.room)},
+        "outputs": {"y": lambda p, x, u: (x.room, 1.0)},
+        "intensities": lambda p: {"room": 1.0},
+        "initial": lambda p, u: {"room": (0.0, 1.0)},
+    } | changes
+    rate = Parameter("rate", "1/h", 1.0, 0.1, 9.0)
+    network = linear_network("net", [rate], states=["room"], inputs=["warmth"], **parts)
+    model = compose([network], {"warmth": "mean"})
+    with pytest.raises(ValueError, match=words):
+        run = timeline(model, np.arange(3.0), {"warmth": np.ones(3)}, {"y": np.ones(3)})
+        Likelihood(model, run).value({"rate": 1.0})
+
+
+def test_two_mechanisms_do_not_give_the_same_state() -> None:
+    again = Mechanism(name="again", drift=lambda p, x, u, q, s: {"heat": 0.0})
+    with pytest.raises(ValueError, match=r'rates of the mechanism "again": another mechanism gives .*heat'):
+        compose([store(), again, READ, SHIFT]).evaluate([1.0], {"outside": 1.0}, {"store_rate": 1.0})
+    first = Mechanism(name="first", initial=lambda p, u: {"heat": (0.0, 1.0)})
+    with pytest.raises(ValueError, match=r'initial of the mechanism "first": another mechanism gives .*heat'):
+        compose([store(), first]).initial({"store_rate": 1.0}, {"outside": 1.0})
 
 
 def traced(*mechanisms: Mechanism) -> Recursion:

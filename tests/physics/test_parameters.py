@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hygrokf.physics.parameters import Coordinates, Parameter, Prior, unique
+from hygrokf.physics.parameters import (
+    Coordinates,
+    Parameter,
+    Prior,
+    expect_starts,
+    expect_values,
+    unique,
+    within_limits,
+)
 
 TIME = Parameter("time", "h", 2.0, 0.02, 200.0, positive=True)
 SLOPE = Parameter("slope", "K/K", 0.0, -2.0, 2.0, null=0.0)
@@ -58,8 +66,38 @@ def test_fixed_parameters_leave_the_coordinates_but_not_the_values() -> None:
     assert coordinates.parameter("slope") is SLOPE and coordinates.fixed == {"slope": 0.7}
 
 
+def test_starts_are_checked_by_name_and_limits_but_for_rounding() -> None:
+    expect_starts(ALL, {"noise": 5.0}, {"values": {"time": 200.0 * (1.0 + 1e-14), "noise": 1e9}})
+    with pytest.raises(ValueError) as caught:
+        expect_starts(ALL, {}, {"values": {"tme": 2.0, "slope": 7.0}, "more_starts[0]": {"noise": math.nan}})
+    text = str(caught.value)
+    for piece in (
+        'values: expected names of time, slope, noise, bias, found "tme"; did you mean',
+        "values: expected slope within -2 … 2 K/K, found 7.0; start within its limits",
+        "more_starts[0]: expected noise within 0.001 … 10 K, found nan",
+    ):
+        assert piece in text
+    assert within_limits(ALL, {"time": 1e9, "slope": 0.5, "other": 1.0}) == {"time": 200.0, "slope": 0.5}
+
+
+def test_values_that_are_missing_are_named_beside_what_may_be_meant() -> None:
+    with pytest.raises(ValueError, match=r'found none of time; .*"tme"; did you mean "time"'):
+        expect_values(ALL, {"tme": 1.0, "slope": 0.0, "noise": 1.0, "bias": 0.0})
+
+
+@pytest.mark.parametrize("sd", [0.0, -1.0, math.nan, math.inf])
+def test_a_prior_needs_a_width(sd: float) -> None:
+    with pytest.raises(ValueError, match="a standard deviation above 0"):
+        Prior(0.0, sd)
+
+
+def test_fixed_values_are_finite() -> None:
+    with pytest.raises(ValueError, match="fixed: expected a finite slope, found nan"):
+        Coordinates(ALL, {"slope": math.nan})
+
+
 def test_an_unknown_fixed_parameter_is_named_beside_the_known_ones() -> None:
-    with pytest.raises(KeyError, match=r"slop'.*'slope'"):
+    with pytest.raises(ValueError, match=r'time, slope, noise, bias, found "slop"; did you mean "slope"'):
         Coordinates(ALL, {"slop": 1.0})
 
 

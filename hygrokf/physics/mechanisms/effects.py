@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from hygrokf.physics.expression import Value
-from hygrokf.physics.model import Initial, Mechanism, Pair, Space, Values
+from hygrokf.physics.model import Initial, Mechanism, Pair, Space, Spread, Values
 from hygrokf.physics.parameters import Parameter
 
 PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
@@ -149,20 +149,27 @@ def linear_network(
     inputs: Sequence[str],
     rates: Callable[[Space, Space, Space], Values],
     outputs: Mapping[str, Callable[[Space, Space, Space], Pair]],
-    intensities: Callable[[Space], Values],
+    intensities: Callable[..., Mapping[str, Spread]],
     initial: Initial,
+    noise_exponents: Mapping[str, float] | None = None,
 ) -> Mechanism:
-    """A linear network of any size, as one mechanism.
+    """A network of any size, as one mechanism: dx = f(x, u) dt + x^γ L dW, y = h(x, u) + v.
 
     name: identifier of the mechanism.
     parameters, states, inputs: by name, in units of the user's choice; time is in hours.
     rates: (p, x, u) → {state: rate [unit/h]}.
     outputs: name → (p, x, u) → (prediction, variance of the reading's noise).
-    intensities: p → {state: intensity of its white noise [unit²/h]}.
-    initial: (p, u) → {state: (mean, variance)} at the first instant.
+    intensities: p, or (p, u), → {state: intensity of its white noise [unit²/h]}.  In place of an intensity,
+        {noise: loading [unit/√h]} gives a row of L: independent white noises by name, which states share.
+    initial: (p, u) → {state: (mean, variance)} at the first instant; in place of a variance {source:
+    loading},
+        likewise.
+    noise_exponents: state → γ from 0 to 1 where its noise is x^γ times that of `intensities`: 1 in a
+    geometric
+        Brownian motion, ½ in a Cox–Ingersoll–Ross process (`Model` says how the filter carries it).
 
-    Returns the mechanism for `compose`.  Nonlinear functions work too; for linear ones the filter is exact.
-    Raises ValueError at first use of the model where a function names an unknown state.
+    Returns the mechanism for `compose`.  For functions that are linear in x and u the filter is exact.
+    Raises ValueError at first use of the model where a function names what the model does not have.
     """
 
     return Mechanism(
@@ -174,6 +181,7 @@ def linear_network(
         diffusion=intensities,
         initial=initial,
         outputs={key: partial(_of_states_and_inputs, function) for key, function in outputs.items()},
+        noise_exponents=dict(noise_exponents or {}),
         meaning="a linear network given by the user",
     )
 
