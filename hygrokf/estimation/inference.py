@@ -20,7 +20,8 @@ from hygrokf.estimation.confidence import (
     wald_bounds,
 )
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective
+from hygrokf.estimation.optimiser import Objective
+from hygrokf.estimation.subject import Given, Source, estimated
 
 METHODS = ("profile", "wald", "sandwich")
 COORDINATE_STEP = 1e-5
@@ -31,15 +32,16 @@ ALIKE = 1e-6
 
 
 def confidence_intervals(
-    likelihood: Likelihood,
-    estimate: Estimate,
+    source: Source,
+    given: Given | None = None,
     names: Sequence[str] | None = None,
     method: str = "profile",
     level: float = 0.95,
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
 
-    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    source, given: a `Likelihood` and the `Estimate` that `fit_mle` made of it; or a `Fit` and its `Record`,
+        where the likelihood of the whole model is first climbed to its maximum from the fit's values.
     names: of the parameters.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
         sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
@@ -48,8 +50,10 @@ def confidence_intervals(
     level: [1] of confidence, between 0 and 1.
 
     Returns `lower` and `upper` by name, in the parameters' units; NaN for an open end.
-    Raises ValueError for an unknown method or level, and for names that are not free parameters.
+    Raises ValueError for an unknown method or level, for names that are not free parameters, and for anything
+    else, with the call that makes what is missing.
     """
+    likelihood, estimate = estimated("confidence_intervals", source, given)
     free = estimate.coordinates.names
     wanted = free if names is None else tuple(names)
     unknown = [name for name in wanted if name not in free]
@@ -85,8 +89,8 @@ class TimeConstant:
 
 
 def modal_time_constants(
-    likelihood: Likelihood,
-    estimate: Estimate,
+    source: Source,
+    given: Given | None = None,
     level: float = 0.95,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
@@ -99,7 +103,7 @@ def modal_time_constants(
     with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
     coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    source, given: as `confidence_intervals` takes them.
     level: [1] of confidence, between 0 and 1.
     state, inputs: where a nonlinear model is linearised, in the model's units; values not given there are the
         means of the filtered states and the medians of the inputs over the record.
@@ -113,7 +117,8 @@ def modal_time_constants(
     """
     from scipy.linalg import eig
 
-    at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
+    likelihood, estimate = estimated("modal_time_constants", source, given)
+    at_state, at_inputs = operating_point(likelihood, estimate.values, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z
     known = known or uncertainty(Objective(likelihood, coordinates), estimate)
 
@@ -147,8 +152,11 @@ def modal_time_constants(
     return tuple(sorted(found, key=lambda one: -one.value))
 
 
-def _point(
-    likelihood: Likelihood, estimate: Estimate, state: Mapping[str, float], inputs: Mapping[str, float]
+def operating_point(
+    likelihood: Likelihood,
+    values: Mapping[str, float],
+    state: Mapping[str, float],
+    inputs: Mapping[str, float],
 ) -> tuple[np.ndarray, dict[str, float]]:
     """State (n,) and inputs at which a model is linearised."""
     model, timeline = likelihood.model, likelihood.timeline
@@ -156,7 +164,7 @@ def _point(
         unknown = sorted(set(given) - set(there))
         if unknown:
             raise ValueError(f"{kind}: expected names of {', '.join(there)}, found {', '.join(unknown)}")
-    mean = likelihood.trace(estimate.values).mean.mean(axis=0)
+    mean = likelihood.trace(values).mean.mean(axis=0)
     point = np.array([state.get(name, float(m)) for name, m in zip(model.states, mean, strict=True)])
     known = {name: float(np.median(timeline.input(name))) for name in model.inputs}
     return point, {**known, **inputs}

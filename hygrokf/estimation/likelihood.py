@@ -24,7 +24,7 @@ from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_varian
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.physics.expression import is_zero
-from hygrokf.physics.model import Model, fields_alone
+from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import expect_values
 
 CHUNK = 4096
@@ -112,6 +112,7 @@ class Likelihood:
             raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
 
     __getstate__ = fields_alone
+    __repr__ = fields_by_line
 
     @property
     def _diffuse(self) -> bool:
@@ -570,10 +571,7 @@ class Likelihood:
         """
         r = self.recursion
         n, outputs = r.n, len(r.updates)
-        if start is None:
-            state = self._start(values)
-        else:
-            state = np.concatenate([start.mean, pack(start.covariance)])
+        state = self._start(values) if start is None else np.append(start.mean, pack(start.covariance))
         rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
         width = len(state)
         q = n * (n + 1) // 2

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
-from hygrokf.physics.parameters import expect_values
+from hygrokf.estimation.subject import Given, Source, subject
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
 
-def smooth(
+def smoothed_states(
     likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """States given all readings of the timeline.
@@ -107,21 +107,21 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
     return result
 
 
-def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
+def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFilter:
     """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
-    likelihood: of the model on its timeline, with n states.
-    values: of all parameters, in the parameters' units.
+    source, given: a `Fit` and its `Record`, or a `Likelihood` and its `Estimate` or values; n states.
 
     Returns filterpy's filter with x (n,) and P (n, n) in the states' units, and two more methods:
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
     (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
     nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
-    parameters without a value.
+    anything else, with the call that makes what is missing.
     """
     from filterpy.kalman import ExtendedKalmanFilter
 
-    expect_values(likelihood.model.parameters, values)
+    found = subject("to_filterpy", source, given)
+    likelihood, values = found.likelihood, found.values
 
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""

@@ -335,7 +335,10 @@ def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Val
         return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
 
     function.__name__ = name
-    function.__doc__ = f"{name} of a number, an array or a traced expression."
+    function.__doc__ = (
+        f"{name} for the equations of a model: of a number, an array or a traced expression.\n\n"
+        "Returns what it was given.  Raises what numpy raises for other arguments."
+    )
     return function
 
 
@@ -345,7 +348,12 @@ sqrt = _unary("sqrt", np.sqrt)
 
 
 def where(condition: Value, yes: Value, no: Value) -> Value:
-    """`yes` where `condition` holds, else `no`; accepts numbers, arrays and traced expressions."""
+    """`yes` where `condition` holds, else `no`: a choice in the equations of a model.
+
+    condition, yes, no: numbers, arrays or traced expressions; both branches are always computed.
+
+    Returns a value of the same kind.  Raises what numpy raises for other arguments.
+    """
     for value in (condition, yes, no):
         if isinstance(value, Expression):
             g = value.graph
