@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 DRAWS = 4096
-POINTS = 201
+POINTS = 121
 """Frequencies or times of a response whose grid is not stated."""
 REACHED = 1e-9
 """[1] share of the largest residue below which an input does not reach an output through a mode."""
