@@ -6,7 +6,7 @@ A fit of a cabinet and a user's own likelihood go through the same calls.  Shape
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from hygrokf.data.tabular import with_units
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smoothed_states
-from hygrokf.estimation.subject import Given, Source, subject
+from hygrokf.estimation.subject import Given, Source, Spread, subject
 from hygrokf.evaluation.course import Course, time_index
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.simulation import (
@@ -91,8 +91,9 @@ def forecast(
     count: with leads, number of forecasts, spread evenly over the readings from `start_h` on.
 
     Returns the expected readings and their standard deviations, with the readings that came and the lead [h];
-    with leads one row per forecast and lead.  Parameters count as known; the state's uncertainty, the
-    disturbances and the noise of a reading make the bands.
+    with leads one row per forecast and lead.  The state's uncertainty, the disturbances and the noise of a
+    reading make the bands, in a single forecast also that of the parameters of a fit or an estimate, to first
+    order; by lead, where forecasts judge a model on its own data, parameters count as known.
     Raises ValueError for anything else, with the call that makes what is missing, and where no reading or no
     later instant is left.
     """
@@ -106,16 +107,21 @@ def forecast(
     t = likelihood.timeline
     read = np.isfinite(t.y).any(axis=1) & usable
     starts, ends = _origins(t, np.flatnonzero(read), leads_h, start_h, count)
-    trace = likelihood.trace(found.values)
-    if likelihood is found.likelihood:
-        known, pieces = _readings_in(t), _windows(likelihood, found.values, trace, starts, ends)
-    else:
-        known = _readings_of(run)
-        made = ahead(likelihood, found.values, run, design, trace, starts, ends)
-        pieces = (_by_output(prediction) for _, prediction in made)
+
+    def pieces(values: Mapping[str, float]) -> Iterator[Pairs]:
+        trace = likelihood.trace(values)
+        if likelihood is found.likelihood:
+            return _windows(likelihood, values, trace, starts, ends)
+        made = ahead(likelihood, values, run, design, trace, starts, ends)
+        return (_by_output(prediction) for _, prediction in made)
+
+    known = _readings_in(t) if likelihood is found.likelihood else _readings_of(run)
+    made = list(pieces(found.values))
+    if leads_h is None and len(found.spread.names):
+        made = [_with_parameters(made[0], found.spread, lambda values: next(pieces(values)))]
     last = int(np.flatnonzero(read)[-1])
     rows, parts = [], []
-    for start, end, pairs in zip(starts, ends, pieces, strict=True):
+    for start, end, pairs in zip(starts, ends, made, strict=True):
         inside = np.arange(start + 1, end)
         if leads_h is not None:
             there = inside[read[inside] | (inside > last)]
@@ -292,6 +298,32 @@ def _windows(
         state = Gaussian(trace.mean[start], trace.covariance[start], float(t.time[start]))
         own = replace(likelihood, timeline=part, initial=state, diffuse_states=())
         yield expected_readings(own.model, part, values, own.trace(values))
+
+
+SHIFT = 0.1
+"""[standard errors] by which parameters move for the slopes of a forecast: the quotient's error is of the
+order of its square, that of the filter's steps is divided by it."""
+
+
+def _with_parameters(
+    pairs: Pairs, spread: Spread, predict: Callable[[Mapping[str, float]], Pairs]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """A prediction with the variance of its parameters added, by central differences along the axes of their
+    covariance."""
+    axes = SHIFT * np.eye(len(spread.names))
+    moved = spread.drawn(np.concatenate([axes, -axes]))
+    values = [
+        {name: float(np.broadcast_to(value, 2 * len(axes))[i]) for name, value in moved.items()}
+        for i in range(2 * len(axes))
+    ]
+    ends = [predict(one) for one in values]
+    found = {}
+    for name, (value, sd) in pairs.items():
+        slopes = np.array(
+            [up[name][0] - down[name][0] for up, down in zip(ends, ends[len(axes) :], strict=False)]
+        )
+        found[name] = (value, np.sqrt(sd**2 + np.sum((slopes / (2.0 * SHIFT)) ** 2, axis=0)))
+    return found
 
 
 def _nearest(time: np.ndarray, there: np.ndarray, wanted: np.ndarray) -> np.ndarray:
