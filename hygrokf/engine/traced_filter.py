@@ -36,16 +36,16 @@ from hygrokf.physics.expression import (
     Value,
     arguments,
     depends_on,
-    dot,
     is_zero,
     jacobian,
     maximum,
-    product,
     sqrt,
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
+from hygrokf.physics.matrices import dot, product
 from hygrokf.physics.model import Model, Values
+from hygrokf.physics.signs import never_negative
 
 UNSEEN = 1e-10
 """A reading's loading on an unknown start counts from this share of the products that make it: what rounding
@@ -488,7 +488,7 @@ class Recursion:
         """Noise intensities and variances of readings whose form leaves open whether they are negative."""
         positive = [f"c:{i}" for i, number in enumerate(self.graph.given) if number >= 0.0]
         positive += [f"p:{self.model.parameters[i].name}" for i in self.nonnegative]
-        return [(what, e) for what, e in self._variances if not _never_negative(self.graph, e, positive)]
+        return [(what, e) for what, e in self._variances if not never_negative(self.graph, e, positive)]
 
     @cached_property
     def rising_noise(self) -> bool:
@@ -572,31 +572,6 @@ def _flat(matrix: Matrix) -> list[Value]:
 
 def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
     return 0.0 if is_zero(value) else graph.lift(value)
-
-
-def _never_negative(graph: Graph, expression: Expression, positive: Iterable[str]) -> bool:
-    """Whether an expression is at least 0 by its form, as a sum, product or quotient of squares,
-    exponentials, roots, numbers and symbols that are `positive`; False where this does not show."""
-    known, sure = set(positive), set[int]()
-    for i in graph.needed([expression]):
-        operation, *args = graph.nodes[i]
-        match operation:
-            case "const":
-                holds = args[0] >= 0.0
-            case "symbol":
-                holds = args[0] in known
-            case "mul" | "fma":
-                holds = args[0] == args[1] or {args[0], args[1]} <= sure
-                holds = holds and set(args[2:]) <= sure
-            case "add" | "div":
-                holds = set(args) <= sure
-            case "select":
-                holds = set(args[1:]) <= sure
-            case _:
-                holds = operation in ("exp", "sqrt")
-        if holds:
-            sure.add(i)
-    return expression.index in sure
 
 
 def traced(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:

@@ -32,7 +32,7 @@ from hygrokf.estimation.moments import Kept, checked_loglik, covariances, loglik
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
-from hygrokf.physics.model import Model, fields_alone
+from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
@@ -81,6 +81,7 @@ class Likelihood:
         expect_initial(self.model, self.initial, self.diffuse_states)
 
     __getstate__ = fields_alone
+    __repr__ = fields_by_line
 
     @cached_property
     def recursion(self) -> Recursion:

@@ -15,7 +15,7 @@ from hygrokf.engine.square_root import square_root
 from hygrokf.engine.traced_filter import UNSEEN
 from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
 from hygrokf.estimation.moments import Kept
-from hygrokf.physics.parameters import expect_values
+from hygrokf.estimation.subject import Given, Source, subject
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -24,7 +24,7 @@ SINGULAR = 1e-14
 """[1] share of the largest singular value below which a direction counts as known."""
 
 
-def smooth(
+def smoothed_states(
     likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """States given all readings of the timeline.
@@ -123,18 +123,20 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
     return result
 
 
-def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
+def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFilter:
     """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
-    likelihood: of the model on its timeline, with n states.
-    values: of all parameters, in the parameters' units.
+    source, given: a `Fit` and its `Record`, or a `Likelihood` and its `Estimate` or values; n states.
 
     Returns filterpy's filter with x (n,) and P (n, n) in the states' units, and two more methods:
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
     (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
     nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
-    parameters without a value and for a diffuse start, which filterpy cannot hold.
+    a diffuse start, which filterpy cannot hold, and for anything else, with the call that makes what is
+    missing.
     """
+    found = subject("to_filterpy", source, given)
+    likelihood, values = found.likelihood, found.values
     if likelihood.initial == "diffuse":
         raise ValueError(
             "initial: filterpy's filter starts from finite variances, found a diffuse start; state another "
@@ -142,7 +144,6 @@ def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> Extended
         )
     from filterpy.kalman import ExtendedKalmanFilter
 
-    expect_values(likelihood.model.parameters, values)
 
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""
