@@ -61,7 +61,8 @@ def smooth(
             if covariance:
                 matrix = gain @ matrix @ gain.T + spreads[k - first]
                 if unknown.size:
-                    unknown = np.linalg.qr(np.hstack([gain @ unknown, still[k - first]]).T)[1].T
+                    unknown = _sure(gain @ unknown, np.abs(gain) @ np.abs(unknown))
+                    unknown = np.linalg.qr(np.hstack([unknown, still[k - first]]).T)[1].T
                 matrices[k] = _with_infinite(matrix, unknown)
     return mean, matrices
 
@@ -108,9 +109,13 @@ def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarra
 
 def _with_infinite(matrix: np.ndarray, unknown: np.ndarray) -> np.ndarray:
     """A covariance (n, n), infinite along the directions `unknown` (n, d)."""
-    infinite = unknown @ unknown.T
-    sure = np.abs(infinite) > UNSEEN * (np.abs(unknown) @ np.abs(unknown.T))
-    return np.where(sure, np.copysign(np.inf, infinite), matrix)
+    infinite = _sure(unknown @ unknown.T, np.abs(unknown) @ np.abs(unknown.T))
+    return np.where(infinite != 0.0, np.copysign(np.inf, infinite), matrix)
+
+
+def _sure(found: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Sums of products, 0 where rounding alone is left of their `terms`."""
+    return np.where(np.abs(found) > UNSEEN * terms, found, 0.0)
 
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
