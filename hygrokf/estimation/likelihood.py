@@ -21,13 +21,12 @@ from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
-from hygrokf.engine.square_root import square_root
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.estimation.moments import Gaussian as Gaussian
-from hygrokf.estimation.moments import Kept, checked_loglik, covariances, loglik_of
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
+from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
@@ -535,11 +534,11 @@ class Likelihood:
         """
         return self._traced(values, gain, start)[0]
 
-    def kept(self, values: Mapping[str, float]) -> Kept:
-        """The trace, and the square roots of its covariances."""
+    def with_roots(self, values: Mapping[str, float]) -> tuple[Trace, np.ndarray, np.ndarray]:
+        """The trace; W (T, n, n), W W' the covariance after an instant but for what is infinite; and the
+        directions (T, n, d) of the state of which nothing is known there."""
         found, r, moments = self._traced(values)
-        root = r.root_of(moments) if r.factored else square_root(r.covariance_of(moments))
-        return Kept(found, root, r.unknown_of(moments))
+        return found, r.root_of(moments), r.unknown_of(moments)
 
     def _traced(
         self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None

@@ -14,7 +14,6 @@ import numpy as np
 from hygrokf.engine.square_root import square_root
 from hygrokf.engine.traced_filter import UNSEEN
 from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
-from hygrokf.estimation.moments import Kept
 from hygrokf.physics.parameters import expect_values
 
 if TYPE_CHECKING:
@@ -43,16 +42,16 @@ def smooth(
     Source: Rauch, Tung & Striebel 1965, doi:10.2514/3.3166; in square roots Park & Kailath 1995,
     doi:10.1080/00207179508921953.
     """
-    kept = likelihood.kept(values)
-    found, unknown = kept.trace, kept.unknown[-1]
+    found, roots, directions = likelihood.with_roots(values)
     count, n = found.mean.shape
     mean = found.mean.copy()
     matrices = np.empty((count if covariance else 0, n, n))
     carried = _carried(likelihood)[..., None, :] * np.roll(found.transition, -1, axis=0)
-    matrix = kept.root[-1] @ kept.root[-1].T
+    noise = square_root(found.noise[1:])
+    matrix, unknown = roots[-1] @ roots[-1].T, directions[-1]
     for first in range((count - 1) // CHUNK * CHUNK, -1, -CHUNK):
         part = slice(first, min(first + CHUNK, count - 1))
-        gains, spreads, still = _given_next(kept, carried[part], part)
+        gains, spreads, still = _given_next(roots[part], directions[part], carried[part], noise[part])
         if covariance and part.stop == count - 1:
             matrices[-1] = _with_infinite(matrix, unknown)
         for k in range(part.stop - 1, first - 1, -1):
@@ -67,18 +66,19 @@ def smooth(
     return mean, matrices
 
 
-def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _given_next(
+    own: np.ndarray, start: np.ndarray, carried: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The law of the states at some instants k given those at k + 1 and the readings until k: C (t, n, n),
     D D' (t, n, n), and the directions (t, n, d) that stay unknown.
 
     With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Across F B the
     next state tells ε and ω by their regression, along it η.
     """
-    n, d = kept.unknown.shape[1:]
-    own = kept.root[part]
+    n, d = start.shape[1:]
     wide = np.concatenate([own, np.zeros_like(own)], axis=2)
-    later = np.concatenate([carried @ own, square_root(kept.trace.noise[1:][part])], axis=2)
-    start, along = kept.unknown[part], carried @ kept.unknown[part]
+    later = np.concatenate([carried @ own, noise], axis=2)
+    along = carried @ start
     scale = np.sqrt((later**2).sum(axis=2) + (along**2).sum(axis=2))[..., None]
     scale = np.where(scale > 0.0, scale, 1.0)
     later, back = later / scale, np.eye(n) / np.swapaxes(scale, 1, 2)
