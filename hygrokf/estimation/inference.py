@@ -25,10 +25,9 @@ from hygrokf.estimation.confidence import (
     uncertainty,
     wald_bounds,
     widest,
-    widths,
 )
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective, shortened
+from hygrokf.estimation.optimiser import Estimate, Objective, natural_units, shortened
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.physics.parameters import Coordinates, Parameter
 
@@ -170,7 +169,7 @@ def modal_time_constants(
         return found
 
     slopes = []
-    for place, step in zip(inside, COORDINATE_STEP * widths(coordinates)[inside], strict=True):
+    for place, step in zip(inside, COORDINATE_STEP * natural_units(coordinates)[inside], strict=True):
         there = step * (np.arange(len(z)) == place)
         slopes.append((matrix(z + there) - matrix(z - there)) / (2.0 * step))
     values, left, right = eig(matrix(z), left=True, right=True)
