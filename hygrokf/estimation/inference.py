@@ -26,10 +26,9 @@ from hygrokf.estimation.confidence import (
     uncertainty,
     wald_bounds,
     widest,
-    widths,
 )
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
-from hygrokf.estimation.optimiser import Objective, shortened
+from hygrokf.estimation.optimiser import Objective, natural_units, shortened
 from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.subject import Given, Source, estimated
 from hygrokf.physics.parameters import Coordinates, Parameter
@@ -177,7 +176,7 @@ def modal_time_constants(
         return found
 
     slopes = []
-    for place, step in zip(inside, COORDINATE_STEP * widths(coordinates)[inside], strict=True):
+    for place, step in zip(inside, COORDINATE_STEP * natural_units(coordinates)[inside], strict=True):
         there = step * (np.arange(len(z)) == place)
         slopes.append((matrix(z + there) - matrix(z - there)) / (2.0 * step))
     values, left, right = eig(matrix(z), left=True, right=True)
