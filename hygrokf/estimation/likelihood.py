@@ -541,7 +541,7 @@ class Likelihood:
         blocks: Blocks,
         gain: bool,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Innovations, variances (t, k), derivatives of both (blocks, t, k, `LANES`), ln L of some instants."""
+        """Innovations, variances (t, k), derivatives of both (blocks, t, k, `LANES`), ln L of a part."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
         de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
