@@ -139,7 +139,8 @@ def uncertainty_by(
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names], dtype=bool)
     among = np.ix_(inside, inside)
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
-    undetermined = open_directions(expected.information[among], len(timeline), natural_units(coordinates)[inside])
+    units = natural_units(coordinates)[inside]
+    undetermined = open_directions(expected.information[among], len(timeline), units)
     known = positive_inverse(curvature[among], undetermined)
     prior = coordinates.log_prior(estimate.z)[2][inside]
     scores = expected.scores[:, inside]
