@@ -22,8 +22,8 @@ from hygrokf.data.signals import HUMIDITIES, signal_named, unit_mistaken
 from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.holds import LINEAR
-from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import (
+    FEWEST_D,
     NOT_COMPARED,
     TOLERANCE_S,
     ClockError,

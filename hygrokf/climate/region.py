@@ -1,29 +1,271 @@
-"""A region: its weather files, and the weather and power that drive its cabinets."""
+"""A region: its weather files, and the weather and power that drive its cabinets; power from a record, from
+the wind by a power curve, or none."""
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from hygrokf.cases.case_file import read_case
-from hygrokf.climate.power import (
-    PowerCurve,
-    PowerFault,
-    covers,
-    power_by_season,
-    power_from_wind,
-    standstill,
-    years_of_power,
-)
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.data.input_paths import input_path
+from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.data.toml_form import across, read_toml_form, setting
+from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
 from hygrokf.weather.reading import TYPICAL, form_of, read_weather
+
+YEAR_S = 365.25 * DAY_S
+FASTEST_M_S = 60.0
+"""Wind speed above which a curve must be in another unit."""
+UNUSED_S = 30.0 * DAY_S
+"""[s] length of an unused part of a record that is worth a statement."""
+SAME_HEIGHT = 0.05
+"""Share by which two heights of the wind may differ and be called the same."""
+WIND_BRIDGE_H = 6.0
+RATED = (0.5, 1.2)
+"""Highest power of a curve over the rated power [1]."""
+LAWS = {"power": "exponent", "log": "roughness_m"}
+
+
+class PowerFault(HygrokfError):
+    """A record of power, or weather for a power curve, that cannot be used; with every reason."""
+
+
+@dataclass(frozen=True)
+class PowerCurve:
+    """Power (k,) [W] over wind speed (k,) [m/s] at `hub_height_m`, for wind known at `wind_height_m`.
+
+    `law` "power": v_hub = v (z_hub/z)^number; "log": v_hub = v ln(z_hub/number)/ln(z/number), the number a
+    roughness length [m].  `rated_power_W` of the turbine.
+    """
+
+    wind_speed: np.ndarray
+    power_W: np.ndarray
+    hub_height_m: float
+    wind_height_m: float
+    law: str
+    number: float
+    rated_power_W: float
+
+    @property
+    def factor(self) -> float:
+        """Wind speed at hub height over that at the height of the weather's wind [1]."""
+        if self.law == "power":
+            return (self.hub_height_m / self.wind_height_m) ** self.number
+        return math.log(self.hub_height_m / self.number) / math.log(self.wind_height_m / self.number)
+
+    def power(self, wind_speed: np.ndarray) -> np.ndarray:
+        """Power [W] of the wind speeds [m/s] that the weather has; NaN stays NaN, 0 beyond the ends of the
+        curve."""
+        hub = np.asarray(wind_speed, dtype=float) * self.factor
+        found = np.interp(hub, self.wind_speed, self.power_W, left=0.0, right=0.0)
+        return np.where(np.isnan(hub), np.nan, found)
+
+    def words(self) -> str:
+        """How the curve turns the weather's wind into power."""
+        how = (
+            f"power law, exponent {self.number:g}"
+            if self.law == "power"
+            else f"log law, roughness {self.number:g} m"
+        )
+        return (
+            f"power follows the power curve from the weather's wind at {self.wind_height_m:g} m, brought to "
+            f"{self.hub_height_m:g} m by the {how} (factor {self.factor:.3f}); it has no faults, curtailment "
+            "or wakes"
+        )
+
+
+@dataclass(frozen=True)
+class ShearForm:
+    """How the wind grows with height."""
+
+    law: str = setting(help="power: v ∝ z^exponent; log: v ∝ ln(z/roughness_m)", choices=tuple(LAWS))
+    exponent: float | None = setting(None, "of the power law", least=-0.5, most=1.0)
+    roughness_m: float | None = setting(None, "of the logarithmic law", above=0.0)
+
+    @across("law", "exponent", "roughness_m")
+    def number_of_law(self) -> str | None:
+        stated = [name for name in LAWS.values() if getattr(self, name) is not None]
+        if stated == [LAWS[self.law]]:
+            return None
+        found = " and ".join(stated) or "neither"
+        return f'expected {{ law = "{self.law}", {LAWS[self.law]} = … }}, found {found}'
+
+    @property
+    def number(self) -> float:
+        """Exponent or roughness length [m]."""
+        return getattr(self, LAWS[self.law])
+
+
+@dataclass(frozen=True)
+class PowerCurveForm:
+    """A file of a power curve."""
+
+    rated_power_kW: float = setting(help="the rated power of the turbine", above=0.0)
+    wind_speed_m_s: tuple[float, ...] = setting(help="speeds at hub height, rising", least=0.0)
+    power_kW: tuple[float, ...] = setting(help="the power at these speeds", least=0.0)
+    hub_height_m: float = setting(help="the height of the hub", above=0.0)
+    wind_height_m: float = setting(help="the height of the weather's wind", above=0.0)
+    shear: ShearForm = setting(help="how the wind grows with height")
+
+    @across("wind_speed_m_s", "power_kW")
+    def lengths(self) -> str | None:
+        count, other = len(self.wind_speed_m_s), len(self.power_kW)
+        if count == other and count > 1:
+            return None
+        return f"wind_speed_m_s and power_kW: expected as many numbers, 2 at least, found {count} and {other}"
+
+    @across("wind_speed_m_s")
+    def speeds(self) -> str | None:
+        speed = self.wind_speed_m_s
+        if not all(a < b for a, b in itertools.pairwise(speed)):
+            return "wind_speed_m_s: expected rising numbers"
+        if speed and max(speed) > FASTEST_M_S:
+            return (
+                f"wind_speed_m_s: expected speeds up to {FASTEST_M_S:g} m/s, found {max(speed):g}; are they "
+                "in km/h? divide by 3.6"
+            )
+        return None
+
+    @across("power_kW", "rated_power_kW")
+    def powers(self) -> str | None:
+        highest = max(self.power_kW, default=0.0)
+        if RATED[0] <= highest / self.rated_power_kW <= RATED[1]:
+            return None
+        return (
+            f"power_kW: expected a curve that reaches about rated_power_kW = {self.rated_power_kW:g}, "
+            f"found {highest:g} at most; are both in kW? correct one of them"
+        )
+
+    @across("shear", "hub_height_m", "wind_height_m")
+    def roughness(self) -> str | None:
+        if self.shear.law == "power" or self.shear.number < min(self.hub_height_m, self.wind_height_m):
+            return None
+        return f"shear: roughness_m must be below both heights, found {self.shear.number:g}"
+
+
+def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
+    """A power curve from TOML; raises FormFault with everything that is wrong."""
+    form = read_toml_form(PowerCurveForm, path)
+    return PowerCurve(
+        np.array(form.wind_speed_m_s),
+        1e3 * np.array(form.power_kW),
+        form.hub_height_m,
+        form.wind_height_m,
+        form.shear.law,
+        form.shear.number,
+        1e3 * form.rated_power_kW,
+    )
+
+
+def power_from_wind(curve: PowerCurve, record: Record) -> Series:
+    """Power [W], hour by hour, from the wind of a weather record; raises PowerFault where the record has no
+    wind, or wind at another height."""
+    if "wind_speed" not in record:
+        raise PowerFault(
+            f"{record.name}: expected a wind speed for the power curve, found {', '.join(record.signals)}; "
+            "add the weather's wind, or name --power or --standstill"
+        )
+    wind = record["wind_speed"]
+    height = wind.height_m
+    if height is not None and abs(curve.wind_height_m / height - 1.0) > SAME_HEIGHT:
+        raise PowerFault(
+            f"{record.name}: its wind is that at {height:g} m, the power curve has wind_height_m = "
+            f"{curve.wind_height_m:g}; write wind_height_m = {height:g} into the curve's file"
+        )
+    middle = centred(wind)
+    ends = _hours(record)
+    value = at_times(middle, ends - 0.5 * HOUR_S, bridge_h(middle, WIND_BRIDGE_H))
+    return _hourly_power(ends, curve.power(value), wind.source)
+
+
+def years_of_power(power: Series) -> int:
+    """Whole years that a record of power has, one at least."""
+    first, last = power.time[0] - power.interval_s, power.time[-1]
+    return max(1, int(np.floor((last - first) / YEAR_S + 0.05)))
+
+
+def covers(series: Series, record: Record) -> bool:
+    """Whether a series is known over the time of a weather record, give or take two days."""
+    first, last = series.time[0] - series.interval_s, series.time[-1]
+    return first <= record.start_s + 2 * DAY_S and last >= record.end_s - 2 * DAY_S
+
+
+def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
+    """Power [W], hour by hour, for a weather record, and a statement on how it was taken.
+
+    A record that covers the weather's time is taken as it is.  From a record of other years each hour takes
+    the power of the same hour and (within a day) the same day of the year, its years in turn; days of the
+    year that the record lacks are unknown (NaN).
+    """
+    first, last = power.time[0] - power.interval_s, power.time[-1]
+    if covers(power, record):
+        return power, "power follows its record, hour by hour"
+    if last - first < 0.95 * YEAR_S:
+        raise PowerFault(
+            f"{power.source}: expected power over the weather's time or over a whole year, found "
+            f"{(last - first) / DAY_S:.0f} days of other times; use --power-curve, or a longer record"
+        )
+    ends = _hours(record)
+    whole = years_of_power(power)
+    # whole days are moved, so that the hour of the day stays; leap days never add up to more than a part of a
+    # day
+    back = DAY_S * np.round(np.floor((ends - first) / (whole * YEAR_S)) * whole * YEAR_S / DAY_S)
+    at = ends - back
+    at += DAY_S * (at <= first)
+    at -= DAY_S * ((at > last) & (at <= last + DAY_S))
+    value = np.where(at > last, np.nan, at_times(power, at, 1.0))
+    span = "a year" if whole == 1 else f"{whole} years"
+    return _hourly_power(ends, value, power.source), (
+        "power is from another time than the weather, assigned by the time of the year from a record of "
+        f"{span}: "
+        f"it does not match this weather's wind; {_used_words(at[np.isfinite(value)], first, last)}"
+    )
+
+
+def _used_words(at: np.ndarray, first: float, last: float) -> str:
+    """Which part of a record of power from `first` to `last` [s] was used, given the hours [s] taken."""
+    hours = np.unique(at)
+    if not len(hours):
+        return "none of it is known"
+    turns = np.flatnonzero(np.diff(hours) > UNUSED_S)
+    begins, ends = hours[np.append(0, turns + 1)] - HOUR_S, hours[np.append(turns, len(hours) - 1)]
+    spans = list(zip(begins, ends, strict=True))
+    told = [span for span in spans if span[1] - span[0] > UNUSED_S] or spans
+    listed = " and ".join(f"{stamp_text(a)[:10]} … {stamp_text(b)[:10]}" for a, b in told)
+    if (last - first) - float(np.sum(ends - begins)) <= UNUSED_S:
+        return f"all of it, {listed}, is used"
+    return (
+        f"the part {listed} is used, the rest of the record from {stamp_text(first)[:10]} to "
+        f"{stamp_text(last)[:10]} is not; the choice matters, because years differ in their hours of "
+        "standstill"
+    )
+
+
+def standstill(record: Record) -> Series:
+    """No power at all, over the whole of a weather record."""
+    ends = _hours(record)
+    return _hourly_power(ends, np.zeros(len(ends)), "standstill")
+
+
+def _hours(record: Record) -> np.ndarray:
+    """Ends of whole hours [s] over a weather record."""
+    first = np.floor(record.start_s / HOUR_S)
+    return HOUR_S * np.arange(first, np.ceil(record.end_s / HOUR_S) + 1.0)
+
+
+def _hourly_power(ends: np.ndarray, value: np.ndarray, source: str) -> Series:
+    return Series("active_power", ends, value, interval_s=HOUR_S, source=source)
+
 
 DUTIES = ("preheating", *ACTUATORS)
 """Signals of what is switched in a cabinet; they go with the power."""

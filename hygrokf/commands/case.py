@@ -8,9 +8,9 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from dataclasses import replace
 from pathlib import Path
 
-from hygrokf.commands.activity import activity
 from hygrokf.commands.console import (
     UserFault,
+    activity,
     expect_file,
     expect_own_directory,
     printable,

@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.activity import activity
 from hygrokf.commands.console import (
     Progress,
     UserFault,
+    activity,
     collected,
     expect_own_directory,
     faults_of,
@@ -22,8 +22,7 @@ from hygrokf.data.files import CLIMATE
 if TYPE_CHECKING:
     from hygrokf.climate.chamber import ProfilePlan
     from hygrokf.climate.limits import Limit
-    from hygrokf.climate.power import PowerCurve
-    from hygrokf.climate.region import Region
+    from hygrokf.climate.region import PowerCurve, Region
     from hygrokf.data.record import Record
     from hygrokf.identification.fit import Fit
     from hygrokf.physics.cold_surface import Surface
@@ -116,8 +115,7 @@ def _inputs(
     """What the files of a command line hold.  Raises UserFault with the faults of all of them."""
     from hygrokf.climate.chamber import read_test_plan
     from hygrokf.climate.limits import limits_of
-    from hygrokf.climate.power import read_power_curve
-    from hygrokf.climate.region import read_power, read_region
+    from hygrokf.climate.region import read_power, read_power_curve, read_region
 
     groups = _regions(options)
     faults: list[str] = []

@@ -7,10 +7,10 @@ import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hygrokf.commands.activity import activity
 from hygrokf.commands.console import (
     Progress,
     UserFault,
+    activity,
     expect_file,
     expect_other,
     expect_own_directory,

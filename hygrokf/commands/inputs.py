@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.activity import activity
-from hygrokf.commands.console import Progress, faults_of
+from hygrokf.commands.console import Progress, activity, faults_of
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record

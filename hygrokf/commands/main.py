@@ -12,8 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hygrokf.commands import case, climate, compare, fit, fleet, pages, store, track
-from hygrokf.commands.activity import Activity, running
-from hygrokf.commands.console import INTERRUPTED, USER_FAULT, UserFault, printable, system_words
+from hygrokf.commands.console import (
+    INTERRUPTED,
+    USER_FAULT,
+    Activity,
+    UserFault,
+    printable,
+    running,
+    system_words,
+)
 from hygrokf.commands.verb import Verb, add_loudness, parsers_of
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.version import __version__

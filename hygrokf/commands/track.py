@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.activity import Loudness, activity
 from hygrokf.commands.console import (
     FOUND,
     INTERRUPTED,
     USER_FAULT,
+    Loudness,
     Progress,
     UserFault,
+    activity,
     expect_directory,
     show,
     system_words,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from hygrokf.commands.activity import Loudness
+from hygrokf.commands.console import Loudness
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ from hygrokf.data.input_paths import ON_CHANGE, on_change
 from hygrokf.data.readings import detect_resolution
 from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.data.timestamps import duration_text, stamp_text, summer_time_holes
-from hygrokf.drafting.behaviour import rated_power
 from hygrokf.drafting.layout import Export, read_export
-from hygrokf.drafting.mapping import Assigned, Source, assigned, source_of
+from hygrokf.drafting.mapping import Assigned, Source, assigned, rated_power, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError

@@ -19,8 +19,8 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.mapping_form import MappingForm, expect_one_place, source_forms, source_mappings, texts
-from hygrokf.live.notification.channel import Channel
 from hygrokf.live.notification.form import channel_of
+from hygrokf.live.notification.notices import Channel
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.restart_advice import heating_sd

@@ -17,8 +17,7 @@ from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.live.plan import Form
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import FORMATS, JSON, PLAIN
-from hygrokf.live.sources.payload_paths import RECEIVED, alternatives, path_fault, pattern_fault
-from hygrokf.live.sources.payload_values import Clock
+from hygrokf.live.sources.payload_values import RECEIVED, Clock, alternatives, path_fault, pattern_fault
 from hygrokf.physics.holds import MEAN, PREVIOUS, hold_named
 
 PATHS = ("turbine", "time", "quality", "tag", "value")

@@ -43,7 +43,7 @@ from hygrokf.transfer.comparison import (
     ErrorDifference,
     PairDifference,
 )
-from hygrokf.transfer.course import Course, read_courses, write_courses
+from hygrokf.transfer.results import Course, read_courses, write_courses
 from hygrokf.version import __version__
 
 PERIODS = ("whole", "validation", "identification")

@@ -12,7 +12,7 @@ from hygrokf.data.signals import difference_from_si, signal_named
 from hygrokf.data.timestamps import MINUTE_S, duration_text
 from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
-from hygrokf.weather.alignment import Alignment, Lag
+from hygrokf.weather.clocks import Alignment, Lag
 
 if TYPE_CHECKING:
     from hygrokf.drafting.draft import Draft, DraftedSignal

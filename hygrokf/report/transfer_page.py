@@ -34,20 +34,22 @@ from hygrokf.report.blocks import (
     synthetic,
     table_or,
 )
-from hygrokf.report.figures.transfer import SETS, figure_course, figure_parameters, figure_sets, figure_type
+from hygrokf.report.figures.comparison import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.page import page_html
-from hygrokf.transfer.course import Course, read_courses, write_courses
 from hygrokf.transfer.results import (
     NOT,
     OPEN,
     PARTLY,
     TRANSFERS,
+    Course,
     Decision,
     Transfer,
     TransferResult,
     TransferResults,
+    read_courses,
     transfer_results,
+    write_courses,
 )
 from hygrokf.version import __version__
 

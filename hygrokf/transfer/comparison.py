@@ -29,7 +29,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.transfer.course import Course
+from hygrokf.transfer.results import Course
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:

@@ -37,10 +37,28 @@ from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.physics.parameters import within_limits
-from hygrokf.transfer.baseline import Baseline, Origin, baseline_of, difference
-from hygrokf.transfer.course import Course
-from hygrokf.transfer.groups import OFFSETS, Difference, SelectionStep, members, selection
-from hygrokf.transfer.results import OPEN, Gain, Gains, SetError, Source, Structure, Transfer, TransferResult
+from hygrokf.transfer.baseline import (
+    OFFSETS,
+    Baseline,
+    Difference,
+    Origin,
+    SelectionStep,
+    baseline_of,
+    difference,
+    members,
+    selection,
+)
+from hygrokf.transfer.results import (
+    OPEN,
+    Course,
+    Gain,
+    Gains,
+    SetError,
+    Source,
+    Structure,
+    Transfer,
+    TransferResult,
+)
 from hygrokf.transfer.verdict import MATTERS, groups_of, matters, parameters_of, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")

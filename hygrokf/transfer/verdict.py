@@ -13,11 +13,11 @@ from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.wording import QUANTITIES, RULES
-from hygrokf.transfer.baseline import Baseline
-from hygrokf.transfer.groups import (
+from hygrokf.transfer.baseline import (
     HYGRIC,
     OF_THE_RECORD,
     THERMAL,
+    Baseline,
     Difference,
     SelectionStep,
     members,

@@ -18,13 +18,11 @@ from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.archive import kind_of
-from hygrokf.weather.epw import read_epw
-from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.joining import joined
-from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.open_meteo import read_open_meteo
-from hygrokf.weather.reference_year import is_try, read_try
+from hygrokf.weather.reanalysis import read_era5, read_merra2
 from hygrokf.weather.site_weather import LAPSE_RATE, SAID_FROM_M, at_altitude, distance_km, place_text
+from hygrokf.weather.typical_years import is_try, read_epw, read_try
 
 _READERS: Mapping[str, Callable[[Path, Site | None, int | None], Record]] = {
     "era5": lambda file, site, year: read_era5(file, site),

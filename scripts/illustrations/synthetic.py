@@ -67,7 +67,7 @@ def transfer(directory: Path) -> None:
     """A cabinet that releases and stores heat otherwise."""
     from hygrokf import identify, read_case, synthetic_turbine, write_case
     from hygrokf.cases.synthetic import SyntheticParameters
-    from hygrokf.report.figures.transfer import figure_course, figure_parameters
+    from hygrokf.report.figures.comparison import figure_course, figure_parameters
     from hygrokf.transfer.procedure import transfer_fit
 
     other = SyntheticParameters(

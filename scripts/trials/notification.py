@@ -16,11 +16,9 @@ from builders.waiting import eventually
 
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.notification import sender as sending
-from hygrokf.live.notification.channel import Channel
-from hygrokf.live.notification.mail import Mail
-from hygrokf.live.notification.notices import notices_of
+from hygrokf.live.notification.notices import Channel, notices_of
 from hygrokf.live.notification.sender import Sender
-from hygrokf.live.notification.webhook import Webhook
+from hygrokf.live.notification.transports import Mail, Webhook
 from hygrokf.live.storage.outbox import waiting
 from hygrokf.live.storage.store import open_store
 

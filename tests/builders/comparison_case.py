@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.transfer.comparison import Column
-from hygrokf.transfer.course import Course
+from hygrokf.transfer.results import Course
 
 HOUR = 3600.0
 

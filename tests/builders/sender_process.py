@@ -20,8 +20,8 @@ def started(url: str, port: int) -> subprocess.Popen[bytes]:
 
 def send(url: str, port: str) -> None:
     from hygrokf.live.notification import sender
-    from hygrokf.live.notification.channel import Channel
-    from hygrokf.live.notification.webhook import Webhook
+    from hygrokf.live.notification.notices import Channel
+    from hygrokf.live.notification.transports import Webhook
 
     sender.POLL_S = 0.01
     sender.Sender(Channel("hook", Webhook("127.0.0.1", int(port), tls=False)), url).start()

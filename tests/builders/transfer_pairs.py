@@ -11,7 +11,7 @@ from plants.cabinet import Cabinet
 from plants.plant import plant
 
 from hygrokf.data.record import Record
-from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
+from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
 
 DAY_S = 86400.0
 DAYS, HELD_OUT_DAYS = 60.0, 15.0

@@ -12,8 +12,15 @@ from builders.documents import document
 
 from hygrokf.climate.chamber import ProfilePlan, read_test_plan
 from hygrokf.climate.limits import read_limits
-from hygrokf.climate.power import PowerFault, power_by_season, power_from_wind, read_power_curve, standstill
-from hygrokf.climate.region import driven, read_power
+from hygrokf.climate.region import (
+    PowerFault,
+    driven,
+    power_by_season,
+    power_from_wind,
+    read_power,
+    read_power_curve,
+    standstill,
+)
 from hygrokf.data.record import Record, Series
 from hygrokf.data.toml_form import FormFault
 

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 
 from hygrokf.climate.bounds import bounded
 from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan, read_test_plan
-from hygrokf.climate.chamber_profile import chamber_sequence, closeness, set_points
-from hygrokf.climate.representative_days import Days, choose_days, ordered, shares
+from hygrokf.climate.chamber_profile import (
+    Days,
+    chamber_sequence,
+    choose_days,
+    closeness,
+    ordered,
+    set_points,
+    shares,
+)
 from hygrokf.data.toml_form import FormFault
 
 

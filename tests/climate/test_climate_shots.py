@@ -10,8 +10,7 @@ import pytest
 from builders.climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
-from hygrokf.climate.ensemble import shots_of, simulate_years
-from hygrokf.climate.jump_noise import FEWEST_JUMPS, Shots, shot_words
+from hygrokf.climate.ensemble import FEWEST_JUMPS, Shots, shot_words, shots_of, simulate_years
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood

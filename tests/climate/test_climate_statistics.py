@@ -14,6 +14,7 @@ from hygrokf.climate.bounds import bounded, bounded_array, held
 from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
 from hygrokf.climate.limits import Limit, exceeded, judge_limit
+from hygrokf.climate.procedure import TEMPERATURE_EDGES, curves
 from hygrokf.climate.statistics import (
     STATISTICS,
     excursions,
@@ -23,7 +24,6 @@ from hygrokf.climate.statistics import (
     turning_points,
     wetness_class,
 )
-from hygrokf.climate.years import TEMPERATURE_EDGES, curves
 from hygrokf.report import climate_tables
 
 LAW = Acceleration()

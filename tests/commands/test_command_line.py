@@ -12,8 +12,7 @@ import time
 import pytest
 from builders.command_line import EVALUATE, FIT, SIMULATE, environment, interrupted, run
 
-from hygrokf.commands.activity import Activity, Loudness, activity, running
-from hygrokf.commands.console import Progress
+from hygrokf.commands.console import Activity, Loudness, Progress, activity, running
 from hygrokf.commands.main import SHELLS, VERBS, _parser
 from hygrokf.commands.verb import parsers_of
 

@@ -14,7 +14,7 @@ from builders.documents import document
 from hygrokf.cases.form import CaseForm, StatedColumn, StatedPeriod, StatedSource, StatedWeather
 from hygrokf.climate.chamber import ProfileForm
 from hygrokf.climate.limits import LimitForm
-from hygrokf.climate.power import PowerCurveForm, ShearForm
+from hygrokf.climate.region import PowerCurveForm, ShearForm
 from hygrokf.data.record import Site
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import (

@@ -34,12 +34,19 @@ from builders.waiting import PATIENCE_S, eventually
 
 from hygrokf.commands.main import main
 from hygrokf.live.config import read_config
-from hygrokf.live.doctor import machine as doctor_machine
+from hygrokf.live.doctor import check as doctor_check
 from hygrokf.live.doctor import sources as doctor_sources
 from hygrokf.live.doctor import store as doctor_store
-from hygrokf.live.doctor.check import Check, server_check, stamp_check, worst
+from hygrokf.live.doctor.check import (
+    Check,
+    elapsed_from,
+    machine_checks,
+    server_check,
+    stamp_check,
+    validities,
+    worst,
+)
 from hygrokf.live.doctor.examination import examine, page_checks
-from hygrokf.live.doctor.machine import elapsed_from, machine_checks, validities
 from hygrokf.live.doctor.mqtt import plain_filter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
@@ -96,7 +103,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def folder(plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of it, in which things may be broken; this machine's clock counts as kept."""
-    monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
+    monkeypatch.setattr(doctor_check, "synchronised", lambda: True)
     shutil.copytree(plant, tmp_path / "plant")
     (tmp_path / "plant" / "pw").write_text("right")
     (tmp_path / "plant" / "pw").chmod(0o600)
@@ -312,7 +319,7 @@ def test_a_source_that_stamps_local_time_as_utc(folder: Path) -> None:
 
 
 def test_this_machine_s_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
+    monkeypatch.setattr(doctor_check, "synchronised", lambda: True)
     now = time.time()
     assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
     assert [one.level for one in machine_checks(elapsed_from(), -math.inf)] == ["ok"]
@@ -320,17 +327,17 @@ def test_this_machine_s_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     assert jumped.level == "doubt" and "jumped by +30.0 s" in jumped.found
     (back,) = machine_checks(elapsed_from(), now + 9000.0)
     assert back.level == "fault" and "received 2.5 h in the future" in back.found
-    monkeypatch.setattr(doctor_machine, "synchronised", lambda: False)
+    monkeypatch.setattr(doctor_check, "synchronised", lambda: False)
     (loose,) = machine_checks(elapsed_from(), now)
     assert loose.level == "doubt" and "not synchronised" in loose.found and "NTP" in loose.remedy
-    monkeypatch.setattr(doctor_machine, "synchronised", lambda: None)
+    monkeypatch.setattr(doctor_check, "synchronised", lambda: None)
     assert [one.level for one in machine_checks(elapsed_from(), now)] == ["ok"]
 
 
 def test_the_kernel_is_asked_and_not_told() -> None:
     before = elapsed_from()
-    assert doctor_machine.synchronised() in (True, False, None)
-    assert abs(elapsed_from() - before) < doctor_machine.JUMP_S
+    assert doctor_check.synchronised() in (True, False, None)
+    assert abs(elapsed_from() - before) < doctor_check.JUMP_S
     assert [server_check("x", d).level for d in (0.0, -50.0, 100.0, -5000.0, 1000.0)] == [
         "ok", "ok", "doubt", "doubt", "fault",
     ]  # fmt: skip
@@ -357,7 +364,7 @@ def test_without_cryptography_certificates_are_in_doubt(
     authority(folder).issue("mine")
     file = changed(folder, (FILE, FILE + 'certificate = "mine.crt"\n'))
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    said(list(doctor_machine.file_checks(file)), "doubt", "mine.crt was not examined", "cryptography")
+    said(list(doctor_check.file_checks(file)), "doubt", "mine.crt was not examined", "cryptography")
 
 
 def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
@@ -367,14 +374,14 @@ def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
     past, _ = made.issue("past", "127.0.0.1", days=-1)
     shutil.copy(key, folder / "past.key")
     file = changed(folder, (FILE, FILE + 'certificate = "soon.crt"\nkey = "soon.key"\n'))
-    found = list(doctor_machine.file_checks(file))
+    found = list(doctor_check.file_checks(file))
     said(found, "doubt", "soon.crt is valid for 10 d", "order a new certificate")
     said(found, "doubt", "every user of this machine can read", f"chmod o-rwx {key}")
     file.write_text(file.read_text().replace("soon.crt", "past.crt"))
     # 24 h or 1 d ago, as the seconds fall
-    said(list(doctor_machine.file_checks(file)), "fault", "past.crt has expired ", "replace the certificate")
+    said(list(doctor_check.file_checks(file)), "fault", "past.crt has expired ", "replace the certificate")
     file.write_text(file.read_text().replace("past.crt", "track.toml").replace("soon.key", "none.key"))
-    wrong = list(doctor_machine.file_checks(file))
+    wrong = list(doctor_check.file_checks(file))
     said(wrong, "fault", "expected a certificate", "PEM or DER")
     said(wrong, "fault", "none.key: No such file")
     assert past.exists()

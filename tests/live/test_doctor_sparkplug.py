@@ -19,7 +19,7 @@ from builders.waiting import eventually
 from hygrokf.data.numbers import stated_marks
 from hygrokf.data.toml_form import Place
 from hygrokf.live.config import read_config, stream_of
-from hygrokf.live.doctor import machine as doctor_machine
+from hygrokf.live.doctor import check as doctor_check
 from hygrokf.live.doctor.check import Check
 from hygrokf.live.doctor.examination import examine
 from hygrokf.live.doctor.payloads import try_payloads
@@ -66,7 +66,12 @@ def test_a_sparkplug_table(topics: str) -> None:
 
 def test_a_metric_s_name_may_contain_the_turbine() -> None:
     mapping = replace(
-        MAPPING, turbine="", tag="", value="", tag_pattern="{turbine}/{field}", marks=stated_marks(",", None),
+        MAPPING,
+        turbine="",
+        tag="",
+        value="",
+        tag_pattern="{turbine}/{field}",
+        marks=stated_marks(",", None),
         records="values",
     )
     place = Place("[[source]] 1")
@@ -123,7 +128,7 @@ def broker(tmp_path: Path) -> Iterator[Mosquitto]:
 def look(
     tmp_path: Path, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[str], dict[str, Check]]:
-    monkeypatch.setattr(doctor_machine, "synchronised", lambda: True)
+    monkeypatch.setattr(doctor_check, "synchronised", lambda: True)
     monkeypatch.setattr(sparkplug_node, "REORDER_S", 0.2)
     write_model(tmp_path / "W01")
     file = tmp_path / "track.toml"

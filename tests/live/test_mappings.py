@@ -27,8 +27,15 @@ from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.payloads import as_text, filed, trial
 from hygrokf.live.sources.payload import EARLIEST_S, LATEST_S, Field, PayloadMapping, TurbineReadings
 from hygrokf.live.sources.payload_formats import INFLUX, LARGEST, PLAIN, UNPACKED, Refused
-from hygrokf.live.sources.payload_paths import path_fault, pattern_fault, tag_reader
-from hygrokf.live.sources.payload_values import Clock, measured, number, seconds
+from hygrokf.live.sources.payload_values import (
+    Clock,
+    measured,
+    number,
+    path_fault,
+    pattern_fault,
+    seconds,
+    tag_reader,
+)
 
 NOW = 1_772_367_000.0
 """[s] 2026-03-01T12:10:00Z."""

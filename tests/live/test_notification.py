@@ -25,13 +25,15 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch, Notice, Shelf
 from hygrokf.live.condition import Surface
 from hygrokf.live.config import Config, ConfigFault, read_config
+from hygrokf.live.doctor.check import file_checks
 from hygrokf.live.doctor.examination import channel_checks
-from hygrokf.live.doctor.machine import file_checks
 from hygrokf.live.notification import sender as module
-from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
-from hygrokf.live.notification.mail import Mail
 from hygrokf.live.notification.notices import (
+    Channel,
+    ChannelFault,
+    Content,
     Drop,
+    Message,
     Send,
     Situation,
     Wait,
@@ -41,7 +43,7 @@ from hygrokf.live.notification.notices import (
     notices_of,
 )
 from hygrokf.live.notification.sender import Sender
-from hygrokf.live.notification.webhook import Webhook, secret_bytes
+from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, open_store

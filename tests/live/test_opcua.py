@@ -35,9 +35,8 @@ from hygrokf.live.sources import opcua_client
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.opcua_client import User
+from hygrokf.live.sources.opcua_client import ConnectionFault, Node, Rates, User, node_fault, sample_of
 from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
-from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.stream import BackOff, SourceKeys
 from hygrokf.live.storage.store import open_store
@@ -820,7 +819,7 @@ def test_without_asyncua_the_extra_is_named(started, monkeypatch: pytest.MonkeyP
 
 def test_nothing_of_it_can_write_or_call() -> None:
     folder = Path(module.__file__).parent
-    for file in ("opcua.py", "opcua_client.py", "opcua_samples.py", "opcua_form.py"):
+    for file in ("opcua.py", "opcua_client.py", "opcua_form.py"):
         text = (folder / file).read_text(encoding="utf-8")
         assert not [
             word

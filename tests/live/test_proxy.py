@@ -27,7 +27,7 @@ from builders.waiting import eventually
 
 from hygrokf.live.service import Service
 from hygrokf.live.web import server as web_events
-from hygrokf.live.web.access import HEADERS
+from hygrokf.live.web.exchange import HEADERS
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import PageServer
 

@@ -24,7 +24,7 @@ from hygrokf.live.sources import sparkplug, sparkplug_node
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Refused, Unreadable
 from hygrokf.live.sources.sparkplug import EdgeNodes
-from hygrokf.live.sources.sparkplug_metrics import Released
+from hygrokf.live.sources.sparkplug_node import Released
 
 AT = 1_772_366_400.0
 NAME = "Cabinet/Temperature"

@@ -13,8 +13,8 @@ from builders.page_case import Case, filled, opened
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch
-from hygrokf.live.notification.channel import Channel
-from hygrokf.live.notification.webhook import Webhook
+from hygrokf.live.notification.notices import Channel
+from hygrokf.live.notification.transports import Webhook
 from hygrokf.live.service import Service
 from hygrokf.live.storage.outbox import alarm_of, beginning_with
 from hygrokf.live.web.application import Page
@@ -160,5 +160,3 @@ def test_the_alarms_as_csv(client: httpx.Client, service: Service) -> None:
     rows = {row["id"]: row for row in csv.DictReader(io.StringIO(found.text))}
     assert (rows["csv"]["note"], rows["csv"]["acknowledged_by"]) == ("'" + note, "'@me")
     assert rows["csv"]["cause"] == "defect" and rows["csv"]["ended_utc"] == ""
-
-

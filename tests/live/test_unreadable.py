@@ -18,10 +18,10 @@ from hygrokf.commands.main import main
 from hygrokf.data.quality import VOCABULARIES, QualityVocabulary, stated_vocabulary
 from hygrokf.live.doctor.payloads import as_text, filed, trial
 from hygrokf.live.sources.local import StandardInput, TailedFile
-from hygrokf.live.sources.opcua_samples import Node, sample_of
+from hygrokf.live.sources.opcua_client import Node, sample_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Refused
-from hygrokf.live.sources.sparkplug_metrics import Address, Arrived, Table, contents_of
+from hygrokf.live.sources.sparkplug_node import Address, Arrived, Table, contents_of
 from hygrokf.live.sources.sparkplug_payload import decode
 from hygrokf.live.sources.stream import Delivery
 

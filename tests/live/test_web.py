@@ -22,9 +22,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live.batch import STATES, Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.web import access as web_access
-from hygrokf.live.web.access import Sessions, host_name
+from hygrokf.live.web import exchange as web_access
 from hygrokf.live.web.application import STATIC, Page
+from hygrokf.live.web.exchange import Sessions, host_name
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve
 from hygrokf.version import __version__

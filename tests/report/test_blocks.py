@@ -26,8 +26,7 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
-from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.panels import Panels
+from hygrokf.report.figures.drawing import NothingToShow, Panels
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import block_text, cells, page_text, table_text
 

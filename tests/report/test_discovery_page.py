@@ -44,15 +44,13 @@ from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
     discovery_blocks,
-    write_discovery_report,
-)
-from hygrokf.report.discovery_tables import (
     evidence_table,
     findings_table,
     gains_table,
     held_out_table,
     parameters_table,
     scores_table,
+    write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
     FORMS,

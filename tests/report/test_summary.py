@@ -35,8 +35,16 @@ from hygrokf.climate.limits import Exceedance, Limit
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
 from hygrokf.report.page import page_html
-from hygrokf.report.summary.contents import summary_of_climate, summary_of_discovery, summary_of_fit
-from hygrokf.report.summary.page import MOST_ACTIONS, MOST_ROWS, REMEDIES, Summary, summary_blocks
+from hygrokf.report.summary.contents import (
+    MOST_ACTIONS,
+    MOST_ROWS,
+    REMEDIES,
+    Summary,
+    summary_blocks,
+    summary_of_climate,
+    summary_of_discovery,
+    summary_of_fit,
+)
 from hygrokf.report.summary.writing import SummaryFault, planned, written, written_pdf
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90

@@ -15,8 +15,7 @@ from golden.difference import read
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import plain
 from hygrokf.transfer.comparison import ComparisonResults
-from hygrokf.transfer.course import Course, read_courses, write_courses
-from hygrokf.transfer.results import TransferResults
+from hygrokf.transfer.results import Course, TransferResults, read_courses, write_courses
 
 FILES = {ComparisonResults: "compared/compare.json", TransferResults: "transferred/transfer.json"}
 

@@ -35,7 +35,7 @@ from hygrokf.report.transfer_page import (
     transfer_blocks,
     write_transfer,
 )
-from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
+from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import Gain, Structure, Transfer, TransferResult, transfer_results
 from hygrokf.transfer.verdict import with_verdict

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hygrokf.transfer.groups import (
+from hygrokf.transfer.baseline import (
     DISTURBANCES,
     HEAT,
     HYGRIC,

@@ -13,9 +13,11 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
-from hygrokf.weather.alignment import UNKNOWN, Bounded, align
 from hygrokf.weather.clocks import (
+    UNKNOWN,
+    Bounded,
     ClockError,
+    align,
     alignments,
     clock_errors,
     clock_sentences,

@@ -13,8 +13,8 @@ from builders.measured import DATA, measured
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
-from hygrokf.weather.epw import read_epw
 from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.typical_years import read_epw
 
 TYPICAL = (2006, 2011, 2018, 2006, 2009, 2015, 2007, 2012, 2016, 2010, 2013, 2008)
 
@@ -172,9 +172,7 @@ def test_the_published_file_against_its_plain_columns() -> None:
         np.testing.assert_allclose(record[signal].value, table[column] + offset, atol=1e-9)
     assert record.site == Site(45.0, 8.0, 250.0) and "rain" not in record and "cloud_cover" not in record
     # dew point and relative humidity of the file agree over water, which is how the dew point is read
-    made_of = 100.0 * made.relative_humidity(
-        table[7].to_numpy() + 273.15, table[6].to_numpy() + 273.15
-    )
+    made_of = 100.0 * made.relative_humidity(table[7].to_numpy() + 273.15, table[6].to_numpy() + 273.15)
     cold = (table[6] < 0.0).to_numpy()
     assert cold.sum() > 100
     assert np.median(np.abs(made_of - table[8])[cold]) < 1.5 and np.median(np.abs(made_of - table[8])) < 1.5

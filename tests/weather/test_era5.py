@@ -16,9 +16,9 @@ from builders.faults import faults_of
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.weather import archive
-from hygrokf.weather.era5 import point_record, read_era5, short_name
 from hygrokf.weather.gridded import point_fields
 from hygrokf.weather.reading import read_weather_file
+from hygrokf.weather.reanalysis import point_record, read_era5, short_name
 
 if TYPE_CHECKING:
     import xarray

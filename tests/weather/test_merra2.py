@@ -13,9 +13,8 @@ from builders.moist_air import specific_humidity
 
 from hygrokf.data.record import Site
 from hygrokf.physics.psychrometrics import saturation_pressure_water
-from hygrokf.weather.era5 import read_era5
-from hygrokf.weather.merra2 import read_merra2
 from hygrokf.weather.reading import form_of, read_weather
+from hygrokf.weather.reanalysis import read_era5, read_merra2
 
 SITE = Site(48.48, 5.57, 400.0)  # nearest to the middle cell
 START_S = np.datetime64("2021-03-01T00:00", "s").astype(np.int64).astype(float)

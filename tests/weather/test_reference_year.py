@@ -12,7 +12,7 @@ from builders.weather_case import relative_humidity
 
 from hygrokf.data.record import Site
 from hygrokf.weather.reading import form_of, read_weather
-from hygrokf.weather.reference_year import geographic, read_try
+from hygrokf.weather.typical_years import geographic, read_try
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,23 @@
-"""A result of the doctor: level, finding and remedy; and the checks that sources of every kind share."""
+"""A result of the doctor: level, finding and remedy; the checks that sources of every kind share; and those
+of this machine's clock, and of the certificates and secret files that a tracker's file names."""
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Iterable, Iterator
+import os
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import Any
 
-from hygrokf.data.timestamps import HOUR_S, duration_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, stamp_text
+from hygrokf.data.toml_form import read_toml
 from hygrokf.identification.wording import one_line
-from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.endpoint import OTHERS_READ
+from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_values import AHEAD_S
 
 LEVELS = ("ok", "doubt", "fault")
@@ -109,3 +117,143 @@ def server_check(about: str, difference_s: float) -> Check:
     side = "ahead of" if difference_s > 0.0 else "behind"
     said = f"its clock is {lasting(abs(difference_s))} {side} this machine's clock"
     return (fault if difference_s > AHEAD_S else doubt)(about, said, "synchronise both clocks by NTP")
+
+
+JUMP_S = 0.5
+"""Tolerated jump of this machine's clock against elapsed time [s]."""
+_ERROR = 5
+"""Return value of adjtimex if the kernel's clock is not synchronised (TIME_ERROR)."""
+_SET = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or chrony)"
+SOON_S = 30.0 * DAY_S
+"""Remaining validity [s] below which a certificate should be replaced."""
+CERTIFICATES = ("certificate", "ca", "server_certificate")
+SECRETS = ("key", "password_file", "token_file", "secret_file")
+
+
+def synchronised() -> bool | None:
+    """Whether this machine's clock is synchronised according to the kernel; None if unknown."""
+    try:
+        read = ctypes.CDLL(None).adjtimex
+    except (OSError, TypeError, AttributeError):
+        return None
+    state = read(ctypes.create_string_buffer(512))  # all zeros: only read, set nothing
+    return None if state < 0 else state != _ERROR
+
+
+def elapsed_from() -> float:
+    """The time [s since 1970] at which elapsed time began, by this machine's clock as it is now."""
+    return time.time() - time.monotonic()
+
+
+def machine_checks(began: float, received_s: float) -> Iterator[Check]:
+    """Check this machine's clock; `began`: `elapsed_from` at the start of the examination [s]; `received_s`:
+    arrival of the store's newest reading [s], −∞ if unknown."""
+    jump_s, known, before = elapsed_from() - began, synchronised(), time.time() - received_s
+    if abs(jump_s) > JUMP_S:
+        yield doubt("clock", f"it jumped by {jump_s:+.1f} s during this examination", _SET)
+    if before < -CLOSE_S:
+        yield fault(
+            "clock",
+            f"the store has readings received {lasting(-before)} in the future: the clock was ahead then, "
+            "or is behind now",
+            _SET,
+        )
+    if known is False:
+        yield doubt("clock", "the kernel reports that it is not synchronised", _SET)
+    elif abs(jump_s) <= JUMP_S and before >= -CLOSE_S:
+        yield ok(
+            "clock",
+            "it is synchronised by NTP" if known else "it runs evenly; whether it is synchronised is unknown",
+        )
+
+
+# -- certificates and secrets --------------------------------------------------------------------------------
+def file_checks(file: Path) -> Iterator[Check]:
+    """Check all files that a tracker's file names; that file must be valid."""
+    content = read_toml(file)[1]
+    for where, table in _tables(content):
+        for key in (*CERTIFICATES, *SECRETS):
+            if not isinstance(table.get(key), str):
+                continue
+            about, path = f"{where} {key}", file.parent / table[key]
+            try:
+                yield _secret(about, path) if key in SECRETS else _certificate(about, path, key)
+            except OSError as error:
+                yield fault(about, f"{path}: {error.strerror}", "restore it, or name another file")
+
+
+def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    if isinstance(content.get("page"), dict):
+        yield "[page]", content["page"]
+    for name in ("source", "notify"):
+        for number, table in enumerate(content.get(name, []), start=1):
+            yield f"[[{name}]] {number}", table
+
+
+def _secret(about: str, path: Path) -> Check:
+    """Whether others may read a secret; always fine on systems without such permissions."""
+    if os.name == "posix" and path.stat().st_mode & OTHERS_READ:
+        return doubt(about, f"every user of this machine can read {path}", f"chmod o-rwx {path}")
+    return ok(about, f"other users cannot read {path}")
+
+
+def _certificate(about: str, path: Path, key: str) -> Check:
+    try:
+        found = validities(path.read_bytes())
+    except ValueError as error:
+        return fault(about, f"{path}: {error}", "name a file with a certificate, PEM or DER")
+    except ImportError:
+        return unread_certificate(about, str(path))
+    # a chain expires with the first of its certificates; of several trusted CAs the last one to expire counts
+    ends = (max if key == "ca" else min)(found, key=lambda one: one.end)
+    check = validity_check(about, ends, str(path))
+    if (
+        key == "server_certificate" and check.level == "fault"
+    ):  # the pinned certificate is only compared, its validity is not checked
+        return doubt(about, check.found, check.remedy)
+    return check
+
+
+def validity_check(about: str, found: Validity, where: str) -> Check:
+    """How long a certificate remains valid."""
+    now = time.time()
+    if found.begin > now:
+        return fault(
+            about, f"{where} is not valid before {stamp_text(found.begin)}", "compare the clocks, or wait"
+        )
+    if found.end < now:
+        return fault(about, f"{where} has expired {lasting(now - found.end)} ago", "replace the certificate")
+    left = f"{where} is valid for {lasting(found.end - now)}"
+    if found.end - now < SOON_S:
+        return doubt(about, left, "order a new certificate now")
+    return ok(about, left)
+
+
+def unread_certificate(about: str, where: str) -> Check:
+    """The check of a certificate that cannot be read because cryptography is missing."""
+    return doubt(about, f"{where} was not examined: cryptography is missing", "pip install cryptography")
+
+
+@dataclass(frozen=True)
+class Validity:
+    """A certificate is valid from `begin` to `end` [s since 1970]."""
+
+    begin: float
+    end: float
+
+
+def validities(content: bytes) -> list[Validity]:
+    """Validity of every certificate in a PEM file, or of the one in a DER file.
+
+    Raises ValueError if the content is no certificate, ImportError without cryptography.
+    """
+    from cryptography import x509
+
+    try:
+        if b"-----BEGIN" in content:
+            found = x509.load_pem_x509_certificates(content)
+        else:
+            found = [x509.load_der_x509_certificate(content)]
+    except ValueError as fault:
+        raise ValueError("expected a certificate, found something else") from fault
+    return [Validity(c.not_valid_before_utc.timestamp(), c.not_valid_after_utc.timestamp()) for c in found]

@@ -20,11 +20,20 @@ from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
-from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
-from hygrokf.live.doctor.machine import elapsed_from, file_checks, machine_checks
+from hygrokf.live.doctor.check import (
+    LEVELS,
+    Check,
+    doubt,
+    elapsed_from,
+    fault,
+    file_checks,
+    machine_checks,
+    ok,
+    worst,
+)
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
-from hygrokf.live.notification.channel import Channel, ChannelFault, Message
+from hygrokf.live.notification.notices import Channel, ChannelFault, Message
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import Reading, Tracker, record_of

@@ -17,13 +17,24 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
-from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities, validity_check
+from hygrokf.live.doctor.check import (
+    SECRETS,
+    Check,
+    doubt,
+    fault,
+    lasting,
+    ok,
+    payload_checks,
+    stamp_check,
+    unread_certificate,
+    validities,
+    validity_check,
+)
 from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
+from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.payload_formats import Content, Unreadable
-from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.sparkplug import ASK, EdgeNodes, Sparkplug
 from hygrokf.live.sources.sparkplug_node import UNEXPLAINED
 from hygrokf.live.sources.stream import SourceFault, several

@@ -25,9 +25,8 @@ from hygrokf.live.doctor.mqtt import doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
 from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping
+from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
-from hygrokf.live.sources.payload_statistics import PayloadStatistics
 from hygrokf.live.sources.stream import Delivery, Stream
 from hygrokf.live.tracker import Reading
 

@@ -29,9 +29,8 @@ from hygrokf.live.doctor.mqtt import mqtt_checks, sparkplug_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.opcua_client import Connection
-from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Sample
-from hygrokf.live.sources.payload_statistics import PayloadStatistics
+from hygrokf.live.sources.opcua_client import Connection, ConnectionFault, HistoryFault, Node, Sample
+from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
 from hygrokf.live.sources.sparkplug import Sparkplug
 from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream, several

@@ -14,10 +14,8 @@ from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.live.alarms import RULES
-from hygrokf.live.notification.channel import Channel, ChannelFault
-from hygrokf.live.notification.mail import Mail
-from hygrokf.live.notification.notices import SEVERITIES
-from hygrokf.live.notification.webhook import Webhook
+from hygrokf.live.notification.notices import SEVERITIES, Channel, ChannelFault
+from hygrokf.live.notification.transports import Mail, Webhook
 from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, Address, password_of
 from hygrokf.live.sources.stream import SourceFault
 

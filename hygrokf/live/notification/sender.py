@@ -16,9 +16,12 @@ from contextlib import suppress
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
-from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
 from hygrokf.live.notification.notices import (
+    Channel,
+    ChannelFault,
+    Content,
     Drop,
+    Message,
     Send,
     Situation,
     Wait,

@@ -26,7 +26,7 @@ from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.plan import Form
 from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.payload_formats import JSON, LARGEST, Content, Unreadable
-from hygrokf.live.sources.payload_paths import RECEIVED
+from hygrokf.live.sources.payload_values import RECEIVED
 from hygrokf.live.sources.stream import (
     PAUSE_S,
     Delivery,

@@ -18,7 +18,7 @@ from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.sparkplug import Sparkplug
-from hygrokf.live.sources.sparkplug_metrics import NAMESPACE
+from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceFault, SourceKeys
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}

@@ -17,8 +17,17 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from hygrokf.data.structured import Json, JsonObject
-from hygrokf.live.sources.opcua_client import Connection, Security, User
-from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
+from hygrokf.live.sources.opcua_client import (
+    Connection,
+    ConnectionFault,
+    HistoryFault,
+    Node,
+    Rates,
+    Sample,
+    Security,
+    User,
+    library,
+)
 from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import (

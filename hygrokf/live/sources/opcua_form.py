@@ -16,8 +16,7 @@ from hygrokf.data.toml_form import Place, across, entry_name, setting
 from hygrokf.errors import suggestion
 from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, bracketed, is_loopback, password_of
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.opcua_client import HELD, Security, User
-from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault
+from hygrokf.live.sources.opcua_client import HELD, ConnectionFault, Node, Rates, Security, User, node_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import SourceFault, SourceKeys
 
@@ -122,7 +121,6 @@ class ServerForm(SourceKeys):
 @dataclass(frozen=True)
 class OpcUaForm(SecurityForm, ServerForm):
     """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
-
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""

@@ -19,8 +19,7 @@ from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
 from hygrokf.live.sources.mqtt_link import Arrival, Link
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
-from hygrokf.live.sources.sparkplug_metrics import NAMESPACE, Arrived, Released, address_of
-from hygrokf.live.sources.sparkplug_node import EdgeNode
+from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
 from hygrokf.live.sources.stream import Delivery, Receipt, SourceState, several
 

@@ -16,8 +16,7 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import StoreFault
-from hygrokf.live.web.access import Access, guard
-from hygrokf.live.web.exchange import posted_json, refusal, reply
+from hygrokf.live.web.exchange import Access, guard, posted_json, refusal, reply
 from hygrokf.live.web.margins import MarginsKept
 from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings

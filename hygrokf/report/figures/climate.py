@@ -18,10 +18,10 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    Panels,
     area_handle,
     line_handle,
 )
-from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

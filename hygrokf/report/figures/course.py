@@ -25,6 +25,7 @@ from hygrokf.report.figures.drawing import (
     SHADE,
     SIMULATED,
     NothingToShow,
+    Panels,
     area_handle,
     calendar,
     courses,
@@ -38,7 +39,6 @@ from hygrokf.report.figures.drawing import (
     shade,
     stretches,
 )
-from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -22,6 +22,7 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    Panels,
     area_handle,
     calendar,
     courses,
@@ -30,7 +31,6 @@ from hygrokf.report.figures.drawing import (
     line_handle,
     shade,
 )
-from hygrokf.report.figures.panels import Panels
 from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label, held_out
 
 if TYPE_CHECKING:

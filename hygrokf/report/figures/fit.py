@@ -33,11 +33,11 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     WARM_TO_COLD,
     NothingToShow,
+    Panels,
     line_handle,
     logarithmic,
 )
 from hygrokf.report.figures.innovations import figure_innovations
-from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

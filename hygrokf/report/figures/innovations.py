@@ -26,13 +26,13 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    Panels,
     calendar,
     empty,
     line,
     logarithmic,
     segments,
 )
-from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,6 +32,7 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    Panels,
     area_handle,
     calendar,
     empty,
@@ -40,7 +41,6 @@ from hygrokf.report.figures.drawing import (
     means,
 )
 from hygrokf.report.figures.innovations import correlation, correlation_reach, periodogram
-from hygrokf.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -23,8 +23,13 @@ from hygrokf.errors import HygrokfError
 from hygrokf.report.figures.drawing import FONTS, expect_matplotlib
 from hygrokf.report.fit_page import read_results
 from hygrokf.report.page import page_html
-from hygrokf.report.summary.contents import summary_of_climate, summary_of_discovery, summary_of_fit
-from hygrokf.report.summary.page import Summary, summary_blocks
+from hygrokf.report.summary.contents import (
+    Summary,
+    summary_blocks,
+    summary_of_climate,
+    summary_of_discovery,
+    summary_of_fit,
+)
 
 
 class SummaryFault(HygrokfError):

@@ -1,4 +1,5 @@
-"""Read ERA5 as the Climate Data Store delivers it: NetCDF in either layout, ZIP, CSV of the point product."""
+"""Read reanalyses. MERRA-2 of NASA: hourly means of tavg1_2d_slv_Nx (M2T1NXSLV) and its sisters. ERA5 as the
+Climate Data Store delivers it: NetCDF in either layout, ZIP, CSV of the point product."""
 
 from __future__ import annotations
 
@@ -13,17 +14,120 @@ import numpy as np
 from hygrokf.data.columns import Notation, TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
-from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, modal_step, stamp_text
+from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, duration_text, modal_step, stamp_text
+from hygrokf.physics.psychrometrics import dew_point, vapour_pressure_from_specific_humidity
 from hygrokf.weather.archive import FORMATS_OF_KINDS, Content, contents, read_each
 from hygrokf.weather.gridded import Field, PointFields, open_dataset, point_fields
 from hygrokf.weather.joining import joined
 from hygrokf.weather.site_weather import SiteWeather, converted, place_text, unit_in_weather
 
+_MERRA2_FIELDS = {
+    # field: a signal in its unit, the unit where the file states none
+    "T2M": ("ambient_temperature", "K"), "T2MDEW": ("ambient_dew_point_temperature", "K"),
+    "PS": ("ambient_pressure", "Pa"), "SWGDN": ("global_horizontal_irradiance", "W/m2"),
+    "CLDTOT": ("cloud_cover", "1"), **dict.fromkeys(("PRECTOTCORR", "PRECTOT"), ("rain", "kg m-2 s-1")),
+    **dict.fromkeys(("U50M", "V50M", "U10M", "V10M", "U2M", "V2M"), ("wind_speed", "m/s")),
+}  # fmt: skip
+"""Fields of MERRA-2 that are used besides QV2M: single levels, radiation, precipitation."""
+_BY_MASS = (None, "kg kg-1", "kg/kg", "1")
+_SHORT_NAMES = {"PHIS": "z", "QV2M": "QV2M", **{name: name for name in _MERRA2_FIELDS}}
+"""Used fields; the geopotential of the ground is one of the constant fields const_2d_asm_Nx [m²/s²]."""
+WIND_HEIGHTS_M = (50, 10, 2)
+"""[m] heights of the wind, the preferred one first."""
+
+
+def read_merra2(path: str | os.PathLike[str], site: Site | None = None) -> Record:
+    """Record of ambient signals from a file of MERRA-2, in SI units and UTC.
+
+    path: NetCDF-4 as delivered (a day each), a subset of it as NetCDF-4 or NetCDF-3, or a ZIP archive of
+        these. site: the nearest cell of a grid is used; may be None for a file of one point.
+
+    All fields are means over an hour whose middle is the stamp (00:30, 01:30, …): every series holds over
+    the hour that ends half an hour after its stamp.  Humidity is the specific humidity QV2M, vapour mass per
+    mass of moist air, at the pressure PS: e = q p / (ε + (1 − ε) q), and the dew point is that over water; a
+    file without them gives T2MDEW.
+
+    Raises TableFault with every fault and, for an archive, its member.
+    """
+    file = Path(path)
+    found, digest = contents(file)
+    records = read_each(found, lambda one: _merra2_record(one, file.name, site, digest))
+    if not any("ambient_temperature" in one for one in records):
+        raise TableFault("no temperature T2M in any of its files: ask for the collection M2T1NXSLV")
+    return joined(records, file.name)
+
+
+def _merra2_record(one: Content, file: str, site: Site | None, digest: str) -> Record:
+    """The record of one file."""
+    if not one.kind.startswith("netcdf"):
+        raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
+    points = point_fields(open_dataset(one.data, one.kind), file, _SHORT_NAMES.get, site)
+    # a stamp is the middle of its hour; a record has ends
+    order = np.argsort(points.time, kind="stable")
+    weather = SiteWeather(file, points.time[order] + 30.0 * MINUTE_S, points.place)
+    weather.warnings += points.warnings
+    weather.faults += _time_faults(points.time)
+    value: dict[str, np.ndarray] = {}
+    for name, field in points.fields.items():
+        raw = np.asarray(field.value, dtype=float)[order]
+        if name in _MERRA2_FIELDS:
+            signal, own = _MERRA2_FIELDS[name]
+            raw = converted(name, raw, own if field.unit is None else field.unit, signal, weather.faults)
+        elif field.unit not in _BY_MASS:
+            weather.faults.append(f'{name}: unknown unit "{field.unit}"; expected kg kg-1')
+        value[name] = raw
+    _add_merra2_fields(weather, value)
+    return weather.record(points.site, digest)
+
+
+def _time_faults(time: np.ndarray) -> list[str]:
+    """The faults of stamps [s]: doubled ones, and those that are not the middles of hours."""
+    if not len(time):
+        return ["has no hour in it: fetch it again"]
+    faults = []
+    if len(np.unique(time)) < len(time):
+        faults.append("stamps occur more than once: the files of two days or versions were merged wrongly")
+    off = np.abs(np.mod(time, HOUR_S) - 30.0 * MINUTE_S) > 1.0
+    if off.any():
+        faults.append(
+            f"{int(off.sum())} of {len(time)} stamps are not half past the hour; expected hourly means "
+            "(tavg1_…), not instants (inst…) or means over three hours: ask for M2T1NXSLV"
+        )
+    return faults
+
+
+def _add_merra2_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
+    """Add the series, means over the hour, from values (T,) of the fields in SI units."""
+    if "QV2M" in value and "PS" in value:
+        vapour = vapour_pressure_from_specific_humidity(value["QV2M"], value["PS"])
+        weather.add("ambient_dew_point_temperature", np.asarray(dew_point(vapour)), "QV2M and PS", mean=True)
+    elif "T2MDEW" in value:
+        weather.add("ambient_dew_point_temperature", value["T2MDEW"], "T2MDEW", mean=True)
+    elif "QV2M" in value:
+        weather.faults.append("QV2M is a humidity by mass and needs the pressure PS: ask for it too")
+    elif "T2M" in value:
+        weather.warnings.append("no QV2M and no T2MDEW: this weather has no humidity; ask for QV2M and PS")
+    rain = next((name for name in ("PRECTOTCORR", "PRECTOT") if name in value), "")
+    for name in ("T2M", "PS", "SWGDN", "CLDTOT", rain):
+        if name in value:
+            number = np.maximum(value[name], 0.0) if name in ("SWGDN", rain) else value[name]
+            weather.add(_MERRA2_FIELDS[name][0], number, name, mean=True)
+    for height in WIND_HEIGHTS_M:
+        east, north = value.get(f"U{height}M"), value.get(f"V{height}M")
+        if east is None or north is None:
+            continue
+        weather.add_wind(east, north, f"U{height}M and V{height}M", height_m=float(height), mean=True)
+        weather.warnings.append(
+            f"wind_speed is measured at {height} m, not at hub height; speed of the hour's mean wind"
+        )
+        break
+
+
 NO_HUMIDITY = (
     "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
 )
 _IRRADIANCE = "global_horizontal_irradiance"
-_FIELDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
+_ERA5_FIELDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "t2m": ("ambient_temperature", "K", ("2m_temperature", "2t", "t_2m", "VAR_2T")),
     "d2m": ("ambient_dew_point_temperature", "K", ("2m_dewpoint_temperature", "2d", "d_2m", "VAR_2D")),
     "sp": ("ambient_pressure", "Pa", ("surface_pressure", "surf_pres")),
@@ -62,7 +166,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     file = Path(path)
     found, digest = contents(file)
     alone = len(found) == 1
-    records = read_each(found, lambda one: _content_record(one, file.name, site, digest, alone))
+    records = read_each(found, lambda one: _era5_record(one, file.name, site, digest, alone))
     known = [one for one in records if one is not None]
     signals = {signal for one in known for signal in one.signals}
     if "ambient_temperature" not in signals:
@@ -75,7 +179,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     return record
 
 
-def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
+def _era5_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
     """The record of one member; None for a further member without a known field, such as one of waves."""
     if (form := FORMATS_OF_KINDS.get(one.kind, "era5")) != "era5":
         raise TableFault(f'expected a file of ERA5, found {one.kind}; state format = "{form}"')
@@ -128,7 +232,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
 
 def short_name(name: str) -> str | None:
     """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for an unused field."""
-    for short, (_, _, others) in _FIELDS.items():
+    for short, (_, _, others) in _ERA5_FIELDS.items():
         if {name, name.lower()} & {short, *others}:
             return short
     return None
@@ -162,7 +266,7 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     if not fresh.all():
         weather.warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
     value = _values(weather, given, order[fresh])
-    _add_fields(weather, given, value)
+    _add_era5_fields(weather, given, value)
     if temperature and "d2m" not in value:
         weather.warnings.append(NO_HUMIDITY)
     return weather.record(points.site, sha256)
@@ -175,7 +279,7 @@ def _values(
     value: dict[str, np.ndarray] = {}
     for short, (name, one) in given.items():
         if short != "z":
-            signal, own, _ = _FIELDS[short]
+            signal, own, _ = _ERA5_FIELDS[short]
             raw = np.asarray(one.value, dtype=float)[places]
             endless = np.isinf(raw)
             if endless.any():
@@ -199,7 +303,7 @@ def _values(
     return value
 
 
-def _add_fields(
+def _add_era5_fields(
     weather: SiteWeather, given: Mapping[str, tuple[str, Field]], value: Mapping[str, np.ndarray]
 ) -> None:
     """Add the series; radiation and rain belong to the hour before their stamp."""
@@ -207,7 +311,7 @@ def _add_fields(
     def named(*shorts: str) -> dict[str, Any]:
         stated = {one: given[one][1].unit for one in shorts}
         units = dict.fromkeys(
-            f'the unit "{unit}"' if unit else f"no unit, so {_FIELDS[one][1]} was taken"
+            f'the unit "{unit}"' if unit else f"no unit, so {_ERA5_FIELDS[one][1]} was taken"
             for one, unit in stated.items()
         )
         remedy = f"the file states {' and '.join(units)}; correct it or fetch the file again"
@@ -215,7 +319,7 @@ def _add_fields(
 
     for short in ("t2m", "d2m", "sp", "tcc"):
         if short in value:
-            weather.add(_FIELDS[short][0], value[short], **named(short))
+            weather.add(_ERA5_FIELDS[short][0], value[short], **named(short))
     sun = next((one for one in ("ssrd", "avg_sdswrf") if one in value), None)
     if sun is not None:
         weather.add(_IRRADIANCE, np.maximum(value[sun], 0.0), mean=True, **named(sun))  # NaN stays NaN
@@ -238,7 +342,7 @@ def _power_for_energy(
     short: str, name: str, unit: str | None, time: np.ndarray, value: np.ndarray
 ) -> list[str]:
     """The fault of radiation in W/m² that is taken for J/m² and becomes 3600 times too small."""
-    signal, own, _ = _FIELDS[short]
+    signal, own, _ = _ERA5_FIELDS[short]
     if signal != _IRRADIANCE or unit_in_weather(unit or own, signal) in (None, ("W/m2", 1.0)):
         return []
     known = value[np.isfinite(value)]
