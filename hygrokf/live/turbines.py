@@ -151,8 +151,7 @@ class Fleet:
                 fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
             pairs = structured(dict[str, tuple[float, float]], known.get("deviations", {}))
             fleet.deviations[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
-            shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
-            fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
+            fleet.shifts[name] = structured(dict[str, ParameterShift], known.get("parameter_shifts", {}))
             fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
             if known.get("finding"):
                 fleet.findings[name] = structured(Finding, known["finding"])

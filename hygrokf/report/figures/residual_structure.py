@@ -10,7 +10,7 @@ import itertools
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
-Correlations: TypeAlias = tuple[CrossCorrelation | None, ...]
 COLOURS = (SIMULATED, AFTER)
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
