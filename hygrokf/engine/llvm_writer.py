@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from hygrokf.engine.jit import has_fused_multiply_add
+from hygrokf.engine.jit import has_fused_multiply_add, without_subnormals
 from hygrokf.physics.expression import Expression, Graph
 
 LANES = 8
@@ -28,7 +28,7 @@ _OPERATION = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 
 def declarations() -> str:
     """Declarations that every module needs."""
-    lines = []
+    lines = [without_subnormals()[0]]
     for kind in (SCALAR, VECTOR, vector(RUNS)):
         lines.append(f"declare {kind} @llvm.fma.{_suffix(kind)}({kind}, {kind}, {kind})")
         lines += [f"declare {kind} @llvm.{name}.{_suffix(kind)}({kind})" for name in ("exp", "log", "sqrt")]
@@ -71,8 +71,9 @@ class Writer:
         # `noalias` holds by construction: callers pass separate arrays
         kinds = {"ptr": "ptr noalias nocapture"}
         arguments = ", ".join(f"{kinds.get(kind, kind)} %{name}" for kind, name in self._arguments)
+        _, enter, leave = without_subnormals()
         body = "\n".join([*self._slots, *self._lines])
-        return f"define void @{self._name}({arguments}) {{\nentry:\n{body}\n  ret void\n}}\n"
+        return f"define void @{self._name}({arguments}) {{\nentry:\n{enter}{body}\n{leave}  ret void\n}}\n"
 
     # -- plain instructions ----------------------------------------------------------------------------------
     def line(self, text: str) -> None:
