@@ -548,7 +548,7 @@ class Likelihood:
             loglik=self._loglik(sums) if gain else loglik_of(sums),
             last=Gaussian(state[:n].copy(), covariances(r, state), float(self.timeline.time[-1])),
         )
-        if not self.square_root and (math.isnan(found.loglik) or found.negative):
+        if not self.square_root and (math.isnan(found.loglik) or found.lost):
             return self._in_factors._traced(values, gain, start)
         if r.unknown:
             found.variance[np.isnan(found.variance)] = math.inf

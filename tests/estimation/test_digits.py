@@ -84,7 +84,7 @@ def test_wide_starts_and_exact_readings_have_all_digits_or_are_refused(sensors: 
             expected, means, covariances = filtered(steps, rows, [noise] * sensors, start, y)
             assert found == pytest.approx(expected, abs=1e-6)
             assert likelihood.score(values)[0] == pytest.approx(expected, abs=1e-6)
-            assert trace.loglik == pytest.approx(found, abs=1e-9)
+            assert trace.loglik == pytest.approx(expected, abs=1e-6)
             for some in (trace.prior_covariance, trace.covariance, smoothed):
                 assert np.einsum("tii->ti", some).min() >= 0.0
             spread = np.sqrt(np.einsum("tii->ti", covariances))
