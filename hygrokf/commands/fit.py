@@ -146,7 +146,7 @@ def _simulate_arguments(parser: ArgumentParser) -> None:
 
 def _simulate(options: Namespace) -> int:
     from hygrokf.data.files import write_text_whole
-    from hygrokf.identification.fit_on_record import simulation_csv, simulation_summary
+    from hygrokf.identification.fit_on_record import simulate_fit, simulation_csv, simulation_summary
     from hygrokf.identification.verdict_terms import verdict_lines
 
     expect_file(options.out)
@@ -155,8 +155,9 @@ def _simulate(options: Namespace) -> int:
     sources = (options.case.parent / file for file, _ in record.provenance)
     expect_other(options.out, options.fit, options.fit / files.FIT, options.case, *sources)
     with faults_of(options.case):
-        text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
-    write_text_whole(options.out, text)
+        _, run, predicted = simulate_fit(fit, record)
+        summary = simulation_summary(fit, record, run, predicted)
+    write_text_whole(options.out, simulation_csv(run, predicted))
     for sentence in summary.statements:
         activity().note(f"note: {sentence}")
     lines = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]

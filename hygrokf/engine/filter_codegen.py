@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
+from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
-from hygrokf.engine.traced_filter import INSTANT, Block, Recursion, place, trace_width
+from hygrokf.engine.traced_filter import INSTANT, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
 COMMON = [
@@ -96,17 +97,20 @@ class Emission(Stages):
             test = w.value(f"and i32 {flags}, {1 << bit}")
             with w.when(w.value(f"icmp ne i32 {test}, 0")):
                 w.store(kind, zero, slots[indices[state]])
-                for other in range(r.n):
+                # of factors, its row of L and its own share; its column is what others took from it
+                for other in range(state if r.factored else r.n):
                     w.store(kind, zero, slots[indices[r.n + place(state, other)]])
-                    if r.diffuse:
-                        w.store(kind, zero, slots[indices[r.n + r.q + place(state, other)]])
+                if r.factored:
+                    w.store(kind, zero, slots[indices[r.n + r.q + bit]])
+                for j in range(r.unknown):
+                    w.store(kind, zero, slots[indices[r.loaded + state * r.unknown + j]])
 
     # -- the functions ---------------------------------------------------------------------------------------
     def _value(self) -> None:
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
-        total = RunningSums(w)
+        total = RunningSums(w, len(r.updates))
         with w.loop("%count") as k:
             key, parts = self.instant_keys(k)
             self._predict(slots, k, key, parts)
@@ -116,68 +120,88 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
-        for update, (y, there) in zip(self.recursion.updates, self._readings(k), strict=True):
-            self._correct_by(update, y, there, slots, k, key, total)
+        before = self._covariance(slots)
+        for c, (y, there) in enumerate(self._readings(k)):
+            self._correct_by(c, y, there, before, slots, k, key, total)
 
     def _correct_by(
-        self, update: Block, y: str, there: str, slots: Names, k: str, key: str, total: RunningSums
+        self, c: int, y: str, there: str, before: Names, slots: Names, k: str, key: str, total: RunningSums
     ) -> None:
         """Count one reading and correct the state by it, if it exists."""
-        w = self.writer
+        w, r = self.writer, self.recursion
         with w.when(there):
             leaves = self._update_leaves(slots, k, key, y)
-            values = w.block(self.recursion.graph, self._kept(update), leaves)
-            total.take(w, values[-2][1], values[-1][1], self.recursion.square)
+            values = w.block(r.graph, self._kept(r.updates[c]), leaves)
+            total.take(w, values[-2][1], values[-1][1], r.square)
+            self._watch(c, leaves, before, total)
             if self.gain:
                 self._store(slots, values)
+
+    def _covariance(self, slots: Names) -> Names:
+        """The covariance before the readings of an instant."""
+        r = self.recursion
+        return self.read({e.index: slots[e.index] for e in [*r.packed, *r.units]})
+
+    def _watch(self, c: int, leaves: Names, before: Names, total: RunningSums) -> str:
+        """Note the variance of an innovation, also as it was before the other readings of its instant;
+        returns the former."""
+        w, r = self.writer, self.recursion
+        ((_, spread),) = w.block(r.graph, [r.spreads[c]], leaves)
+        ((_, first),) = w.block(r.graph, [r.spreads[c]], leaves | before)
+        total.watch(w, c, spread, first)
+        return spread
 
     def _kept(self, update: Block) -> Block:
         """Results of an update; without gain only the innovation, its variance and the quadratic form."""
         return update if self.gain else update[-3:]
 
     def _trace(self) -> None:
-        """Rows: mean and covariance before; (prediction, variance) of every output; mean and covariance
-        after; transition."""
+        """Rows: moments before; (prediction, variance) of every output; moments after; transition; noise."""
         w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
-        total = RunningSums(w)
-        width = trace_width(r.n, len(r.updates), r.diffuse)
+        total = RunningSums(w, len(r.updates))
+        width = trace_width(len(slots), r.n, len(r.updates))
         transition = [w.slot(SCALAR) for _ in range(r.n * r.n)]
+        noise = self.slots(r.gathered[0])
         with w.loop("%count") as k:
             key, parts = self.instant_keys(k)
             row = w.at(SCALAR, "%rows", w.integer("mul", k, width))
             for c, s in enumerate(transition):
                 w.store(SCALAR, literal(1.0 if c % (r.n + 1) == 0 else 0.0), s)
-            self._predict_with_transition(slots, transition, k, key, parts)
+            for s in noise.values():
+                w.store(SCALAR, literal(0.0), s)
+            self._predict_with_transition(slots, transition, noise, k, key, parts)
             self.save_state(slots, row)
             column = len(slots)
-            for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
-                outputs = update[-3:-1]
+            before = self._covariance(slots)
+            for c, (y, there) in enumerate(self._readings(k)):
+                outputs = [r.updates[c][-3], r.spreads[c]]
                 missing = w.value(f"select i1 {there}, double {y}, double {literal(0.0)}")
                 leaves = self._update_leaves(slots, k, key, missing)
                 (_, error), (_, variance) = w.block(r.graph, outputs, leaves)
                 w.store(SCALAR, w.real("fsub", missing, error), w.at(SCALAR, row, column))
                 w.store(SCALAR, variance, w.at(SCALAR, row, column + 1))
                 column += 2
-                self._correct_by(update, y, there, slots, k, key, total)
+                self._correct_by(c, y, there, before, slots, k, key, total)
             self.save_state(slots, w.at(SCALAR, row, column))
             column += len(slots)
-            for c, s in enumerate(transition):
+            for c, s in enumerate([*transition, *noise.values()]):
                 w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, row, column + c))
             self._resets(slots, k)
         self.save_state(slots, "%state")
         total.write(w, "%out")
 
     def _predict_with_transition(
-        self, slots: Names, transition: Sequence[str], k: str, key: str, count: str
+        self, slots: Names, transition: Sequence[str], noise: Names, k: str, key: str, count: str
     ) -> None:
         r, w = self.recursion, self.writer
         n = r.n
         with w.loop(count) as j:
-            leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, count)
-            both = [*r.predict, *r.transition]
-            values = w.block(r.graph, both, leaves | self.at_parameters)
+            leaves = self.read(slots) | self.read(noise) | self.table(key) | self.inputs_of(k, j, count)
+            wanted = [*r.predict, *r.transition, *r.gathered[1]]
+            values = w.block(r.graph, wanted, leaves | self.at_parameters)
+            self._store(noise, values[len(slots) + n * n :])
             f = [name for _, name in values[len(slots) :]]
             old = [w.load(SCALAR, s) for s in transition]
             for i in range(n):
@@ -194,7 +218,7 @@ class Emission(Stages):
         w, r, g = self.writer, self.recursion, self.recursion.graph
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
-        total = RunningSums(w)
+        total = RunningSums(w, len(r.updates))
         # store: row 2k the moments before the updates of instant k, row 2k+1 those after it
         with w.loop("%count") as k:
             key, parts = self.instant_keys(k)
@@ -360,7 +384,7 @@ class Emission(Stages):
         self.load_state(slots, "%state")
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
-        total = RunningSums(w)
+        total = RunningSums(w, len(r.updates))
         tangents = directions | key_dots | state_dots
 
         def dot_leaves(key: str) -> Names:
@@ -387,16 +411,17 @@ class Emission(Stages):
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)
             row = w.integer("mul", k, width)
-            for c, (update, (y, there)) in enumerate(zip(r.updates, self._readings(k), strict=True)):
+            before = self._covariance(slots)
+            for c, (y, there) in enumerate(self._readings(k)):
                 with w.when(there):
                     leaves = self._update_leaves(slots, k, key, y)
-                    outputs = self._kept(update)
-                    values, derivatives = run(outputs, leaves, key)
+                    values, derivatives = run(self._kept(r.updates[c]), leaves, key)
                     total.take(w, values[-2][1], values[-1][1], r.square)
+                    spread = self._watch(c, leaves, before, total)
                     place = w.integer("add", row, c)
                     error, error_dot = values[-3][1], derivatives[-3]
-                    if r.diffuse:  # a reading that merely resolves an infinite variance has no quadratic form
-                        none = w.value(f"fcmp oeq double {values[-1][1]}, {literal(0.0)}")
+                    if r.unknown:  # a reading that merely shows what was unknown has no quadratic form
+                        none = w.value(f"fcmp uno double {spread}, {literal(0.0)}")
                         error = w.value(f"select i1 {none}, double {literal(0.0)}, double {error}")
                         error_dot = w.value(
                             f"select i1 {none}, {VECTOR} zeroinitializer, {VECTOR} {error_dot}"

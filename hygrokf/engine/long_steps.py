@@ -46,8 +46,9 @@ from itertools import pairwise
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
+from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, pack, unpack
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model, Values
@@ -100,34 +101,42 @@ class LongStep:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Adjoints (width,) of the state before and (d,) of the parameters, from the adjoints `bar` of the
         state at the tail."""
-        n, d, width = self.recursion.n, len(self.recursion.p), len(state)
+        r = self.recursion
+        n, d, width = r.n, len(r.p), len(state)
         # covariances pass through linearly, so only means and parameters need separate directions
-        dots, seeds = np.zeros((width, n + d)), np.zeros((d, n + d))
-        dots[:n, :n], seeds[:, n:] = np.eye(n), np.eye(d)
+        own = width if r.unknown or r.factored else n
+        dots, seeds = np.zeros((width, own + d)), np.zeros((d, own + d))
+        dots[:own, :own], seeds[:, own:] = np.eye(own), np.eye(d)
         found = bar @ self.tangents(values, state, dots, seeds)
+        if own == width:
+            return found[:own], found[own:]
         transition = self._jumped(values, state[None])[1][0]
         # off the diagonal, a packed entry stands for two entries: each takes half of its adjoint
         share = np.where(np.eye(n, dtype=bool), 1.0, 0.5)
-        back = [
-            pack(transition.T @ (unpack(part, n) * share) @ transition / share)
-            for part in np.split(bar[n:], 2 * (width - n) // (n * (n + 1)))
-        ]
-        return np.concatenate([found[:n], *back]), found[n:]
+        back = pack(transition.T @ (unpack(bar[n:], n) * share) @ transition / share)
+        return np.concatenate([found[:n], back]), found[n:]
 
     def _jumped(self, values: Values, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
-        n, (count, width) = self.recursion.n, packed.shape
-        mean, covariances, transition = jump(
-            self.recursion,
+        r, count = self.recursion, len(packed)
+        mean, (covariance,), transition = jump(
+            r,
             values,
             self.before,
             self.tail,
             np.full(count, self.hours),
             np.full(count, self.tail_h),
-            packed[:, :n],
-            [unpack(part, n) for part in np.split(packed[:, n:], 2 * (width - n) // (n * (n + 1)), axis=1)],
+            packed[:, : r.n],
+            [r.covariance_of(packed)],
         )
-        return np.concatenate([mean, *map(pack, covariances)], axis=1), transition
+        moved = r.put(packed.astype(np.result_type(packed, mean, covariance)), covariance)
+        moved[:, : r.n] = mean
+        if r.unknown:
+            loadings = slice(r.loaded, r.loaded + r.n * r.unknown)
+            carried = transition @ packed[:, loadings].reshape(count, r.n, r.unknown)
+            begun = packed[:, -1:].real > 0.5
+            moved[:, loadings] = np.where(begun, carried.reshape(count, -1), packed[:, loadings])
+        return moved, transition
 
 
 def jump(

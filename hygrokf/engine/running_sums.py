@@ -13,9 +13,13 @@ class RunningSums:
     Σ log S is kept as a product, whose binary exponent is moved to a separate sum before the product leaves
     the range of doubles.  The time loop contains no call, since a call would spill the whole state from the
     registers at every instant.  A variance that is not positive turns the product into NaN permanently.
+
+    The smallest and the largest variance of each output say how many digits the covariance has lost.
     """
 
-    def __init__(self, w: Writer) -> None:
+    def __init__(self, w: Writer, outputs: int) -> None:
+        self.lowest = [w.slot(SCALAR, literal(math.inf)) for _ in range(outputs)]
+        self.highest = [w.slot(SCALAR, literal(0.0)) for _ in range(outputs)]
         self.exponent = w.slot("i64", "0")
         self.product = w.slot(SCALAR, literal(1.0))
         self.quadratic = w.slot(SCALAR, literal(0.0))
@@ -35,6 +39,15 @@ class RunningSums:
             ratio = w.real("fdiv", quadratic, literal(square))
             with w.loop(str(round(square))):
                 self._multiply(w, ratio)
+
+    def watch(self, w: Writer, place: int, variance: str, before: str) -> None:
+        """Note the innovation variance of a reading of output `place`, with and without the correction by the
+        other readings of its instant; NaN passes."""
+        both = ((self.lowest[place], "olt", variance), (self.highest[place], "ogt", before))
+        for slot, order, value in both:
+            known = w.load(SCALAR, slot)
+            beyond = w.value(f"fcmp {order} double {value}, {known}")
+            w.store(SCALAR, w.value(f"select i1 {beyond}, double {value}, double {known}"), slot)
 
     def _multiply(self, w: Writer, factor: str) -> None:
         product = w.real("fmul", w.load(SCALAR, self.product), factor)
@@ -58,7 +71,8 @@ class RunningSums:
         )
 
     def write(self, w: Writer, out: str) -> None:
-        """out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings."""
+        """out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings, then the smallest
+        variance of every output, then the largest."""
         fraction = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
         exponent = w.value(f"sitofp i64 {w.load('i64', self.exponent)} to double")
         whole = w.real("fmul", exponent, literal(math.log(2.0)))
@@ -66,6 +80,8 @@ class RunningSums:
         w.store(SCALAR, w.load(SCALAR, self.quadratic), w.at(SCALAR, out, 1))
         number = w.value(f"sitofp i64 {w.load('i64', self.number)} to double")
         w.store(SCALAR, number, w.at(SCALAR, out, 2))
+        for c, slot in enumerate([*self.lowest, *self.highest]):
+            w.store(SCALAR, w.load(SCALAR, slot), w.at(SCALAR, out, 3 + c))
 
 
 def accumulate(w: Writer, value: str, pointer: str) -> None:

@@ -22,11 +22,13 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
 from hygrokf.engine.discretisation import closure, congruence, step
+from hygrokf.engine.packing import pack, place, unpack
+from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -38,14 +40,16 @@ from hygrokf.physics.expression import (
     is_zero,
     jacobian,
     maximum,
+    product,
     sqrt,
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
 from hygrokf.physics.model import Model, Values
 
-DIFFUSE_TOLERANCE = 1e-9
-"""An infinite variance counts as resolved below this share of its initial value."""
+UNSEEN = 1e-10
+"""A reading's loading on an unknown start counts from this share of the products that make it: what rounding
+leaves of a difference in ten thousand steps is less."""
 
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
 """Stages: when a value first becomes known."""
@@ -58,13 +62,19 @@ Block = list[Expression]
 class Recursion:
     """The filter of one model as expressions.
 
-    With `diffuse`, a second covariance P∞ follows the first in the moments: the prior covariance is κ P∞ with
-    κ → ∞ (exact diffuse start, Durbin & Koopman 2012, section 5.2).
+    Of the start's `unknown` directions nothing is known (exact diffuse start, Durbin & Koopman 2012, section
+    5.2): the prior covariance is κ Φ N N' Φ' with κ → ∞.  The moments carry Φ (n, unknown), the loadings of
+    the state on the unknown start, N (unknown, unknown), the directions of it that no reading has shown yet,
+    one in each column, and whether the loadings have begun to move: a start of which nothing at all is known
+    stands at the first reading.
+
+    `factored` moments hold the covariance as factors (`engine.square_root`), and the diagonal of L for the
+    running means.
     """
 
-    def __init__(self, model: Model, diffuse: bool = False) -> None:
+    def __init__(self, model: Model, unknown: int = 0, factored: bool = False) -> None:
         self.model = model
-        self.diffuse = diffuse
+        self.unknown, self.factored = int(unknown), factored
         self.graph = Graph()
         g = self.graph
         n = len(model.states)
@@ -79,8 +89,19 @@ class Recursion:
         self.mean = [g.symbol(f"m{i}") for i in range(n)]
         self.packed = [g.symbol(f"P{i}{j}") for i in range(n) for j in range(i + 1)]
         self.covariance = self._square(self.packed)
-        self.infinite = [g.symbol(f"I{i}{j}") for i in range(n) for j in range(i + 1)] if diffuse else []
-        self.state = [*self.mean, *self.packed, *self.infinite]
+        d = self.unknown
+        self.units = [g.symbol(f"D{i}") for i in model.resets] if factored else []
+        self.loadings = [[g.symbol(f"I{i}:{j}") for j in range(d)] for i in range(n)]
+        self.directions = [[g.symbol(f"N{i}:{j}") for j in range(d)] for i in range(d)]
+        self.begun = [g.symbol("begun")] if d else []
+        self.state = [
+            *self.mean,
+            *self.packed,
+            *self.units,
+            *_flat(self.loadings),
+            *_flat(self.directions),
+        ]
+        self.state += self.begun
         self.start, self.end, self.now = {}, {}, {}
         for name in self.varying:
             hold = self.holds[name]
@@ -107,17 +128,83 @@ class Recursion:
             [f"m{i}" for i in range(n)] + [f"{end}:{name}" for end in "ab" for name in self.varying],
         )
         self.doubling = made.doubling
-        self.predict: Block = [*made.mean, *self._lower(made.covariance)]
-        if diffuse:
-            self.predict.extend(self._lower(congruence(made.transition, self._square(self.infinite))))
+        packed = (
+            self._lower(made.covariance) if not factored else self._predicted(made.transition, made.noise)
+        )
+        self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
+        if d:
+            moved = product(made.transition, self.loadings)
+            begun = self.begun[0] > 0.5
+            for row, old in zip(moved, self.loadings, strict=True):
+                self.predict.extend(where(begun, v, o) for v, o in zip(row, old, strict=True))
+            self.predict.extend([*_flat(self.directions), *self.begun])
         at = model.traced(self.mean, self.now, self.p)
         self.rates = [g.lift(v) for v in at.rates]
         self.jacobian = jacobian(self.rates, self.mean)
-        self.updates = [self._trace_update(*at.outputs[name]) for name in model.outputs]
+        traced = [self._trace_update(*at.outputs[name]) for name in model.outputs]
+        self.updates = [update for update, _ in traced]
+        self.spreads = [spread for _, spread in traced]
         self.transition = [g.lift(v) for row in made.transition for v in row]
+        self._gained = made.noise
         self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
         self.constants = np.array(g.given, dtype=float)
         self.structure = self._digest()
+
+    @cached_property
+    def gathered(self) -> tuple[list[Expression], Block]:
+        """The packed noise (q,) of the sub-steps before a sub-step, and that after it, F W F' + Q."""
+        before = [self.graph.symbol(f"W{i}{j}") for i in range(self.n) for j in range(i + 1)]
+        f = [self.transition[i * self.n : (i + 1) * self.n] for i in range(self.n)]
+        return before, self._lower(congruence(f, self._square(before), self._gained))
+
+    # -- numbers ---------------------------------------------------------------------------------------------
+    def covariance_of(self, state: np.ndarray) -> np.ndarray:
+        """Covariances (…, n, n) of moments (…, w)."""
+        found = unpack(state[..., self.n : self.n + self.q], self.n)
+        if not self.factored:
+            return found
+        lower, diagonal = self._lower_of(state), np.einsum("...ii->...i", found)
+        return (lower * diagonal[..., None, :]) @ np.swapaxes(lower, -1, -2)
+
+    def root_of(self, state: np.ndarray) -> np.ndarray:
+        """L √D (…, n, n) of factored moments (…, w)."""
+        found = unpack(state[..., self.n : self.n + self.q], self.n)
+        return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", found))[..., None, :]
+
+    def _lower_of(self, state: np.ndarray) -> np.ndarray:
+        lower = np.tril(unpack(state[..., self.n : self.n + self.q], self.n), -1) + np.eye(self.n)
+        for c, i in enumerate(self.model.resets):
+            lower[..., i, i] = state[..., self.n + self.q + c]
+        return lower
+
+    def packed_moments(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Moments (…, w) of a mean (…, n) and a covariance (…, n, n), without an unknown start."""
+        found = [mean, pack(factored(covariance) if self.factored else covariance)]
+        if len(self.state) > self.n + self.q:
+            rest = np.repeat([1.0, 0.0], [len(self.units), len(self.state) - self.loaded])
+            found.append(np.broadcast_to(rest, (*mean.shape[:-1], len(rest))))
+        return np.concatenate(found, axis=-1)
+
+    def put(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Moments (…, w) with another covariance (…, n, n)."""
+        found = self.packed_moments(state[..., : self.n], covariance)
+        found[..., self.loaded :] = state[..., self.loaded :]
+        return found
+
+    @property
+    def loaded(self) -> int:
+        """Place of the first loading in the moments."""
+        return self.n + self.q + len(self.units)
+
+    def unknown_of(self, state: np.ndarray) -> np.ndarray:
+        """Φ N (…, n, unknown) of moments (…, w), 0 where rounding alone is left."""
+        n, d = self.n, self.unknown
+        loadings = state[..., self.loaded : self.loaded + n * d].reshape(*state.shape[:-1], n, d)
+        directions = state[..., self.loaded + n * d : self.loaded + (n + d) * d].reshape(
+            *state.shape[:-1], d, d
+        )
+        found = loadings @ directions
+        return np.where(np.abs(found) > UNSEEN * (np.abs(loadings) @ np.abs(directions)), found, 0.0)
 
     # -- tracing ---------------------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
@@ -126,20 +213,64 @@ class Recursion:
     def _square(self, packed: Sequence[Expression]) -> Matrix:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
-    def _trace_update(self, prediction: Value, variance: Value) -> Block:
-        """Outputs for one reading with this prediction and variance of its noise: mean, packed covariance,
-        innovation, its variance, and the log-likelihood term without its constant."""
+    def _predicted(self, transition: Matrix, noise: Matrix) -> list[Expression]:
+        """Packed factors of F P F' + Q."""
+        lower, diagonal = self._factors()
+        own, spread = factors(noise)
+        rows = [[*a, *b] for a, b in zip(product(transition, lower), own, strict=True)]
+        return self._packed(*orthogonalised(rows, [*diagonal, *spread]))
+
+    def _factors(self) -> tuple[Matrix, list[Value]]:
+        """L (n, n) and D (n,) of the moments."""
+        units = dict(zip(self.model.resets, self.units, strict=True))
+        lower: Matrix = [
+            [
+                self.packed[place(i, j)] if j < i else units.get(i, 1.0) if j == i else 0.0
+                for j in range(self.n)
+            ]
+            for i in range(self.n)
+        ]
+        return lower, [self.packed[place(i, i)] for i in range(self.n)]
+
+    def _packed(self, lower: Matrix, diagonal: list[Value]) -> list[Expression]:
+        return self._lower(
+            [[diagonal[i] if i == j else lower[i][j] for j in range(self.n)] for i in range(self.n)]
+        )
+
+    def _trace_update(self, prediction: Value, variance: Value) -> tuple[Block, Expression]:
+        """Outputs for one reading with this prediction and variance of its noise: moments, innovation, its
+        variance, and the log-likelihood term without its constant; and the variance once more, NaN where the
+        reading depends on a direction of the start that is unknown."""
         g = self.graph
         prediction = g.lift(prediction)
         row = jacobian([prediction], self.mean)[0]
-        cross = [dot(self.covariance[i], row) for i in range(self.n)]
-        spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
-        inverse = 1.0 / spread
+        if self.factored:
+            lower, diagonal = self._factors()
+            shown = [dot([lower[i][j] for i in range(j, self.n)], row[j:]) for j in range(self.n)]
+            weighted = [dot([d], [f]) for d, f in zip(diagonal, shown, strict=True)]
+            cross = [dot(lower[i][: i + 1], weighted[: i + 1]) for i in range(self.n)]
+            spread = g.lift(dot(weighted, shown) + variance)
+        else:
+            cross = [dot(self.covariance[i], row) for i in range(self.n)]
+            spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         error = self.reading - prediction
+        if not self.unknown:
+            usual, quadratic = self._usual(row, cross, error, spread, variance)
+            return [*usual, error, spread, quadratic], spread
+        return self._diffuse_update(row, cross, error, spread, variance)
+
+    def _usual(
+        self, row: list[Value], cross: list[Value], error: Expression, spread: Expression, variance: Value
+    ) -> tuple[list[Value], Expression]:
+        """Mean and covariance after a reading, and its e²/S."""
+        inverse = 1.0 / spread
         quadratic = error * error * inverse
         weight = self._weight(quadratic)
         gain = [0.0 if is_zero(c) else c * (weight * inverse) for c in cross]
         mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
+        if self.factored:  # a weight is as much more noise
+            noise = variance if isinstance(weight, float) else variance + spread * (1.0 / weight - 1.0)
+            return [*mean, *self._packed(*corrected(*self._factors(), row, noise)), *self.units], quadratic
         covariance = [
             self.covariance[i][j]
             if is_zero(gain[i]) or is_zero(cross[j])
@@ -147,9 +278,7 @@ class Recursion:
             for i in range(self.n)
             for j in range(i + 1)
         ]
-        if not self.diffuse:
-            return [*mean, *covariance, error, spread, quadratic]
-        return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
+        return [*mean, *covariance], quadratic
 
     def _weight(self, quadratic: Expression) -> Value:
         """Weight of a reading with the squared innovation e²/S = `quadratic`.
@@ -179,33 +308,75 @@ class Recursion:
         return where(quadratic > self.square, self.square / maximum(quadratic, self.square), 1.0)
 
     def _diffuse_update(
-        self,
-        row: list[Value],
-        cross: list[Value],
-        error: Expression,
-        spread: Expression,
-        usual: list[Value],
-        quadratic: Expression,
-    ) -> Block:
-        """The exact diffuse update where the reading depends on an infinite variance, else the usual
-        update."""
-        n = self.n
-        infinite = self._square(self.infinite)
-        m = [dot(infinite[i], row) for i in range(n)]
-        f = self.graph.lift(dot(row, m))
-        seen = f > DIFFUSE_TOLERANCE
-        inverse = 1.0 / where(seen, f, 1.0)
-        mean = [v + (m[i] * inverse) * error for i, v in enumerate(self.mean)]
-        lower = [(i, j) for i in range(n) for j in range(i + 1)]
-        covariance = [
-            self.covariance[i][j]
-            + m[i] * m[j] * inverse * inverse * spread
-            - (cross[i] * m[j] + m[i] * cross[j]) * inverse
-            for i, j in lower
+        self, row: list[Value], cross: list[Value], error: Expression, spread: Expression, variance: Value
+    ) -> tuple[Block, Expression]:
+        """The exact diffuse update where the reading depends on an unknown direction of the start, else the
+        usual update."""
+        g, n = self.graph, self.n
+        towards, rest = self._resolved(row)
+        m = [dot(loading, towards) for loading in self.loadings]
+        f = g.lift(dot(row, m))
+        seen = f > 0.0
+        usual, quadratic = self._usual(row, cross, error, where(seen, 1.0, spread), variance)
+        gain = [v * (1.0 / where(seen, f, 1.0)) for v in m]
+        mean = [v + k * error for v, k in zip(self.mean, gain, strict=True)]
+        if self.factored:
+            lower, diagonal = self._factors()
+            kept = [[(1.0 if i == j else 0.0) - dot([gain[i]], [row[j]]) for j in range(n)] for i in range(n)]
+            rows = [[*a, k] for a, k in zip(product(kept, lower), gain, strict=True)]
+            new = [*self._packed(*orthogonalised(rows, [*diagonal, variance])), *(1.0 for _ in self.units)]
+        else:
+            new = [
+                self.covariance[i][j] + gain[i] * gain[j] * spread - (cross[i] * gain[j] + gain[i] * cross[j])
+                for i in range(n)
+                for j in range(i + 1)
+            ]
+        moments = [where(seen, a, b) for a, b in zip([*mean, *new], usual, strict=True)]
+        directions = [where(seen, new, old) for new, old in zip(rest, _flat(self.directions), strict=True)]
+        # loadings without a direction left would grow without limit where the model is unstable
+        open_ = dot(directions, directions) > 0.0
+        loadings = [where(open_, loading, 0.0) for loading in _flat(self.loadings)]
+        block = [*moments, *loadings, *directions, g.constant(1.0)]
+        ends = [error, where(seen, f, spread), where(seen, 0.0, quadratic)]
+        return [*map(g.lift, block), *ends], where(seen, math.nan, spread)
+
+    def _resolved(self, row: list[Value]) -> tuple[list[Value], list[Value]]:
+        """What a reading with these slopes shows of the start, (unknown,), 0 where it shows nothing, and the
+        directions (unknown²,) that are then left.
+
+        A Householder reflection turns the columns of N so that the reading depends on one alone, which is
+        then known.  The column is the one that it depends on most: small entries keep their digits.
+        """
+        d, n = self.unknown, self.directions
+        shown = [dot(row, [loading[j] for loading in self.loadings]) for j in range(d)]
+        size = [v if is_zero(v) else maximum(v, -v) for v in shown]
+        if all(map(is_zero, shown)):
+            return [0.0] * d, _flat(n)
+        free: list[Value] = []
+        for j in range(d):
+            column = [n[i][j] for i in range(d)]
+            depends = dot(shown, column)
+            reach = dot(size, [maximum(v, -v) for v in column])
+            free.append(where(maximum(depends, -depends) > UNSEEN * reach, depends, 0.0))
+        square = dot(free, free)
+        length = sqrt(where(square > 0.0, square, 1.0))
+        largest: Value = 0.0
+        for v in free:
+            largest = maximum(largest, maximum(v, -v))
+        left, chosen = 1.0, []
+        for v in free:  # 1 for the first of the largest, 0 for the others
+            chosen.append(where(maximum(v, -v) < largest, 0.0, left))
+            left = left - chosen[-1]
+        most = dot(free, chosen)
+        sign = where(most < 0.0, -1.0, 1.0)
+        mirror = [v + c * sign * length for v, c in zip(free, chosen, strict=True)]
+        scale = 1.0 / where(square > 0.0, square + sign * most * length, 1.0)
+        rest = [
+            (1.0 - chosen[j]) * (n[i][j] - dot(n[i], mirror) * (scale * mirror[j]))
+            for i in range(d)
+            for j in range(d)
         ]
-        rest = [where(seen, infinite[i][j] - m[i] * m[j] * inverse, infinite[i][j]) for i, j in lower]
-        moments = [where(seen, a, b) for a, b in zip([*mean, *covariance], usual, strict=True)]
-        return [*moments, *rest, error, where(seen, f, spread), where(seen, 0.0, quadratic)]
+        return [dot(n[i], free) for i in range(d)], rest
 
     def symbols(
         self, values: Values, mean: Iterable[Value] = (), inputs: Values | None = None
@@ -367,7 +538,7 @@ class Recursion:
         model, doubling = self.model, self.doubling
         content = (
             *(list(self.p), model.states, sorted(self.holds.items()), model.inputs),
-            *(model.resets, self.diffuse, self.graph.nodes, outputs),
+            *(model.resets, self.unknown, self.factored, self.graph.nodes, outputs),
             [e.index for e in self.transition],
             [] if doubling is None else [e.index for e in (*doubling.first, *doubling.now, *doubling.twice)],
         )
@@ -393,6 +564,10 @@ def _entries(matrix: Matrix) -> dict[tuple[int, int], Value]:
     return {
         (i, j): entry for i, row in enumerate(matrix) for j, entry in enumerate(row) if not is_zero(entry)
     }
+
+
+def _flat(matrix: Matrix) -> list[Value]:
+    return [entry for row in matrix for entry in row]
 
 
 def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
@@ -424,43 +599,11 @@ def _never_negative(graph: Graph, expression: Expression, positive: Iterable[str
     return expression.index in sure
 
 
-# -- memory layout of the moments: a mean, then the lower triangle of a covariance by rows -------------------
-def place(i: int, j: int) -> int:
-    """Place of entry (i, j) in a packed lower triangle."""
-    i, j = max(i, j), min(i, j)
-    return i * (i + 1) // 2 + j
-
-
-def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
-    """Numbers in one row of a trace: moments before and after, two for every output, the transition
-    matrix."""
-    return 2 * (n + (2 if diffuse else 1) * (n * (n + 1) // 2)) + 2 * outputs + n * n
-
-
-@cache
-def _places(n: int) -> np.ndarray:
-    return np.array([[place(i, j) for j in range(n)] for i in range(n)])
-
-
-@cache
-def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.tril_indices(n)
-
-
-def unpack(packed: np.ndarray, n: int) -> np.ndarray:
-    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
-    return packed[..., _places(n)]
-
-
-def pack(matrix: np.ndarray) -> np.ndarray:
-    """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
-    rows, columns = _triangle(matrix.shape[-1])
-    return np.ascontiguousarray(matrix[..., rows, columns])
-
-
-def traced(model: Model, diffuse: bool = False) -> Recursion:
-    """The filter of a model, traced at first use; with `diffuse` it carries an infinite covariance too."""
+def traced(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:
+    """The filter of a model, traced at first use; `unknown`, `factored` as in `Recursion`."""
     # the model keeps its filters: each of them holds the model, so that nothing else could let them go
-    filters: dict[bool, Recursion] = vars(model).setdefault("_filters", {})
-    found = filters.get(diffuse)
-    return filters.setdefault(diffuse, Recursion(model, diffuse)) if found is None else found
+    filters: dict[tuple[int, bool], Recursion] = vars(model).setdefault("_filters", {})
+    found = filters.get((unknown, factored))
+    if found is None:
+        found = filters.setdefault((unknown, factored), Recursion(model, unknown, factored))
+    return found

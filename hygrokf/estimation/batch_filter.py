@@ -16,7 +16,8 @@ from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.long_steps import MOST, TAIL, jump
-from hygrokf.engine.traced_filter import pack, traced, unpack
+from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.physics.holds import inputs_between
 from hygrokf.physics.model import Model

@@ -10,7 +10,7 @@ Shapes: T instants, n states, k outputs, d parameters (all of the model, in its 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,12 +21,17 @@ from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
+from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.rates import rate_bound, sizes
+from hygrokf.engine.square_root import square_root
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, traced
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
 from hygrokf.estimation.gaussian import expect_initial, expect_variances
-from hygrokf.estimation.start import Moments, Slopes, prior, prior_slopes, stationary, stationary_slopes
+from hygrokf.estimation.moments import Kept, checked_loglik, covariances, loglik_of
+from hygrokf.estimation.moments import Sensitivities as Sensitivities
+from hygrokf.estimation.moments import Trace as Trace
+from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import Parameter, expect_values
 
@@ -46,48 +51,22 @@ class RatesFault(FloatingPointError, ValueError):
 
 
 @dataclass(frozen=True)
-class Sensitivities:
-    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant, empty
-    where they were not asked for."""
-
-    loglik: float
-    score: np.ndarray
-    information: np.ndarray
-    scores: np.ndarray
-
-
-@dataclass(frozen=True)
-class Trace:
-    """All moments of one filter run: `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of
-    an instant, `mean`, `covariance` after them; `prediction` (T, k) and `variance` (T, k) of every output,
-    each given the readings processed before it; `transition` (T, n, n) the derivative of the state with
-    respect to that at the previous instant; `last` the Gaussian to continue from."""
-
-    prior_mean: np.ndarray
-    prior_covariance: np.ndarray
-    prediction: np.ndarray
-    variance: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-    transition: np.ndarray
-    loglik: float
-    last: Gaussian
-
-
-@dataclass(frozen=True)
 class Likelihood:
     """The likelihood of the innovations of one model on one timeline.
 
     model, timeline: n states, d parameters; T instants [h] with readings (T, k), NaN where one is missing.
     initial, diffuse_states: "prior" (each mechanism's own), "stationary" (steady state at the first inputs),
-        "diffuse" (exact, for these states, by default all; others keep their prior), or a `Gaussian`.
+        "diffuse" (exact; of these states nothing is known at the first instant, others keep their prior; by
+        default of no state at the first reading), or a `Gaussian`.
     rate_step: [1] largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
         search may take longer sub-steps at the expense of the last digits.
     fastest: [1/h] the model's fastest rate, in place of the bound from all inputs of the run.
+    square_root: covariances as factors (`engine.square_root`), slower.  A run whose covariances lose their
+        digits without, or their sign, is repeated with them by itself.
 
     `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
     ValueError for an unknown `initial`, unknown diffuse states and parameters without a value, RatesFault
-    where rates are not finite or too fast for any step.
+    where rates are not finite or too fast for any step, DigitsFault where covariances have no digits left.
     """
 
     model: Model
@@ -96,19 +75,24 @@ class Likelihood:
     diffuse_states: tuple[str, ...] = ()
     rate_step: float | None = None
     fastest: float | None = None
+    square_root: bool = False
 
     def __post_init__(self) -> None:
         expect_initial(self.model, self.initial, self.diffuse_states)
 
     __getstate__ = fields_alone
 
-    @property
-    def _diffuse(self) -> bool:
-        return self.initial == "diffuse"
-
     @cached_property
     def recursion(self) -> Recursion:
-        return traced(self.model, self._diffuse)
+        return traced(self.model, len(self._unknown), self.square_root)
+
+    @cached_property
+    def _unknown(self) -> list[int]:
+        """Places of the states of which nothing is known at the start."""
+        if self.initial != "diffuse":
+            return []
+        chosen = self.diffuse_states or self.model.states
+        return [i for i, name in enumerate(self.model.states) if name in chosen]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -164,13 +148,9 @@ class Likelihood:
         """Filter steps of one pass with these values per instant of the record, at least about 1."""
         if self.recursion.exact:
             return 1.0
-        parts = self._steps(values).parts
-        return float(self._instants @ parts) / len(self.timeline)
-
-    @cached_property
-    def _instants(self) -> np.ndarray:
-        """Number of instants that each distinct step leads to."""
-        return np.bincount(self.timeline.key, minlength=len(self.timeline.steps))
+        steps = self._steps(values)
+        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
+        return float(taken) / len(self.timeline)
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
@@ -215,54 +195,27 @@ class Likelihood:
 
     def first_gaussian(self, values: Mapping[str, float]) -> Gaussian:
         """Moments of the state before the first reading (the finite part, for a diffuse start)."""
-        first = self._first_moments(values)
-        return Gaussian(first.mean, first.covariance, float(self.timeline.time[0]))
+        state, r = self.first_state(values), self.recursion
+        return Gaussian(state[: r.n], r.covariance_of(state), float(self.timeline.time[0]))
 
     def first_state(self, values: Mapping[str, float]) -> np.ndarray:
         """Packed moments (w,) before the first reading."""
-        return self._packed(self._first_moments(values))
-
-    def _first_moments(self, values: Mapping[str, float]) -> Moments:
         expect_values(self.model.parameters, values)
         if isinstance(self.initial, Gaussian):
-            return Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
-        if self.initial == "stationary":
-            return stationary(self.model, self.recursion, values, self.first_inputs())[0]
-        return prior(self.model, values, self.first_inputs())
-
-    def _packed(self, first: Moments | Slopes) -> np.ndarray:
-        """Moments (w,), or their derivatives (d, w), as the loops take them."""
-        known = 1.0 - self._infinite
-        mean, covariance = first.mean * known, first.covariance * np.outer(known, known)
-        found = np.concatenate([mean, pack(covariance)], axis=-1)
-        if not self._diffuse:
-            return found
-        start = pack(np.diag(self._infinite)) * isinstance(first, Moments)
-        return np.concatenate([found, np.broadcast_to(start, (*found.shape[:-1], len(start)))], axis=-1)
-
-    @cached_property
-    def _infinite(self) -> np.ndarray:
-        """(n,) 1 for states of which nothing is known, 0 for the others."""
-        chosen = (self.diffuse_states or self.model.states) if self._diffuse else ()
-        return np.array([float(name in chosen) for name in self.model.states])
-
-    def _start(self, values: Mapping[str, float]) -> np.ndarray:
-        """The packed moments that a loop starts from and moves."""
-        return np.ascontiguousarray(self.first_state(values), dtype=float)
-
-    def _start_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """The packed moments that a loop starts from, and their derivatives (d, w)."""
-        expect_values(self.model.parameters, values)
-        inputs = self.first_inputs()
-        if self.initial == "stationary":
-            first, matrix = stationary(self.model, self.recursion, values, inputs)
-            found = stationary_slopes(self.model, self.recursion, values, inputs, first, matrix)
+            first = Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         else:
-            first = self._first_moments(values)
-            found = prior_slopes(self.model, values, inputs)
-            if isinstance(self.initial, Gaussian):
-                found = Slopes(0.0 * found.mean, 0.0 * found.covariance)
-        return np.ascontiguousarray(self._packed(first), dtype=float), self._packed(found)
+            first = law(self.initial, self.model, self.recursion, values, self.first_inputs())
+        return packed(self.recursion, first, self._unknown, bool(self.diffuse_states))
+
+    def _first_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The packed moments before the first reading, and their derivatives (d, w)."""
+        expect_values(self.model.parameters, values)
+        if isinstance(self.initial, Gaussian):
+            state = self.first_state(values)
+            return state, np.zeros((len(self.model.parameters), len(state)))
+        r, begun = self.recursion, bool(self.diffuse_states)
+        first, slopes = law_with_slopes(self.initial, self.model, r, values, self.first_inputs())
+        return packed(r, first, self._unknown, begun), packed_slopes(r, first, slopes, self._unknown)
 
     def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
@@ -305,11 +258,16 @@ class Likelihood:
 
     def _widened(self, k: int, state: np.ndarray) -> np.ndarray:
         """The state in front of instant k, with the variance that the end of a gap adds."""
-        if k in self._gaps:
-            n = len(self._gaps[k])
-            state = state.copy()
-            state[n - 1 + np.cumsum(np.arange(1, n + 1))] += self._gaps[k]
-        return state
+        if k not in self._gaps:
+            return state
+        return self.recursion.put(state, self.recursion.covariance_of(state) + np.diag(self._gaps[k]))
+
+    def _widening(self, k: int, state: np.ndarray) -> np.ndarray:
+        """Derivatives (w, w) of the state in front of instant k by that before; rows of the latter."""
+        eye = np.eye(len(state))
+        if k not in self._gaps or not self.square_root:
+            return eye
+        return np.imag(self._widened(k, state + 1e-30j * eye)) * 1e30
 
     def _enter(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
@@ -328,24 +286,31 @@ class Likelihood:
         r = self.recursion
         return np.empty((2 * len(self.timeline), len(r.state)))
 
-    @staticmethod
-    def _loglik(out: np.ndarray) -> float:
-        return -0.5 * float(out[0] + out[1] + out[2] * math.log(2.0 * math.pi))
+    def _loglik(self, sums: Sequence[np.ndarray]) -> float:
+        """ln L of the pieces of a run; NaN asks for a run in factors."""
+        return checked_loglik(sums, self.model.outputs, self.square_root)
+
+    @cached_property
+    def _in_factors(self) -> Likelihood:
+        """The same likelihood, with covariances as factors."""
+        return replace(self, square_root=True)
 
     # -- verbs -----------------------------------------------------------------------------------------------
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter breaks down (a variance that is not positive)."""
-        state = self._start(values)
+        state = self.first_state(values)
         steps = self._steps(values)
-        value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
-        return value if math.isfinite(value) else -math.inf
+        value = self._loglik([self._run(values, steps, part, state) for part in steps.pieces(self._whole)])
+        return self._in_factors.value(values) if math.isnan(value) else value
 
-    def _run(self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray) -> float:
-        """ln L of a piece; moves `state` through it."""
+    def _run(
+        self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
+    ) -> np.ndarray:
+        """Sums of a piece; moves `state` through it."""
         self._enter(values, steps, part, state)
-        out = np.zeros(3)
-        filter_loop(self.recursion, "value")("value", *self._common(values, steps, state, part), out)
-        return self._loglik(out)
+        sums = np.zeros(3 + 2 * len(self.model.outputs))
+        filter_loop(self.recursion, "value")("value", *self._common(values, steps, state, part), sums)
+        return sums
 
     def controlled(
         self, values: Mapping[str, float], controls: Mapping[Control, tuple[float, float]], idle: np.ndarray
@@ -356,7 +321,7 @@ class Likelihood:
         the controls set, only the values at the instant before the first are used.
         """
         n, count = len(self.model.states), len(self.timeline)
-        state = self._start(values)
+        state = self.first_state(values)
         state[n:] = 0.0
         found = np.zeros((count, len(controls)))
         levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
@@ -376,7 +341,7 @@ class Likelihood:
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        state, first_slopes = self._start_with_slopes(values)
+        state, first_slopes = self._first_with_slopes(values)
         steps = self._steps(values)
         pieces = steps.pieces(self._whole)
         states = [state]
@@ -384,16 +349,22 @@ class Likelihood:
             state = state.copy()
             self._run(values, steps, part, state)
             states.append(state)
-        loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        sums, theta_bar, state_bar = [], np.zeros(len(self.recursion.p)), np.zeros(len(state))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
             entered = state.copy()
             self._enter(values, steps, part, entered)
             share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
-            loglik, theta_bar = loglik + share, theta_bar + slopes
+            sums.append(share)
+            theta_bar = theta_bar + slopes
             if part.start in steps.long:
                 before = self._widened(part.start, state)
                 state_bar, slopes = self._long(steps, part.start).adjoints(values, before, state_bar)
                 theta_bar = theta_bar + slopes
+            if part.start in self._gaps:
+                state_bar = self._widening(part.start, state) @ state_bar
+        loglik = self._loglik(sums)
+        if math.isnan(loglik):
+            return self._in_factors.score(values)
         return loglik, theta_bar + first_slopes @ state_bar
 
     def _pulled_back(
@@ -403,11 +374,11 @@ class Likelihood:
         part: slice,
         state: np.ndarray,
         state_bar: np.ndarray,
-    ) -> tuple[float, np.ndarray]:
-        """ln L of a piece and its derivatives (d,); moves `state_bar` back through it, in place."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Sums of a piece, and its derivatives (d,); moves `state_bar` back through it, in place."""
         r = self.recursion
         width = len(state)
-        out, theta_bar = np.zeros(3), np.zeros(len(r.p))
+        out, theta_bar = np.zeros(3 + 2 * len(self.model.outputs)), np.zeros(len(r.p))
         store = self._store
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
         most = int(steps.parts.max(initial=1)) + 1
@@ -415,7 +386,7 @@ class Likelihood:
         buffer = np.empty(max(most * width, (len(r.updates) + 1) * width, held))
         common = self._common(values, steps, state, part)
         filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
-        return self._loglik(out), theta_bar
+        return out, theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -429,17 +400,18 @@ class Likelihood:
         """
         count = directions.shape[1]
         blocks = self._tangent_start(values, directions)
-        score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
+        score, information, sums = np.zeros(count), np.zeros((count, count)), []
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            *found, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            e, s, de, ds, found = self._tangent_part(values, steps, part, blocks, gain=True)
+            sums.extend(found)
             read = np.isfinite(self.timeline.y[part])  # few instants have a reading
-            e, s, de, ds = (one[read] for one in found)
+            e, s = e[read], s[read]
+            de, ds = (np.concatenate(one[:, read], axis=1)[:, :count] for one in (de, ds))
             weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[:, None] * de[:, :count], ds[:, :count]
+            e, de = weight * e, weight[:, None] * de
             share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
-            loglik += value
             score += share.sum(axis=0)
             if each:
                 by_output = np.zeros((*read.shape, count))
@@ -448,6 +420,9 @@ class Likelihood:
             a = de / np.sqrt(s)[:, None]
             b = ds / (math.sqrt(2.0) * s)[:, None]
             information += a.T @ a + b.T @ b
+        loglik = self._loglik(sums)
+        if math.isnan(loglik):
+            return self._in_factors.sensitivities(values, directions, each)
         return Sensitivities(loglik, score, information, scores)
 
     def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> Blocks:
@@ -455,7 +430,7 @@ class Likelihood:
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
         padded[:, :count] = directions
-        first, first_slopes = self._start_with_slopes(values)
+        first, first_slopes = self._first_with_slopes(values)
         slopes = first_slopes.T @ padded
         states = [first.copy() for _ in blocks]
         dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
@@ -477,8 +452,11 @@ class Likelihood:
         """Innovations (T, k) and their slopes (T, k, r) along directions (d, r)."""
         blocks, steps = self._tangent_start(values, directions), self._steps(values)
         found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
-        e, _, de, _, _ = zip(*found, strict=True)
-        return np.concatenate(e), np.concatenate(de)[..., : directions.shape[1]]
+        e, _, de, _, sums = zip(*found, strict=True)
+        if gain and math.isnan(self._loglik([one for part in sums for one in part])):
+            return self._in_factors._along(values, directions, gain)
+        slopes = np.concatenate(list(np.concatenate(de, axis=1)), axis=-1)
+        return np.concatenate(e), slopes[..., : directions.shape[1]]
 
     def _parts(self, steps: SubSteps) -> Iterator[slice]:
         """The pieces of a run, a chunk at a time."""
@@ -496,33 +474,28 @@ class Likelihood:
         part: slice,
         blocks: Blocks,
         gain: bool,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Innovations and variances (t, k), the derivatives of both (t, k, r), and ln L, of some instants."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Innovations, variances (t, k), derivatives of both (blocks, t, k, `LANES`), sums of instants."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
-        derivatives: list[tuple[np.ndarray, np.ndarray]] = []
-        for state, dot, seed in zip(*blocks, strict=True):
-            e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
-            de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
+        de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
+        for block, (state, dot, seed) in enumerate(zip(*blocks, strict=True)):
+            e, s, sums = np.zeros((count, outputs)), np.ones((count, outputs)), []
             key_dot = np.empty(max(1, min(len(steps.keys), count) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
+                if piece.start in self._gaps:
+                    dot[:] = self._widening(piece.start, state).T @ dot
                 if piece.start in steps.long:
                     before = self._widened(piece.start, state)
                     dot[:] = self._long(steps, piece.start).tangents(values, before, dot, seed)
                 self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
-                out, common = np.zeros(3), self._common(values, steps, state, piece)
-                rows = (e[own], s[own], de[own], ds[own])
+                out = np.zeros(3 + 2 * outputs)
+                common = self._common(values, steps, state, piece)
+                rows = (e[own], s[own], de[block, own], ds[block, own])
                 filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
-                loglik += self._loglik(out)
-            derivatives.append((de, ds))
-        return (
-            e,
-            s,
-            np.concatenate([d[0] for d in derivatives], axis=2),
-            np.concatenate([d[1] for d in derivatives], axis=2),
-            loglik,
-        )
+                sums.append(out)
+        return e, s, de, ds, sums
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
         """Run the filter and keep all moments; without `gain`, readings enter ln L but do not correct the
@@ -530,33 +503,53 @@ class Likelihood:
 
         `start` is a Gaussian at the instant before the timeline's first (a checkpoint).
         """
+        return self._traced(values, gain, start)[0]
+
+    def kept(self, values: Mapping[str, float]) -> Kept:
+        """The trace, and the square roots of its covariances."""
+        found, r, moments = self._traced(values)
+        root = r.root_of(moments) if r.factored else square_root(r.covariance_of(moments))
+        return Kept(found, root, r.unknown_of(moments))
+
+    def _traced(
+        self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None
+    ) -> tuple[Trace, Recursion, np.ndarray]:
+        """The trace, and the moments (T, w) after each instant as the loops of the recursion keep them."""
+        if start is not None and self._unknown:
+            return replace(self, initial=start)._traced(values, gain)
         r = self.recursion
         n, outputs = r.n, len(r.updates)
-        if start is None:
-            state = self._start(values)
-        else:
-            state = np.concatenate([start.mean, pack(start.covariance)])
-        rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
+        state = self.first_state(values) if start is None else r.packed_moments(start.mean, start.covariance)
         width = len(state)
-        q = n * (n + 1) // 2
-        steps, loglik = self._steps(values), 0.0
+        rows = np.empty((len(self.timeline), trace_width(width, n, outputs)))
+        transition, noise = np.split(rows[:, 2 * width + 2 * outputs :], [n * n], axis=1)
+        steps, sums = self._steps(values), []
         for part in self._parts(steps):
+            k, entered = part.start, r.put(state, np.zeros((n, n)))
             through = self._enter(values, steps, part, state)
-            out, common = np.zeros(3), self._common(values, steps, state, part)
+            out, common = np.zeros(3 + 2 * len(self.model.outputs)), self._common(values, steps, state, part)
             filter_loop(r, "trace", gain)("trace", *common, out, rows[part])
-            loglik += self._loglik(out)
-            if through is not None:
-                transition = rows[part.start, 2 * width + 2 * outputs :]
-                transition[:] = (transition.reshape(n, n) @ through).ravel()
+            sums.append(out)
+            if through is not None or k in self._gaps:
+                self._enter(values, steps, part, entered)
+                f = transition[k].reshape(n, n)
+                noise[k] += pack(f @ r.covariance_of(entered) @ f.T)
+                transition[k] = (f if through is None else f @ through).ravel()
         before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
-        return Trace(
+        found = Trace(
             prior_mean=before[:, :n],
-            prior_covariance=unpack(before[:, n : n + q], n),
+            prior_covariance=covariances(r, before),
             prediction=rows[:, width : width + 2 * outputs : 2],
             variance=rows[:, width + 1 : width + 2 * outputs : 2],
             mean=after[:, :n],
-            covariance=unpack(after[:, n : n + q], n),
-            transition=rows[:, 2 * width + 2 * outputs :].reshape(-1, n, n),
-            loglik=loglik,
-            last=Gaussian(state[:n].copy(), unpack(state[n : n + q], n), float(self.timeline.time[-1])),
+            covariance=covariances(r, after),
+            transition=transition.reshape(-1, n, n),
+            noise=unpack(noise, n),
+            loglik=self._loglik(sums) if gain else loglik_of(sums),
+            last=Gaussian(state[:n].copy(), covariances(r, state), float(self.timeline.time[-1])),
         )
+        if not self.square_root and (math.isnan(found.loglik) or found.negative):
+            return self._in_factors._traced(values, gain, start)
+        if r.unknown:
+            found.variance[np.isnan(found.variance)] = math.inf
+        return found, r, after

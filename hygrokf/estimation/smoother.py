@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.engine.square_root import square_root
+from hygrokf.engine.traced_filter import UNSEEN
+from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
+from hygrokf.estimation.moments import Kept
 from hygrokf.physics.parameters import expect_values
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
+
+SINGULAR = 1e-14
+"""[1] share of the largest singular value below which a direction counts as known."""
 
 
 def smooth(
@@ -27,75 +33,85 @@ def smooth(
     values: of all parameters, in the parameters' units.
     covariance: False leaves the second array empty.
 
-    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units (`Model.natural`).  Raises
-    ValueError for values that the model does not have.
+    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units (`Model.natural`); infinite
+    variances where the start is diffuse and no reading tells.  Raises ValueError for values that the model
+    does not have.
 
-    Modified Bryson–Frazier recursion, which needs no inverse of a covariance: with C_j = I − K_j H_j of the
-    readings j of an instant and Φ the transition to it, backwards
-        λ⁻ = C' λ − H' e/S,   Λ⁻ = C' Λ C + H' H/S  (reading by reading),   λ = Φ' λ⁻,   Λ = Φ' Λ⁻ Φ,
-        m^s = m⁻ − P⁻ λ⁻,     P^s = P⁻ − P⁻ Λ⁻ P⁻.
-    A running mean passes nothing across its reset.
-    Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
+    Backwards from the last instant, with the law of x_k given x_{k+1} and the readings until k,
+        x_k = m_k + C (x_{k+1} − m⁻_{k+1}) + D ν,    ν ~ N(0, I),
+        m^s_k = m_k + C (m^s_{k+1} − m⁻_{k+1}),    P^s_k = C P^s_{k+1} C' + D D'.
+    Both terms of P^s are squares, so that it keeps its sign.  A running mean passes nothing across its reset.
+    Source: Rauch, Tung & Striebel 1965, doi:10.2514/3.3166; in square roots Park & Kailath 1995,
+    doi:10.1080/00207179508921953.
     """
-    found = likelihood.trace(values)
-    through, push, weight = _readings(likelihood, values, found)
-    n = found.mean.shape[1]
-    back = np.swapaxes(found.transition, 1, 2).copy()
-    back[1:] *= _carried(likelihood)[:-1, :, None]
-    vectors = np.empty_like(found.mean)
-    matrices = np.empty_like(found.covariance) if covariance else np.empty((0, n, n))
-    vector, matrix = np.zeros(n), np.zeros((n, n))
-    for k in range(len(vectors) - 1, -1, -1):
-        b = through[k]
-        vector = b @ vector + push[k]
-        vectors[k] = vector
-        vector = back[k] @ vector
-        if covariance:
-            matrix = b @ matrix @ b.T + weight[k]
-            matrices[k] = matrix
-            matrix = back[k] @ matrix @ back[k].T
-    mean = found.prior_mean - np.einsum("tij,tj->ti", found.prior_covariance, vectors)
-    if not covariance:
-        return likelihood.model.natural(mean, matrices)
-    prior = found.prior_covariance
-    return likelihood.model.natural(mean, prior - prior @ matrices @ prior)
+    kept = likelihood.kept(values)
+    found, unknown = kept.trace, kept.unknown[-1]
+    count, n = found.mean.shape
+    mean = found.mean.copy()
+    matrices = np.empty((count if covariance else 0, n, n))
+    carried = _carried(likelihood)[..., None, :] * np.roll(found.transition, -1, axis=0)
+    matrix = kept.root[-1] @ kept.root[-1].T
+    for first in range((count - 1) // CHUNK * CHUNK, -1, -CHUNK):
+        part = slice(first, min(first + CHUNK, count - 1))
+        gains, spreads, still = _given_next(kept, carried[part], part)
+        if covariance and part.stop == count - 1:
+            matrices[-1] = _with_infinite(matrix, unknown)
+        for k in range(part.stop - 1, first - 1, -1):
+            gain = gains[k - first]
+            mean[k] += gain @ (mean[k + 1] - found.prior_mean[k + 1])
+            if covariance:
+                matrix = gain @ matrix @ gain.T + spreads[k - first]
+                if unknown.size:
+                    unknown = np.linalg.qr(np.hstack([gain @ unknown, still[k - first]]).T)[1].T
+                matrices[k] = _with_infinite(matrix, unknown)
+    return likelihood.model.natural(mean, matrices)
 
 
-def _readings(
-    likelihood: Likelihood, values: Mapping[str, float], found: Trace
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Terms of the readings of each instant in the backward recursion: C' (T, n, n), −H' e/S (T, n), H' H/S
-    (T, n, n)."""
-    model, t = likelihood.model, likelihood.timeline
-    count, n = found.prior_mean.shape
-    u = {name: t.input(name) for name in model.inputs}
-    mean, covariance = found.prior_mean, found.prior_covariance
-    through = np.broadcast_to(np.eye(n), (count, n, n)).copy()
-    push, weight = np.zeros((count, n)), np.zeros((count, n, n))
-    for j, name in enumerate(model.outputs):
-        there = np.isfinite(t.y[:, j])
+def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The law of the states at some instants k given those at k + 1 and the readings until k: C (t, n, n),
+    D D' (t, n, n), and the directions (t, n, d) that stay unknown.
 
-        def shown(state: list[np.ndarray], name: str = name) -> np.ndarray:
-            return np.broadcast_to(np.asarray(model.evaluate(state, u, values).outputs[name][0]), count)
+    With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Across F B the
+    next state tells ε and ω by their regression, along it η.
+    """
+    n, d = kept.unknown.shape[1:]
+    own = kept.root[part]
+    wide = np.concatenate([own, np.zeros_like(own)], axis=2)
+    later = np.concatenate([carried @ own, square_root(kept.trace.noise[1:][part])], axis=2)
+    start, along = kept.unknown[part], carried @ kept.unknown[part]
+    scale = np.sqrt((later**2).sum(axis=2) + (along**2).sum(axis=2))[..., None]
+    scale = np.where(scale > 0.0, scale, 1.0)
+    later, back = later / scale, np.eye(n) / np.swapaxes(scale, 1, 2)
+    gain, still = np.zeros_like(own), np.zeros_like(start)
+    if d:
+        along = along / scale
+        size = np.sqrt((along**2).sum(axis=1, keepdims=True))
+        size = np.where(size > 0.0, size, 1.0)
+        turn, length, columns = np.linalg.svd(along / size)
+        told = length > SINGULAR
+        reached = (start / size) @ np.swapaxes(columns, 1, 2)
+        still = np.where(told[:, None, :], 0.0, reached)
+        reached = np.where(told[:, None, :], reached / np.where(told, length, 1.0)[:, None, :], 0.0)
+        turned = np.swapaxes(turn, 1, 2)
+        shown = turned @ later
+        gain = reached @ (turned @ back)[:, :d]
+        wide = wide - reached @ shown[:, :d]
+        later = np.concatenate([np.where(told[..., None], 0.0, shown[:, :d]), shown[:, d:]], axis=1)
+        back = turned @ back
+    left, size, right = np.linalg.svd(later)
+    told = size > SINGULAR * size[:, :1]
+    weight = np.where(told, 1.0 / np.where(told, size, 1.0), 0.0)
+    turned = wide @ np.swapaxes(right, 1, 2)
+    gain = gain + (turned[:, :, :n] * weight[:, None, :]) @ np.swapaxes(left, 1, 2) @ back
+    turned[:, :, :n] *= ~told[:, None, :]
+    return gain, turned @ np.swapaxes(turned, 1, 2), still
 
-        columns = [mean[:, i] for i in range(n)]
-        row = np.empty((count, n))
-        for i in range(n):
-            moved = list(columns)
-            moved[i] = columns[i] + 1e-30j
-            row[:, i] = np.imag(shown(moved)) * 1e30
-        spread = found.variance[:, j]
-        error = np.where(there, t.y[:, j] - found.prediction[:, j], 0.0)
-        row = np.where(there[:, None], row, 0.0)
-        gain = np.einsum("tij,tj->ti", covariance, row) / spread[:, None]
-        # λ⁻ = C₁'(C₂'(…λ…) − H₂' e₂/S₂) − H₁' e₁/S₁: later readings act through the earlier ones
-        pulled = np.einsum("tij,tj->ti", through, row)
-        push -= pulled * (error / spread)[:, None]
-        weight += pulled[:, :, None] * pulled[:, None, :] / spread[:, None, None]
-        through = through - pulled[:, :, None] * gain[:, None, :]
-        mean = mean + gain * error[:, None]
-        covariance = covariance - gain[:, :, None] * gain[:, None, :] * spread[:, None, None]
-    return through, push, weight
+
+def _with_infinite(matrix: np.ndarray, unknown: np.ndarray) -> np.ndarray:
+    """A covariance (n, n), infinite along the directions `unknown` (n, d)."""
+    infinite = unknown @ unknown.T
+    sure = np.abs(infinite) > UNSEEN * (np.abs(unknown) @ np.abs(unknown.T))
+    return np.where(sure, np.copysign(np.inf, infinite), matrix)
 
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
@@ -117,8 +133,13 @@ def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> Extended
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
     (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
     nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
-    parameters without a value.
+    parameters without a value and for a diffuse start, which filterpy cannot hold.
     """
+    if likelihood.initial == "diffuse":
+        raise ValueError(
+            "initial: filterpy's filter starts from finite variances, found a diffuse start; state another "
+            "`initial`, such as the Gaussian `trace(values).last` of the readings that resolve it"
+        )
     from filterpy.kalman import ExtendedKalmanFilter
 
     expect_values(likelihood.model.parameters, values)

@@ -47,6 +47,26 @@ class Slopes:
     covariance: np.ndarray
 
 
+def law(
+    name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+) -> Moments:
+    """The start called "stationary", or the mechanisms' own under any other name."""
+    return (
+        stationary(model, recursion, values, inputs)[0]
+        if name == "stationary"
+        else prior(model, values, inputs)
+    )
+
+
+def law_with_slopes(
+    name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+) -> tuple[Moments, Slopes]:
+    """`law` and its derivatives."""
+    if name == "stationary":
+        return stationary_with_slopes(model, recursion, values, inputs)
+    return prior(model, values, inputs), prior_slopes(model, values, inputs)
+
+
 def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """The mechanisms' own law at the first inputs."""
     mean, covariance = model.initial_moments(values, inputs)
@@ -84,15 +104,11 @@ def stationary(
     raise ValueError("initial: the model has no stationary state; use 'prior', 'diffuse' or a Gaussian")
 
 
-def stationary_slopes(
-    model: Model,
-    recursion: Recursion,
-    values: Mapping[str, float],
-    inputs: Mapping[str, float],
-    at: Moments,
-    matrix: np.ndarray,
-) -> Slopes:
-    """Derivatives of `stationary`, which gave the moments `at` and the Jacobian `matrix`."""
+def stationary_with_slopes(
+    model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
+) -> tuple[Moments, Slopes]:
+    """`stationary` and its derivatives."""
+    at, matrix = stationary(model, recursion, values, inputs)
     count, graph, moved = len(model.parameters), recursion.graph, _stepped(model, values)
     known = recursion.symbols(moved, at.mean, inputs)
     mean = -np.linalg.solve(matrix, _slopes(graph.evaluate(recursion.rates, known), count).T)
@@ -102,7 +118,30 @@ def stationary_slopes(
     n, half = recursion.n, len(places)
     right = _filled(n, places, found[:, :half]) @ at.covariance
     right = right + np.swapaxes(right, 1, 2) + _filled(n, noise_places, found[:, half:])
-    return Slopes(mean.T, lyapunov(matrix, right))
+    return at, Slopes(mean.T, lyapunov(matrix, right))
+
+
+def packed(recursion: Recursion, first: Moments, unknown: Sequence[int], begun: bool) -> np.ndarray:
+    """Moments (…, w) as the loops of a recursion take them; of the states `unknown` nothing is known.
+
+    Not `begun`, the loadings wait for the first reading: there nothing is known, whatever came before.
+    """
+    if not unknown:
+        return recursion.packed_moments(first.mean, first.covariance)
+    known = np.ones(recursion.n)
+    known[unknown] = 0.0
+    state = recursion.packed_moments(first.mean * known, first.covariance * np.outer(known, known))
+    loadings, directions = np.eye(recursion.n)[:, unknown].ravel(), np.eye(len(unknown)).ravel()
+    state[..., recursion.loaded :] = np.concatenate([loadings, directions, [float(begun)]])
+    return state
+
+
+def packed_slopes(recursion: Recursion, first: Moments, slopes: Slopes, unknown: Sequence[int]) -> np.ndarray:
+    """Derivatives (d, w) of `packed`."""
+    mean, covariance = (
+        a + 1j * STEP * b for a, b in zip(vars(first).values(), vars(slopes).values(), strict=True)
+    )
+    return np.imag(packed(recursion, Moments(mean, covariance), unknown, False)) / STEP
 
 
 def lyapunov(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

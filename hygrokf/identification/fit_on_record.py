@@ -68,10 +68,9 @@ def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     return base, run, simulate(base, fit.values, run, fit.covariance)
 
 
-def simulation_csv(fit: Fit, record: Record) -> str:
-    """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether all
-    inputs are known."""
-    _, run, predicted = simulate_fit(fit, record)
+def simulation_csv(run: Run, predicted: Prediction) -> str:
+    """A free run of `simulate_fit` as CSV text: time (UTC), three quantities with their standard deviations,
+    and whether all inputs are known."""
     t = run.timeline
     milliseconds = np.round(1e3 * t.seconds).astype("int64")
     unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
@@ -95,9 +94,8 @@ def simulation_csv(fit: Fit, record: Record) -> str:
     return "\n".join(lines) + "\n"
 
 
-def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
-    """Span and means of a simulation."""
-    _, run, predicted = simulate_fit(fit, record)
+def simulation_summary(fit: Fit, record: Record, run: Run, predicted: Prediction) -> SimulationSummary:
+    """Span and means of a free run of `simulate_fit`."""
     t = run.timeline
     means = {
         quantity: float(np.mean(pair[0]))

@@ -24,8 +24,9 @@ from builders.linear_oracles import (
 from filterpy.kalman import ExtendedKalmanFilter
 
 from hygrokf.engine.filter_loops import filter_loop
+from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.timeline import timeline
-from hygrokf.engine.traced_filter import pack, trace_width, traced, unpack
+from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.physics.expression import where
 from hygrokf.physics.holds import REGIME
@@ -333,7 +334,6 @@ def test_packed_triangles_unpack_to_the_matrix() -> None:
         packed = pack(a)
         assert packed.shape == (3, n * (n + 1) // 2)
         np.testing.assert_array_equal(unpack(packed, n), a)
-        assert trace_width(n, 2) == 2 * (n + n * (n + 1) // 2) + 4 + n * n
 
 
 def test_without_gain_the_filter_runs_free(joint: object, joint_moments: Callable) -> None:

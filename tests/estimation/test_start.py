@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.start import prior, prior_slopes, stationary, stationary_slopes
+from hygrokf.estimation.start import prior, prior_slopes, stationary, stationary_with_slopes
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
@@ -52,8 +52,7 @@ def packed(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def test_a_nonlinear_steady_state_and_its_slopes() -> None:
     """Against a bracketed root, and Richardson's differences of it, which have ten digits."""
     model = radiating()
-    found, matrix = stationary(model, traced(model), VALUES, {"u": 3.0})
-    slopes = stationary_slopes(model, traced(model), VALUES, {"u": 3.0}, found, matrix)
+    found, slopes = stationary_with_slopes(model, traced(model), VALUES, {"u": 3.0})
     np.testing.assert_allclose(packed(found.mean, found.covariance), steady(VALUES, 3.0), rtol=1e-13)
     for i, (name, value) in enumerate(VALUES.items()):
         h = 2e-3 * value

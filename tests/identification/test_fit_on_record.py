@@ -23,12 +23,12 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.evaluation.simulation import Prediction, settled, simulate
-from hygrokf.identification import fit_on_record
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import (
     Evaluation,
     SimulationSummary,
     evaluate,
+    simulate_fit,
     simulation_csv,
     simulation_summary,
 )
@@ -62,6 +62,16 @@ def spread(standstill_K2: float) -> FitResults:
     return FitResults(covariance=Covariance(names, np.diag([0.01, standstill_K2])))
 
 
+def csv_of(fit: Fit, record: Record) -> str:
+    """The simulation file of a fit on a record."""
+    return simulation_csv(*simulate_fit(fit, record)[1:])
+
+
+def summary_of(fit: Fit, record: Record) -> SimulationSummary:
+    """The summary of that file."""
+    return simulation_summary(fit, record, *simulate_fit(fit, record)[1:])
+
+
 def parsed(text: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names of the columns, times [s] and cells of a simulation file; empty cells are NaN."""
     head, *lines = csv.reader(io.StringIO(text))
@@ -85,7 +95,7 @@ def fit(record) -> Fit:
 
 @pytest.fixture(scope="module")
 def text(fit, record) -> str:
-    return simulation_csv(fit, record)
+    return csv_of(fit, record)
 
 
 @pytest.fixture(scope="module")
@@ -124,11 +134,11 @@ def test_the_cabinets_own_readings_do_not_matter(fit, record, text):
     spoilt = [
         replace(record[name], value=record[name].value * 0.9) for name in record.signals if "cabinet" in name
     ]
-    assert simulation_csv(fit, record.replace_series(*spoilt)) == text
+    assert csv_of(fit, record.replace_series(*spoilt)) == text
 
 
 def test_parameters_that_are_less_sure_widen_the_bands(fit, record, text):
-    _, _, wider = parsed(simulation_csv(replace(fit, results=spread(9.0)), record))
+    _, _, wider = parsed(csv_of(replace(fit, results=spread(9.0)), record))
     _, _, cells = parsed(text)
     np.testing.assert_array_equal(wider[:, 0], cells[:, 0])
     idle = ~model_inputs(fit.design, record).operating
@@ -141,7 +151,7 @@ def test_whole_seconds_stay_whole_and_milliseconds_are_written(fit, record, text
     late = [
         replace(record[name], time=record[name].time + 0.25) for name in record.signals if "cabinet" in name
     ]
-    moved = simulation_csv(fit, record.replace_series(*late))
+    moved = csv_of(fit, record.replace_series(*late))
     stamps = [line.split(",")[0] for line in moved.splitlines()[1:]]
     assert {len(stamp) for stamp in stamps} == {len("2020-07-15T00:06:40.000Z")}
     assert stamps[:2] == ["2020-07-15T00:06:40.000Z", "2020-07-15T00:10:00.000Z"]
@@ -149,7 +159,7 @@ def test_whole_seconds_stay_whole_and_milliseconds_are_written(fit, record, text
     assert stamps == sorted(stamps)
 
 
-def test_every_cell_of_a_small_file(monkeypatch):
+def test_every_cell_of_a_small_file():
     """Four decimals, milliseconds only where they are needed, an empty cell where there is no number."""
     start = datetime(2021, 1, 1, tzinfo=UTC).timestamp()
     line = SimpleNamespace(seconds=start + HOUR * np.array([0.0, 0.5, 1.0]))
@@ -159,7 +169,7 @@ def test_every_cell_of_a_small_file(monkeypatch):
         (np.array([7.0, 7.12344, 7.12346]), np.array([0.1, 0.2, 0.3])),
     )
     flags = np.array([True, False, True])
-    monkeypatch.setattr(fit_on_record, "simulate_fit", lambda *_: (None, Run(line, flags, flags), ran))
+    run = Run(line, flags, flags)
     lines = [
         "time,cabinet_temperature_degC,cabinet_temperature_degC_sd,"
         "cabinet_absolute_humidity_g_m3,cabinet_absolute_humidity_g_m3_sd,inputs_known",
@@ -167,9 +177,9 @@ def test_every_cell_of_a_small_file(monkeypatch):
         "2021-01-01T00:30:00Z,,,7.1234,0.2000,0",
         "2021-01-01T01:00:00Z,-0.5000,0.2500,7.1235,0.3000,1",
     ]
-    assert simulation_csv(None, None).splitlines() == lines
+    assert simulation_csv(run, ran).splitlines() == lines
     line.seconds[1] += 0.0014
-    assert simulation_csv(None, None).splitlines()[2] == "2021-01-01T00:30:00.001Z,,,7.1234,0.2000,0"
+    assert simulation_csv(run, ran).splitlines()[2] == "2021-01-01T00:30:00.001Z,,,7.1234,0.2000,0"
 
 
 @pytest.mark.parametrize(
@@ -186,7 +196,7 @@ def test_every_cell_of_a_small_file(monkeypatch):
 )
 def test_columns_are_those_that_the_model_has(record, change, columns):
     other = change(record)
-    head, _, cells = parsed(simulation_csv(unfitted(other), other))
+    head, _, cells = parsed(csv_of(unfitted(other), other))
     assert head == columns_of(columns)
     assert np.isfinite(cells).all()
 
@@ -201,7 +211,7 @@ def absolute(one: Series) -> Series:
 def test_a_fit_runs_on_inputs_alone(fit, record):
     """Without any cabinet the run spans the ambient series."""
     inputs = without(record, "cabinet_temperature", "cabinet_relative_humidity")
-    _, times, cells = parsed(simulation_csv(fit, inputs))
+    _, times, cells = parsed(csv_of(fit, inputs))
     ambient = inputs["ambient_temperature"].time
     assert (times[0], times[-1]) == (ambient[0], ambient[-1])
     assert np.isfinite(cells).all()
@@ -211,9 +221,7 @@ def test_a_fit_runs_on_inputs_alone(fit, record):
 def test_a_gap_of_an_input_is_flagged_until_the_state_has_forgotten_it(fit, record, text, signal):
     """Two days without an input: the numbers go on, unknown until the free run has forgotten the gap."""
     _, times, cells = parsed(
-        simulation_csv(
-            fit, changed(record, signal, np.nan, record.start_s + 3 * DAY, record.start_s + 5 * DAY)
-        )
+        csv_of(fit, changed(record, signal, np.nan, record.start_s + 3 * DAY, record.start_s + 5 * DAY))
     )
     assert np.isfinite(cells).all()
     days = (times - record.start_s) / DAY
@@ -225,17 +233,17 @@ def test_a_gap_of_an_input_is_flagged_until_the_state_has_forgotten_it(fit, reco
 
 def test_a_model_that_knows_the_power_is_never_sure_without_it(fit, record):
     idle = without(record, "active_power")
-    _, _, cells = parsed(simulation_csv(fit, idle))
+    _, _, cells = parsed(csv_of(fit, idle))
     assert np.isfinite(cells).all()
     assert not cells[:, -1].any()
-    assert simulation_summary(fit, idle).share_with_known_inputs == 0.0
+    assert summary_of(fit, idle).share_with_known_inputs == 0.0
     own = unfitted(idle)  # a fit of its own counts the record as standstill, and knows all of that
-    assert simulation_summary(own, idle).share_with_known_inputs == 1.0
+    assert summary_of(own, idle).share_with_known_inputs == 1.0
 
 
 def test_inputs_that_the_model_reads_must_be_there(fit, record):
     with pytest.raises(ValueError, match=r"reads an ambient humidity .* which the record does not have"):
-        simulation_csv(fit, without(record, "ambient_relative_humidity"))
+        csv_of(fit, without(record, "ambient_relative_humidity"))
 
 
 def test_loggers_that_average_are_simulated_as_such(fit, record):
@@ -243,8 +251,8 @@ def test_loggers_that_average_are_simulated_as_such(fit, record):
     inside = record["cabinet_temperature"]
     hours = np.arange(record.start_s + HOUR, record.end_s, HOUR)
     means = replace(inside, time=hours, value=np.full(len(hours), 295.0), hold="mean", interval_s=HOUR)
-    _, times, averaged = parsed(simulation_csv(fit, record.replace_series(means)))
-    _, base, instants = parsed(simulation_csv(fit, record))
+    _, times, averaged = parsed(csv_of(fit, record.replace_series(means)))
+    _, base, instants = parsed(csv_of(fit, record))
     place = np.searchsorted(times, hours[(hours > times[0] + HOUR) & (hours <= times[-1])])
     curve = [
         np.interp(times[p] - HOUR * (np.arange(60) + 0.5) / 60, base, instants[:, 0]).mean() for p in place
@@ -260,7 +268,7 @@ def test_loggers_that_average_are_simulated_as_such(fit, record):
 
 def test_the_summary_is_that_of_the_file(fit, record, text):
     _, times, cells = parsed(text)
-    summary = simulation_summary(fit, record)
+    summary = summary_of(fit, record)
     assert (summary.fit, summary.record) == ("made", "synthetic-turbine-4")
     ends = [datetime.fromisoformat(getattr(summary, key)).timestamp() for key in ("start", "end")]
     np.testing.assert_allclose(ends, [times[0], times[-1]], atol=1.0)
@@ -276,16 +284,16 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
 
 def test_mismatches_of_fit_and_record_are_reported(fit, record):
     idle = without(record, "preheating")
-    (sentence,) = simulation_summary(fit, idle).statements
+    (sentence,) = summary_of(fit, idle).statements
     assert "pre-heating" in sentence and "counts as off" in sentence
     assert f"note: {sentence}" in " ".join(evaluation_text(evaluate(fit, idle)).split())
-    (sentence,) = simulation_summary(unfitted(idle), record).statements
+    (sentence,) = summary_of(unfitted(idle), record).statements
     assert "pre-heating" in sentence and "does not use" in sentence
 
 
 def test_the_summary_of_a_thermal_fit_has_one_mean(record):
     dry = without(record, "cabinet_relative_humidity")
-    assert list(simulation_summary(unfitted(dry), dry).means) == ["temperature_K"]
+    assert list(summary_of(unfitted(dry), dry).means) == ["temperature_K"]
 
 
 # --- the evaluation --------------------------------------------------------------------------
@@ -399,4 +407,4 @@ def test_an_evaluation_without_readings_gives_the_reasons(fit, record, change):
     shown = " ".join(shown.split())
     for words in ("no temperature or absolute humidity of the cabinet", "needs the power", "`hygrokf check`"):
         assert words in shown
-    assert simulation_csv(fit, other).count("\n") > 1000
+    assert csv_of(fit, other).count("\n") > 1000

@@ -26,7 +26,7 @@ from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.results import FleetResults, columns_of
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.fit_on_record import evaluate, simulation_summary
+from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.turbine_type import TypeFault, pool_types
 from hygrokf.identification.verdict import inherited, verdicts
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, Reason, Verdict
@@ -95,7 +95,8 @@ def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, c
     assert main(["simulate", str(file), str(case), "--out", str(tmp_path / "run.csv")]) == 0
     assert f"x {SAID}" in capsys.readouterr().out
     assert (tmp_path / "run.csv").read_text().startswith("time,")  # the file stays a plain table
-    for made in (simulation_summary(doubtful, record), evaluate(doubtful, record)):
+    _, free, predicted = simulate_fit(doubtful, record)
+    for made in (simulation_summary(doubtful, record, free, predicted), evaluate(doubtful, record)):
         found = plain(made)
         assert found["verdicts"] == plain(inherited(doubtful.results))
         assert found["verdicts"]["thermal"]["reasons"] == [

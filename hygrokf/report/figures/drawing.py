@@ -10,7 +10,7 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -133,11 +133,13 @@ def svg(figure: Figure, name: str) -> str:
     page."""
     with styled():
         import matplotlib
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
 
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        _save(figure, buffer, format="svg", metadata=nothing)
+        # `savefig` would draw all of it twice, for the layout first
+        _save(FigureCanvasSVG(figure).print_svg, buffer, metadata=nothing)
     text = buffer.getvalue()
     text = re.sub(
         r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S
@@ -152,13 +154,13 @@ def svg(figure: Figure, name: str) -> str:
     return re.sub(r"\n\s*", "\n", text)
 
 
-def _save(figure: Figure, buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
+def _save(save: Callable[..., object], buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
     import warnings
 
     with warnings.catch_warnings():
         # a name in letters that the layout's font lacks: the page's reader has a font for them
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(buffer, **settings)
+        save(buffer, **settings)
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
@@ -180,7 +182,7 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     """The figure as a PNG image, for documents that cannot hold SVG."""
     with styled():
         buffer = io.BytesIO()
-        _save(figure, buffer, format="png", dpi=dpi)
+        _save(figure.savefig, buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 

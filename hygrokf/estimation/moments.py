@@ -1,0 +1,110 @@
+"""What a run of the filter gives: Gaussians, traces, sensitivities, and ln L with a check of its digits.
+
+Shapes: T instants, n states, k outputs, d parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.estimation.gaussian import Gaussian
+
+DIGITS = 1e9
+"""[1] ratio of an output's innovation variances from which plain covariances have lost too many digits: what
+is left of ln L is good to 1e-7."""
+FACTORS = 1e24
+"""[1] the same for factors, whose digits are those of a square root."""
+
+
+class DigitsFault(FloatingPointError, ValueError):
+    """Innovation variances so far apart that no digit of a covariance is left."""
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Log-likelihood, score (r,), information (r, r) along r directions; `scores` (T, r): by instant, empty
+    where they were not asked for."""
+
+    loglik: float
+    score: np.ndarray
+    information: np.ndarray
+    scores: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All moments of one filter run: `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of
+    an instant, `mean`, `covariance` after them; `prediction` (T, k) and `variance` (T, k) of every output,
+    each given the readings processed before it; `transition` (T, n, n) the derivative of the state with
+    respect to that at the previous instant, `noise` (T, n, n) what the step between them added to the
+    covariance; `last` the Gaussian to continue from.  Where the start is unknown, variances are infinite."""
+
+    prior_mean: np.ndarray
+    prior_covariance: np.ndarray
+    prediction: np.ndarray
+    variance: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    transition: np.ndarray
+    noise: np.ndarray
+    loglik: float
+    last: Gaussian
+
+    @property
+    def negative(self) -> bool:
+        """Whether a variance lies below zero."""
+        both = self.prior_covariance, self.covariance
+        return any(np.einsum("tii->ti", p).min(initial=0.0) < 0.0 for p in both)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A trace and what a smoother takes besides: W (T, n, n), W W' the covariance after an instant but for
+    what is infinite, and the directions (T, n, d) of the state of which nothing is known there."""
+
+    trace: Trace
+    root: np.ndarray
+    unknown: np.ndarray
+
+
+def loglik_of(sums: Sequence[np.ndarray]) -> float:
+    """ln L from the sums that loops wrote over the pieces of a run (`RunningSums.write`)."""
+    parts = [part.tolist() for part in sums]
+    return sum(-0.5 * (part[0] + part[1] + part[2] * math.log(2.0 * math.pi)) for part in parts)
+
+
+def checked_loglik(sums: Sequence[np.ndarray], outputs: Sequence[str], factored: bool) -> float:
+    """ln L of a run, −∞ where it breaks down; NaN where plain covariances have lost their digits.
+
+    A reading cannot correct by more than the ratio of its innovation's variance before to that after, so that
+    the largest and the smallest variance of each output bound the loss.  Raises DigitsFault where those of
+    factors are too far apart.
+    """
+    value, parts = loglik_of(sums), [part[3:].tolist() for part in sums]
+    sound, count = math.isfinite(value), len(outputs)
+    for c, name in enumerate(outputs):
+        low, high = min(part[c] for part in parts), max(part[count + c] for part in parts)
+        if not factored and (low <= 0.0 or (sound and high > DIGITS * low)):
+            return math.nan
+        if factored and sound and high > FACTORS * low:
+            raise DigitsFault(
+                f"expected variances of the innovations of {name} within a factor of {FACTORS:.0e}, found "
+                f"{low:.3g} to {high:.3g}: no digit of a covariance is left; state a narrower start, or "
+                "'diffuse', or more noise of the readings"
+            )
+    return value if sound else -math.inf
+
+
+def covariances(recursion: Recursion, moments: np.ndarray) -> np.ndarray:
+    """Covariances (…, n, n) of packed moments (…, w), infinite where the start is unknown."""
+    found = recursion.covariance_of(moments)
+    if not recursion.unknown:
+        return found
+    unknown = recursion.unknown_of(moments)
+    infinite = unknown @ np.swapaxes(unknown, -1, -2)
+    return np.where(infinite != 0.0, np.copysign(math.inf, infinite), found)
