@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +29,7 @@ import numpy as np
 from hygrokf.engine.discretisation import closure, congruence, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised
+from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -462,33 +463,8 @@ class Recursion:
         return found
 
     @cached_property
-    def _variances(self) -> list[tuple[str, Expression]]:
-        """Noise intensities, and variances of readings that do not depend on the state."""
-        g, model = self.graph, self.model
-        found = [
-            (f"noise intensity of the state {state}", g.lift(spread))
-            for state, spread in model.noise_spreads(self.p, self.now)
-            if not isinstance(spread, Mapping)
-        ]
-        outputs = model.traced(self.mean, self.now, self.p).outputs
-        found += [(f"variance of the reading {name}", g.lift(pair[1])) for name, pair in outputs.items()]
-        states = [f"m{i}" for i in range(self.n)]
-        return [(what, e) for what, e in found if not depends_on(g, e, states)]
-
-    @cached_property
-    def nonnegative(self) -> list[int]:
-        """Places of the parameters that are at least 0 by their limits, on which `doubtful` relies."""
-        read = {i for _, e in self._variances for i in self.graph.needed([e])}
-        return [
-            i for i, p in enumerate(self.model.parameters) if p.lower >= 0.0 and self.p[p.name].index in read
-        ]
-
-    @cached_property
-    def doubtful(self) -> list[tuple[str, Expression]]:
-        """Noise intensities and variances of readings whose form leaves open whether they are negative."""
-        positive = [f"c:{i}" for i, number in enumerate(self.graph.given) if number >= 0.0]
-        positive += [f"p:{self.model.parameters[i].name}" for i in self.nonnegative]
-        return [(what, e) for what, e in self._variances if not _never_negative(self.graph, e, positive)]
+    def variances(self) -> Variances:
+        return variances_of(self.graph, self.model, self.p, self.now, self.mean)
 
     @cached_property
     def rising_noise(self) -> bool:
@@ -572,31 +548,6 @@ def _flat(matrix: Matrix) -> list[Value]:
 
 def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
     return 0.0 if is_zero(value) else graph.lift(value)
-
-
-def _never_negative(graph: Graph, expression: Expression, positive: Iterable[str]) -> bool:
-    """Whether an expression is at least 0 by its form, as a sum, product or quotient of squares,
-    exponentials, roots, numbers and symbols that are `positive`; False where this does not show."""
-    known, sure = set(positive), set[int]()
-    for i in graph.needed([expression]):
-        operation, *args = graph.nodes[i]
-        match operation:
-            case "const":
-                holds = args[0] >= 0.0
-            case "symbol":
-                holds = args[0] in known
-            case "mul" | "fma":
-                holds = args[0] == args[1] or {args[0], args[1]} <= sure
-                holds = holds and set(args[2:]) <= sure
-            case "add" | "div":
-                holds = set(args) <= sure
-            case "select":
-                holds = set(args[1:]) <= sure
-            case _:
-                holds = operation in ("exp", "sqrt")
-        if holds:
-            sure.add(i)
-    return expression.index in sure
 
 
 def traced(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:
