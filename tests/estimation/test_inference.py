@@ -192,7 +192,10 @@ def test_bounds_by_each_method_are_those_of_its_covariance(thermal: tuple) -> No
     [
         ({"names": ["thermal_time_constnt"]}, "thermal_time_constnt"),
         ({"names": ["cabinet_temperature_bias"]}, "expected free parameters"),
-        ({"method": "bootstrap"}, "expected one of profile, wald, sandwich, found 'bootstrap'"),
+        (
+            {"method": "bootstrap"},
+            "expected one of profile, likelihood-ratio, wald, sandwich, found 'bootstrap'",
+        ),
         ({"level": 95}, "between 0 and 1, found 95"),
     ],
 )

@@ -441,7 +441,8 @@ def test_flexhouse_from_the_parent_alone_is_a_lower_maximum(flexhouse: tuple) ->
     """Why starts over the physical parameters stay beside the parent's."""
     found, _ = flexhouse
     likelihood, best = found["TiTeTh"]
-    alone = fit_mle(likelihood, found["TiTh"][1].values, count=1)
+    start = within_limits(likelihood.parameters, found["TiTh"][1].values)
+    alone = fit_mle(likelihood, start, count=1)
     assert alone.converged and alone.objective < best.objective - 50.0
 
 
