@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +29,7 @@ import numpy as np
 from hygrokf.engine.discretisation import Step, closure, congruence, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
+from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -45,7 +46,6 @@ from hygrokf.physics.expression import (
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
 from hygrokf.physics.matrices import dot, product
 from hygrokf.physics.model import Model, Values
-from hygrokf.physics.signs import never_negative
 
 UNSEEN = 1e-10
 """A reading's loading on an unknown start counts from this share of the products that make it: what rounding
@@ -447,33 +447,8 @@ class Recursion:
         return found
 
     @cached_property
-    def _variances(self) -> list[tuple[str, Expression]]:
-        """Noise intensities, and variances of readings that do not depend on the state."""
-        g, model = self.graph, self.model
-        found = [
-            (f"noise intensity of the state {state}", g.lift(spread))
-            for state, spread in model.noise_spreads(self.p, self.now)
-            if not isinstance(spread, Mapping)
-        ]
-        outputs = model.traced(self.mean, self.now, self.p).outputs
-        found += [(f"variance of the reading {name}", g.lift(pair[1])) for name, pair in outputs.items()]
-        states = [f"m{i}" for i in range(self.n)]
-        return [(what, e) for what, e in found if not depends_on(g, e, states)]
-
-    @cached_property
-    def nonnegative(self) -> list[int]:
-        """Places of the parameters that are at least 0 by their limits, on which `doubtful` relies."""
-        read = {i for _, e in self._variances for i in self.graph.needed([e])}
-        return [
-            i for i, p in enumerate(self.model.parameters) if p.lower >= 0.0 and self.p[p.name].index in read
-        ]
-
-    @cached_property
-    def doubtful(self) -> list[tuple[str, Expression]]:
-        """Noise intensities and variances of readings whose form leaves open whether they are negative."""
-        positive = [f"c:{i}" for i, number in enumerate(self.graph.given) if number >= 0.0]
-        positive += [f"p:{self.model.parameters[i].name}" for i in self.nonnegative]
-        return [(what, e) for what, e in self._variances if not never_negative(self.graph, e, positive)]
+    def variances(self) -> Variances:
+        return variances_of(self.graph, self.model, self.p, self.now, self.mean)
 
     @cached_property
     def rising_noise(self) -> bool:

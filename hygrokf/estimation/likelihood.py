@@ -26,7 +26,7 @@ from hygrokf.engine.rates import rate_bound, sizes
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, traced
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
-from hygrokf.estimation.gaussian import expect_initial, expect_variances
+from hygrokf.estimation.gaussian import expect_initial
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
@@ -103,7 +103,8 @@ class Likelihood:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         theta = np.array([*known, *self.recursion.constants], dtype=float)
-        expect_variances(self.recursion, values, theta, self.timeline.whole)
+        found, r = self.recursion.variances, self.recursion
+        found.check(theta, r.symbols(values, (), self.timeline.whole) if found.doubtful else {})
         return theta
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:

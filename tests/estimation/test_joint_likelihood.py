@@ -123,9 +123,7 @@ def test_records_are_fitted_together():
 def test_what_needs_one_record_and_what_does_not_fit_is_refused():
     model = level()
     joint = JointLikelihood([record(model, 1, 5), record(model, 2, 5)])
-    with pytest.raises(
-        AttributeError, match=r"trace: expected the likelihood of one record, found that of 2; take"
-    ):
+    with pytest.raises(AttributeError, match=r"expected the likelihood of one record, found that of 2; take"):
         smooth(joint, VALUES)
     assert smooth(joint.parts[1], joint.values_of(VALUES, 1))[0].shape == (5, 1)
     with pytest.raises(ValueError, match='found "ofset"; did you mean "offset"'):
