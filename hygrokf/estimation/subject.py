@@ -75,15 +75,6 @@ class Spread:
         matrix = covariance[1][np.ix_(there, there)] * np.outer(scale, scale)
         return cls(tuple(parameters), values, names, matrix)
 
-    def directions(self) -> np.ndarray:
-        """Derivatives (d, r) of the parameters by the uncertain coordinates."""
-        place = {p.name: (i, p) for i, p in enumerate(self.parameters)}
-        found = np.zeros((len(place), len(self.names)))
-        for j, name in enumerate(self.names):
-            i, p = place[name]
-            found[i, j] = p.slope(self.values[name])
-        return found
-
     def drawn(self, draws: np.ndarray) -> dict[str, Any]:
         """Values of all parameters for standard normal draws (N, r): arrays (N,) of the uncertain ones, which
         stay within their search limits."""
@@ -93,8 +84,8 @@ class Spread:
         own = {p.name: p for p in self.parameters}
         for name, move in zip(self.names, moves.T, strict=True):
             p = own[name]
-            z = p.to_coordinate(self.values[name]) + move
-            z = np.clip(z, p.to_coordinate(p.lower), p.to_coordinate(p.upper))
+            ends = p.to_coordinate(p.lower), p.to_coordinate(p.upper)
+            z = np.clip(p.to_coordinate(self.values[name]) + move, *ends)
             found[name] = np.exp(z) if p.positive else z
         return found
 
