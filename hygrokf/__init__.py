@@ -24,21 +24,32 @@ _WHERE = {
     "write_report": "report.fit_page",
     "evaluate": "identification.fit_on_record",
     "model_inputs": "modelling.inputs",
-    "simulate": "evaluation.simulation",
-    "forecast": "evaluation.simulation",
+    "simulate": "evaluation.prediction",
+    "forecast": "evaluation.prediction",
     "Parameter": "physics.parameters",
+    "Prior": "physics.parameters",
     "Mechanism": "physics.model",
     "linear_network": "physics.mechanisms",
+    "exp": "physics.expression",
+    "log": "physics.expression",
+    "sqrt": "physics.expression",
+    "where": "physics.expression",
     "compose": "physics.model",
     "extend": "physics.model",
     "Model": "physics.model",
+    "timeline": "engine.timeline",
     "Likelihood": "estimation.likelihood",
+    "Gaussian": "estimation.likelihood",
     "fit_mle": "estimation.optimiser",
     "confidence_intervals": "estimation.inference",
+    "covariances": "estimation.subject",
     "modal_time_constants": "estimation.inference",
-    "smooth": "estimation.smoother",
+    "smooth": "evaluation.prediction",
+    "innovations": "evaluation.prediction",
     "to_filterpy": "estimation.smoother",
-    "to_statespace": "modelling.thermal_system",
+    "to_statespace": "evaluation.responses",
+    "bode": "evaluation.responses",
+    "step_response": "evaluation.responses",
     "discover": "discovery.procedure",
     "Cause": "discovery.library",
     "cause_of": "discovery.library",
@@ -64,15 +75,22 @@ if TYPE_CHECKING:
     from hygrokf.discovery.library import cause_of as cause_of
     from hygrokf.discovery.own_causes import load_library as load_library
     from hygrokf.discovery.procedure import discover as discover
+    from hygrokf.engine.timeline import timeline as timeline
     from hygrokf.errors import HygrokfError as HygrokfError
     from hygrokf.estimation.inference import confidence_intervals as confidence_intervals
     from hygrokf.estimation.inference import modal_time_constants as modal_time_constants
+    from hygrokf.estimation.likelihood import Gaussian as Gaussian
     from hygrokf.estimation.likelihood import Likelihood as Likelihood
     from hygrokf.estimation.optimiser import fit_mle as fit_mle
-    from hygrokf.estimation.smoother import smooth as smooth
     from hygrokf.estimation.smoother import to_filterpy as to_filterpy
-    from hygrokf.evaluation.simulation import forecast as forecast
-    from hygrokf.evaluation.simulation import simulate as simulate
+    from hygrokf.estimation.subject import covariances as covariances
+    from hygrokf.evaluation.prediction import forecast as forecast
+    from hygrokf.evaluation.prediction import innovations as innovations
+    from hygrokf.evaluation.prediction import simulate as simulate
+    from hygrokf.evaluation.prediction import smooth as smooth
+    from hygrokf.evaluation.responses import bode as bode
+    from hygrokf.evaluation.responses import step_response as step_response
+    from hygrokf.evaluation.responses import to_statespace as to_statespace
     from hygrokf.identification.fit import Fit as Fit
     from hygrokf.identification.fit import read_fit as read_fit
     from hygrokf.identification.fit import write_fit as write_fit
@@ -80,13 +98,17 @@ if TYPE_CHECKING:
     from hygrokf.identification.procedure import identify as identify
     from hygrokf.live.tracker import Tracker as Tracker
     from hygrokf.modelling.inputs import model_inputs as model_inputs
-    from hygrokf.modelling.thermal_system import to_statespace as to_statespace
+    from hygrokf.physics.expression import exp as exp
+    from hygrokf.physics.expression import log as log
+    from hygrokf.physics.expression import sqrt as sqrt
+    from hygrokf.physics.expression import where as where
     from hygrokf.physics.mechanisms import linear_network as linear_network
     from hygrokf.physics.model import Mechanism as Mechanism
     from hygrokf.physics.model import Model as Model
     from hygrokf.physics.model import compose as compose
     from hygrokf.physics.model import extend as extend
     from hygrokf.physics.parameters import Parameter as Parameter
+    from hygrokf.physics.parameters import Prior as Prior
     from hygrokf.report.fit_page import write_report as write_report
     from hygrokf.transfer.comparison import compare as compare
     from hygrokf.transfer.comparison import comparison_column as comparison_column

@@ -31,8 +31,8 @@ from hygrokf.data.structured import structured
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.results import Discovered
+from hygrokf.evaluation.course import Course
 from hygrokf.evaluation.scoring import Errors
-from hygrokf.evaluation.simulation import Prediction
 from hygrokf.fleet.results import FleetResults
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
@@ -77,9 +77,12 @@ def record_summary() -> RecordSummary:
     return describe(record())
 
 
-def prediction() -> Prediction:
+def course() -> Course:
     value = np.linspace(290.0, 300.0, 5)
-    return Prediction((value, 0.1 * value), None, (0.03 * value, 0.001 * value))
+    one = "cabinet_temperature"
+    return Course(
+        0.25 * np.arange(5.0), START_S, {one: value}, {one: 0.1 * value}, {one: value}, units={one: "K"}
+    )
 
 
 def evaluation() -> Evaluation:
@@ -144,12 +147,11 @@ def turbine_type() -> TurbineType:
 
 
 MADE: tuple[Callable[[], Any], ...] = (
-    fit, fit_results, record, record_summary, prediction, evaluation, simulation_summary, discovery_results,
+    fit, fit_results, record, record_summary, course, evaluation, simulation_summary, discovery_results,
     discovered, discovery, study, fleet, transfer_results, transfer_result, transfer, column, comparison,
     comparison_results, turbine_type,
 )  # fmt: skip
 FRAMES: dict[Callable[[], Any], Callable[[Any], pd.DataFrame]] = {
-    prediction: lambda one: one.to_frame(START_S + 0.25 * np.arange(5)),
     record: lambda one: one["active_power"].to_frame(),
 }
 """How a frame is made where it needs an argument."""

@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hygrokf
-from hygrokf.engine.timeline import timeline
 
 
 def positive(name: str, unit: str, start: float, noise: bool = False) -> hygrokf.Parameter:
@@ -76,7 +75,7 @@ for k in range(len(time)):
 fans, hot, warm = np.array(rows).T
 
 inputs = {"ambient": ambient, "sun": sun, "charging": charging, "fan_on": fans}
-made = timeline(model, time, inputs, {"electronics_reading": hot, "air_reading": warm})
+made = hygrokf.timeline(model, time, inputs, {"electronics_reading": hot, "air_reading": warm})
 likelihood = hygrokf.Likelihood(model, made)
 estimate = hygrokf.fit_mle(likelihood, count=2)
 bounds = hygrokf.confidence_intervals(likelihood, estimate, method="wald")
@@ -85,12 +84,14 @@ for name, true in truth.items():
     found, one = estimate.values[name], bounds[name]
     print(f"{name:14} {found:6.2f} ({one.lower:.2f} … {one.upper:.2f}), made with {true}")
 
-mean, covariance = hygrokf.smooth(likelihood, estimate.values)
+smoothed = hygrokf.smooth(likelihood, estimate)
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5.4), height_ratios=(3, 1))
 for place, (reading, label) in enumerate(((hot, "electronics"), (warm, "air"))):
     colour = ("C1", "C0")[place]
     axes[0].plot(time, reading, ".", color=colour, markersize=2, alpha=0.5)
-    axes[0].plot(time, mean[:, place], color=colour, linewidth=1.1, label=f"{label}: readings and smoothed")
+    axes[0].plot(
+        time, smoothed.value[label], color=colour, linewidth=1.1, label=f"{label}: readings and smoothed"
+    )
 axes[0].plot(time, ambient, color="C2", linewidth=1.0, label="ambient")
 axes[0].axhline(45.0, color="0.4", linewidth=0.8, linestyle=":")
 axes[0].set_ylabel("temperature [°C]")

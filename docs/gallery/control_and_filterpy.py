@@ -20,17 +20,17 @@ turbine = hygrokf.synthetic_turbine(seed=1, days=12)
 record = hygrokf.read_case(hygrokf.write_case(turbine, tempfile.mkdtemp()))
 record = replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
 fit = hygrokf.identify(record, starts=1, profiles=False)
-system = hygrokf.to_statespace(fit.design, fit.values)
+system = hygrokf.to_statespace(fit)
 print(system)
 
 # %%
 # filterpy's filter over the first day, beside the package's own.
 
-run = hygrokf.model_inputs(fit.design, record)
-likelihood = hygrokf.Likelihood(fit.design.model, run.timeline)
+likelihood = fit.likelihood(record)
 own = likelihood.trace(fit.values)
 other = hygrokf.to_filterpy(likelihood, fit.values)
-days = run.timeline.time[: np.searchsorted(run.timeline.time, 24.0)]
+time = likelihood.timeline.time
+days = time[: np.searchsorted(time, 24.0)]
 course = []
 for k in range(len(days)):
     if k:

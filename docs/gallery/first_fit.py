@@ -23,22 +23,21 @@ print(fit.to_frame().iloc[:, :5].round(3))
 # %%
 # The same model, driven by the inputs of the whole record. Standard deviations come with every value.
 
-run = hygrokf.model_inputs(fit.design, record)
-free_run = hygrokf.simulate(fit.design, fit.values, run)
-day = run.timeline.time / 24.0
-held_out = day > (record.until_s - run.timeline.origin_s) / 86400.0
+free_run = hygrokf.simulate(fit, record)
+day = free_run.time_h / 24.0
+held_out = day > (record.until_s - free_run.origin_s) / 86400.0
 
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5.2))
 panels = (
-    (axes[0], "cabinet_temperature", free_run.temperature, 273.15, 1.0, "temperature [°C]"),
-    (axes[1], "cabinet_relative_humidity", free_run.relative_humidity, 0.0, 100.0, "relative humidity [%]"),
+    (axes[0], "cabinet_temperature", 273.15, 1.0, "temperature [°C]"),
+    (axes[1], "cabinet_relative_humidity", 0.0, 100.0, "relative humidity [%]"),
 )
-for axis, signal, (mean, sd), zero, scale, label in panels:
-    series = record[signal]
-    time = (series.time - run.timeline.origin_s) / 86400.0
+for axis, signal, zero, scale, label in panels:
+    series, mean = record[signal], free_run.value[signal]
+    time = (series.time - free_run.origin_s) / 86400.0
     axis.plot(time, scale * (series.value - zero), color="C0", linewidth=1.0, label="measured (synthetic)")
     axis.plot(day, scale * (mean - zero), color="C1", linewidth=1.0, label="free run")
-    low, high = (scale * (mean + end * sd - zero) for end in (-1.96, 1.96))
+    low, high = (scale * (end - zero) for end in free_run.bounds(signal))
     axis.fill_between(day, low, high, color="C1", alpha=0.18, linewidth=0, label="95 % band")
     axis.set_ylabel(label)
 axes[1].set_ylim(0, 100)

@@ -3,8 +3,8 @@ Test the innovations with statsmodels
 =====================================
 
 If a model describes its record, the standardized innovations of the filter are white: each one-step
-prediction uses all that the readings before it can tell. They are plain arrays, so any other package can
-test them.
+prediction uses all that the readings before it can tell. `innovations(…).tests()` judges them; they are
+plain arrays, so any other package can test them too.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,6 @@ from statsmodels.graphics.tsaplots import plot_acf
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
 import hygrokf
-from hygrokf.engine.timeline import timeline
 
 random = np.random.default_rng(3)
 time = np.arange(0.0, 400.0, 0.25)
@@ -58,12 +57,12 @@ two = hygrokf.linear_network(
 innovations = {}
 for network in (one, two):
     model = hygrokf.compose([network], dict.fromkeys(("ambient", "heat"), "mean"))
-    made = timeline(model, time, {"ambient": ambient, "heat": heat}, {"read": np.array(readings)})
+    made = hygrokf.timeline(model, time, {"ambient": ambient, "heat": heat}, {"read": np.array(readings)})
     likelihood = hygrokf.Likelihood(model, made)
-    trace = likelihood.trace(hygrokf.fit_mle(likelihood, count=2).values)
-    error = (made.reading("read") - trace.prediction[:, 0]) / np.sqrt(trace.variance[:, 0])
-    innovations[network.name] = error[40:]
-    print(f"{network.name}: log-likelihood {trace.loglik:.1f}")
+    estimate = hygrokf.fit_mle(likelihood, count=2)
+    found = hygrokf.innovations(likelihood, estimate)
+    innovations[network.name] = found.standardised["read"][40:]
+    print(f"{network.name}: log-likelihood {estimate.loglik:.1f}; {found.tests().statements[0]}")
     print(acorr_ljungbox(innovations[network.name], lags=[10, 40]), "\n")
 
 figure, axes = plt.subplots(1, 2, sharey=True, figsize=(9, 3.6))

@@ -68,12 +68,11 @@ print(f"{estimate.value:.2f} K ({estimate.lower:.2f} … {estimate.upper:.2f}), 
 
 figure, axis = plt.subplots(figsize=(9, 4))
 for fit, label, colour in ((found.base, "base model", "C3"), (found.extended, f"with {cause.cause}", "C0")):
-    run = hygrokf.model_inputs(fit.design, record)
-    error = hygrokf.simulate(fit.design, fit.values, run).temperature[0]
-    error = error - run.timeline.reading("cabinet_temperature")
+    run = hygrokf.simulate(fit, record)
+    error = run.value["cabinet_temperature"] - run.reading["cabinet_temperature"]
     there = np.isfinite(error)
     rms = np.sqrt(np.mean(error[there] ** 2))
-    day, label = run.timeline.time[there] / 24.0, f"{label}: {rms:.2f} K rms"
+    day, label = run.time_h[there] / 24.0, f"{label}: {rms:.2f} K rms"
     axis.plot(day, error[there], color=colour, linewidth=0.9, label=label)
 axis.axhline(0.0, color="0.5", linewidth=0.8)
 axis.set_xlabel("day of the record")

@@ -50,14 +50,12 @@ def floor_in_the_sun() -> hygrokf.Mechanism:
 # Extend the model with it. At the null value the likelihood is that of the base model.
 
 base = design(record, kind="thermal")
-run = hygrokf.model_inputs(base, record)
-made = run.timeline
+made = hygrokf.model_inputs(base, record).timeline
 likelihood = hygrokf.Likelihood(base.model, made)
 before = hygrokf.fit_mle(likelihood, count=1)
 admit({"floor_in_the_sun": floor_in_the_sun}, {}, {"python": "gallery"})
 wider = extended(base, [("floor_in_the_sun", {})])
-wide_run = hygrokf.model_inputs(wider, record)
-wide = hygrokf.Likelihood(wider.model, wide_run.timeline)
+wide = hygrokf.Likelihood(wider.model, hygrokf.model_inputs(wider, record).timeline)
 assert np.isclose(wide.value({**before.values, "floor_gain": 0.0}), before.loglik)
 after = hygrokf.fit_mle(wide, {**before.values, "floor_gain": 1.0}, count=1)
 gain = hygrokf.confidence_intervals(wide, after, ["floor_gain"], "wald")["floor_gain"]
@@ -67,16 +65,15 @@ print(
 )
 
 figure, axes = plt.subplots(2, sharex=True, figsize=(9, 5), height_ratios=(3, 1))
-for one, chosen, values, label, colour in (
-    (base, run, before.values, "base model", "C3"),
-    (wider, wide_run, after.values, "with the floor in the sun", "C0"),
+for one, estimate, label, colour in (
+    (likelihood, before, "base model", "C3"),
+    (wide, after, "with the floor in the sun", "C0"),
 ):
-    error = hygrokf.simulate(one, values, chosen).temperature[0] - chosen.timeline.reading(
-        "cabinet_temperature"
-    )
+    free_run = hygrokf.simulate(one, estimate)
+    error = free_run.value["cabinet_temperature"] - free_run.reading["cabinet_temperature"]
     there = np.isfinite(error)
     rms = np.sqrt(np.mean(error[there] ** 2))
-    days = chosen.timeline.time[there] / 24.0
+    days = free_run.time_h[there] / 24.0
     axes[0].plot(days, error[there], color=colour, linewidth=0.9, label=f"{label}: {rms:.2f} K rms")
 axes[0].axhline(0.0, color="0.5", linewidth=0.8)
 axes[0].set_ylabel("free run less reading [K]")

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.stats import chi2
 
 import hygrokf
-from hygrokf.engine.timeline import timeline
 
 random = np.random.default_rng(5)
 time = np.arange(0.0, 72.0, 0.25)
@@ -39,7 +38,7 @@ cabinet = hygrokf.linear_network(
     initial=lambda p, u: {"inside": (14.0, 4.0)},
 )
 model = hygrokf.compose([cabinet], {"ambient": "linear", "power": "mean"})
-made = timeline(model, time, {"ambient": ambient, "power": power}, {"read": np.array(readings)})
+made = hygrokf.timeline(model, time, {"ambient": ambient, "power": power}, {"read": np.array(readings)})
 likelihood = hygrokf.Likelihood(model, made)
 
 # %%

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +16,7 @@ import numpy as np
 
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.tabular import utc_index, with_units
-from hygrokf.data.timestamps import EARLIEST_S, LATEST_S
+from hygrokf.data.timestamps import EARLIEST_S, LATEST_S, duration_text, stamp_text
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS, hold_named
@@ -381,6 +382,18 @@ class Record:
         """Names of the signals in the record."""
         return tuple(one.signal for one in self.series)
 
+    def __repr__(self) -> str:
+        """Name, span and signals, a line each."""
+        rows = []
+        for one in self.series:
+            step = duration_text(float(np.median(one.steps_s))) if len(one.steps_s) else "–"
+            rows.append(
+                f"  {one.signal} [{SIGNALS[one.signal].unit}]: {len(one.known[0])} readings, every {step}"
+            )
+        until = "" if self.until_s is None else f", identification until {stamp_text(self.until_s)}"
+        span = f"{stamp_text(self.start_s)} … {stamp_text(self.end_s)}{until}" if rows else "no series"
+        return "\n".join([f"Record {self.name}: {span}", *shortened(rows)])
+
     def __contains__(self, signal: object) -> bool:
         return signal in self.signals
 
@@ -451,3 +464,47 @@ class Record:
             series=tuple(new.get(one.signal, one) for one in self.series),
             warnings=self.warnings + warnings,
         )
+
+
+LINES = 10
+"""Most lines of a list in the `repr` of an object."""
+
+
+def shortened(lines: Sequence[str]) -> list[str]:
+    """At most `LINES` of some lines, the last of which says how many were left out."""
+    rest = len(lines) - LINES + 1
+    return list(lines) if rest < 2 else [*lines[: LINES - 1], f"  … and {rest} more"]
+
+
+def kind_of(given: object) -> str:
+    """What something is, in words for a message."""
+    if isinstance(given, (str, os.PathLike)):
+        return f"the path {os.fspath(given)!r}"
+    if _is_frame(given):
+        return "a pandas frame"
+    if isinstance(given, Mapping) and any(map(_is_frame, given.values())):
+        return "pandas frames"
+    name = type(given).__name__
+    return "nothing" if given is None else f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
+
+
+def maker_of(given: object, fit: bool = False) -> str:
+    """The call that makes a Record, or a `fit`, of a path or of frames; empty for anything else."""
+    if isinstance(given, (str, os.PathLike)):
+        path = f"({os.fspath(given)!r})"
+        return f"read_fit{path} reads a Fit" if fit else f"read_case{path} makes a Record of a case file"
+    if _is_frame(given) or (isinstance(given, Mapping) and any(map(_is_frame, given.values()))):
+        return f"read_frames(frames, units=…) makes a Record{', identify a Fit of it' if fit else ''}"
+    return ""
+
+
+def expect_record(given: object, verb: str) -> Record:
+    """The record given to a verb.  Raises ValueError that names the call which makes one."""
+    if isinstance(given, Record):
+        return given
+    maker = maker_of(given) or "read_case makes one of a case file, read_frames one of pandas frames"
+    raise ValueError(f"{verb}: expected a Record, found {kind_of(given)}; {maker}")
+
+
+def _is_frame(given: object) -> bool:
+    return hasattr(given, "columns") and hasattr(given, "index")

@@ -26,7 +26,8 @@ import numpy as np
 
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import LANES, SCALAR, Writer, declarations
-from hygrokf.physics.expression import Expression, Graph, Matrix, add, product, transpose
+from hygrokf.physics.expression import Expression, Graph, Matrix
+from hygrokf.physics.matrices import add, product, transpose
 
 TIMES_H = (0.5, 2.0, 8.0, 32.0, 128.0)
 """[h] correlation times θ of the parts: a factor of four apart, they span half an hour to a week."""

@@ -46,22 +46,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.physics.expression import (
-    Expression,
-    Graph,
-    Matrix,
-    Value,
-    add,
-    depends_on,
-    dot,
-    factorials,
-    identity,
-    is_zero,
-    jacobian,
-    product,
-    scale,
-    transpose,
-)
+from hygrokf.physics.expression import Expression, Graph, Matrix, Value, depends_on, is_zero, jacobian
+from hygrokf.physics.matrices import add, dot, identity, product, scale, transpose
 from hygrokf.physics.model import Values
 
 SHARE = 0.25
@@ -235,7 +221,7 @@ def _doubled(
     d, g, w = (matrices[name] for name in "DGW")
     q = matrices["N"] = _symmetric(matrices["N"])
 
-    x, inverse = scale(share, omega), [1.0 / f for f in factorials(ORDER + 3)]
+    x, inverse = scale(share, omega), [1.0 / f for f in _factorials(ORDER + 3)]
     first = {"D": _zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
     power = identity(n)
     for k in range(1, ORDER + 1):
@@ -337,9 +323,9 @@ def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
     """Taylor coefficients about z = −centre of e^z (weight None) or of ∫₀¹ (1−σ)^w e^{zσ} dσ for the weight
     w."""
     if weight is None:
-        return [math.exp(-centre) / f for f in factorials(order + 1)]
+        return [math.exp(-centre) / f for f in _factorials(order + 1)]
     terms = 40  # terms of the series of e^{−centre σ}: beyond machine precision for centre < 1
-    inverse = [1.0 / f for f in factorials(terms + order + 2)]
+    inverse = [1.0 / f for f in _factorials(terms + order + 2)]
     result = []
     for k in range(order + 1):
         moments = (
@@ -421,3 +407,8 @@ def _any(a: Matrix) -> bool:
 
 def _zeros(n: int, m: int) -> Matrix:
     return [[0.0] * m for _ in range(n)]
+
+
+def _factorials(count: int) -> list[float]:
+    """0!, 1!, … as floats."""
+    return [float(math.factorial(k)) for k in range(count)]

@@ -20,7 +20,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.physics.expression import Expression, Matrix, Value, dot, identity, is_zero, where
+from hygrokf.physics.expression import Expression, Matrix, Value, is_zero, where
+from hygrokf.physics.matrices import dot, identity
 
 
 def factors(matrix: Matrix) -> tuple[Matrix, list[Value]]:

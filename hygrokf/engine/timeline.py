@@ -38,7 +38,8 @@ class Timeline:
     on (previous) its value from there on, and a mean its value over the step that ends there; `y` (T, k)
     readings, NaN where there is none; `reset` (T,) bits of the running means that restart at the instant;
     `whole` inputs of the whole run, which a piece of the run keeps; `ends` (T,) True at the first step with
-    known inputs after a gap of them (`engine.long_steps`), empty without gaps.
+    known inputs after a gap of them (`engine.long_steps`), empty without gaps; `part`: which part of a record
+    it holds, empty where it is of none.
     """
 
     time: np.ndarray
@@ -53,6 +54,19 @@ class Timeline:
     origin_s: float = 0.0
     whole: Mapping[str, np.ndarray] = field(default_factory=dict)
     ends: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
+    part: str = ""
+
+    def __repr__(self) -> str:
+        """Span, instants and readings."""
+        if self.origin_s:
+            ends = np.round(self.seconds[[0, -1]]).astype("datetime64[s]")
+            span = "Z … ".join(np.datetime_as_string(ends)) + "Z"
+        else:
+            span = f"{self.time[0]:.6g} … {self.time[-1]:.6g} h"
+        read = np.isfinite(self.y).sum(axis=0)
+        counts = ", ".join(f"{count} of {name}" for name, count in zip(self.outputs, read, strict=True))
+        part = f", {self.part}" if self.part else ""
+        return f"Timeline {span}, {len(self)} instants{part}\n  readings: {counts or 'none'}"
 
     def __len__(self) -> int:
         return len(self.time)
@@ -133,7 +147,7 @@ def timeline(
     ends: np.ndarray | None = None,
     unit: str = "h",
 ) -> Timeline:
-    """Timeline of a model: its instants with inputs and readings.
+    """Instants with the inputs and readings of a model.
 
     model: of `compose`, with m inputs and k outputs.
     time: (T,) numbers in `unit`, or dates (numpy's, pandas' or Python's; without a zone they count as UTC),

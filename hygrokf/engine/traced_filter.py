@@ -26,9 +26,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import closure, congruence, step
+from hygrokf.engine.discretisation import Step, closure, congruence, step
 from hygrokf.engine.packing import pack, place, unpack
-from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised
+from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
 from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
     Expression,
@@ -37,15 +37,14 @@ from hygrokf.physics.expression import (
     Value,
     arguments,
     depends_on,
-    dot,
     is_zero,
     jacobian,
     maximum,
-    product,
     sqrt,
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
+from hygrokf.physics.matrices import dot, product
 from hygrokf.physics.model import Model, Values
 
 UNSEEN = 1e-10
@@ -95,14 +94,8 @@ class Recursion:
         self.loadings = [[g.symbol(f"I{i}:{j}") for j in range(d)] for i in range(n)]
         self.directions = [[g.symbol(f"N{i}:{j}") for j in range(d)] for i in range(d)]
         self.begun = [g.symbol("begun")] if d else []
-        self.state = [
-            *self.mean,
-            *self.packed,
-            *self.units,
-            *_flat(self.loadings),
-            *_flat(self.directions),
-        ]
-        self.state += self.begun
+        self.state = [*self.mean, *self.packed, *self.units]
+        self.state += [*_flat(self.loadings), *_flat(self.directions), *self.begun]
         self.start, self.end, self.now = {}, {}, {}
         for name in self.varying:
             hold = self.holds[name]
@@ -129,9 +122,7 @@ class Recursion:
             [f"m{i}" for i in range(n)] + [f"{end}:{name}" for end in "ab" for name in self.varying],
         )
         self.doubling = made.doubling
-        packed = (
-            self._lower(made.covariance) if not factored else self._predicted(made.transition, made.noise)
-        )
+        packed = self._predicted(made) if factored else self._lower(made.covariance)
         self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
         if d:
             moved = product(made.transition, self.loadings)
@@ -168,8 +159,10 @@ class Recursion:
         return (lower * diagonal[..., None, :]) @ np.swapaxes(lower, -1, -2)
 
     def root_of(self, state: np.ndarray) -> np.ndarray:
-        """L √D (…, n, n) of factored moments (…, w)."""
+        """W (…, n, n) with W W' the covariance of moments (…, w)."""
         found = unpack(state[..., self.n : self.n + self.q], self.n)
+        if not self.factored:
+            return square_root(found)
         return self._lower_of(state) * np.sqrt(np.einsum("...ii->...i", found))[..., None, :]
 
     def _lower_of(self, state: np.ndarray) -> np.ndarray:
@@ -199,11 +192,9 @@ class Recursion:
 
     def unknown_of(self, state: np.ndarray) -> np.ndarray:
         """Φ N (…, n, unknown) of moments (…, w), 0 where rounding alone is left."""
-        n, d = self.n, self.unknown
-        loadings = state[..., self.loaded : self.loaded + n * d].reshape(*state.shape[:-1], n, d)
-        directions = state[..., self.loaded + n * d : self.loaded + (n + d) * d].reshape(
-            *state.shape[:-1], d, d
-        )
+        n, d, first = self.n, self.unknown, self.loaded
+        loadings = state[..., first : first + n * d].reshape(*state.shape[:-1], n, d)
+        directions = state[..., first + n * d : first + (n + d) * d].reshape(*state.shape[:-1], d, d)
         found = loadings @ directions
         return np.where(np.abs(found) > UNSEEN * (np.abs(loadings) @ np.abs(directions)), found, 0.0)
 
@@ -214,29 +205,22 @@ class Recursion:
     def _square(self, packed: Sequence[Expression]) -> Matrix:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
-    def _predicted(self, transition: Matrix, noise: Matrix) -> list[Expression]:
+    def _predicted(self, made: Step) -> list[Expression]:
         """Packed factors of F P F' + Q."""
         lower, diagonal = self._factors()
-        own, spread = factors(noise)
-        rows = [[*a, *b] for a, b in zip(product(transition, lower), own, strict=True)]
+        own, spread = factors(made.noise)
+        rows = [[*a, *b] for a, b in zip(product(made.transition, lower), own, strict=True)]
         return self._packed(*orthogonalised(rows, [*diagonal, *spread]))
 
     def _factors(self) -> tuple[Matrix, list[Value]]:
         """L (n, n) and D (n,) of the moments."""
         units = dict(zip(self.model.resets, self.units, strict=True))
-        lower: Matrix = [
-            [
-                self.packed[place(i, j)] if j < i else units.get(i, 1.0) if j == i else 0.0
-                for j in range(self.n)
-            ]
-            for i in range(self.n)
-        ]
-        return lower, [self.packed[place(i, i)] for i in range(self.n)]
+        diagonal = [self.packed[place(i, i)] for i in range(self.n)]
+        lower: Matrix = [[self.packed[place(i, j)] for j in range(i)] for i in range(self.n)]
+        return [[*row, units.get(i, 1.0), *[0.0] * (self.n - i - 1)] for i, row in enumerate(lower)], diagonal
 
     def _packed(self, lower: Matrix, diagonal: list[Value]) -> list[Expression]:
-        return self._lower(
-            [[diagonal[i] if i == j else lower[i][j] for j in range(self.n)] for i in range(self.n)]
-        )
+        return self._lower([[*row[:i], diagonal[i]] for i, row in enumerate(lower)])
 
     def _trace_update(self, prediction: Value, variance: Value) -> tuple[Block, Expression]:
         """Outputs for one reading with this prediction and variance of its noise: moments, innovation, its

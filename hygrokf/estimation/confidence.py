@@ -24,7 +24,7 @@ import numpy as np
 
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.likelihood import Sensitivities
-from hygrokf.estimation.optimiser import Estimate, Objective
+from hygrokf.estimation.optimiser import Estimate, Objective, natural_units
 from hygrokf.estimation.serial_dependence import long_run_covariance
 from hygrokf.physics.parameters import Coordinates, Parameter
 
@@ -123,7 +123,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
             + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in estimate.coordinates.names)
             + "; leave out the mechanism that diverges, or mask the readings that it cannot follow"
         )
-    width = widths(estimate.coordinates)
+    width = natural_units(estimate.coordinates)
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12 / width**2))
     curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7 * width, 0.05 * width))
     return uncertainty_by(objective, estimate, expected, curvature)
@@ -139,7 +139,8 @@ def uncertainty_by(
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names], dtype=bool)
     among = np.ix_(inside, inside)
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
-    undetermined = open_directions(expected.information[among], len(timeline), widths(coordinates)[inside])
+    units = natural_units(coordinates)[inside]
+    undetermined = open_directions(expected.information[among], len(timeline), units)
     known = positive_inverse(curvature[among], undetermined)
     prior = coordinates.log_prior(estimate.z)[2][inside]
     scores = expected.scores[:, inside]
@@ -163,11 +164,6 @@ def uncertainty_by(
         undetermined,
         {name: float(n) for name, n in zip(names, run.needed, strict=True) if n > 1.0},
     )
-
-
-def widths(coordinates: Coordinates) -> np.ndarray:
-    """Natural units (d,) of the coordinates: 1 of a logarithm, else the width of the search range."""
-    return np.array([1.0 if p.positive else p.upper - p.lower for p in coordinates.free])
 
 
 def open_directions(information: np.ndarray, count: int, width: np.ndarray) -> np.ndarray:

@@ -26,11 +26,11 @@ from hygrokf.estimation.confidence import (
     uncertainty,
     wald_bounds,
     widest,
-    widths,
 )
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, records_of
-from hygrokf.estimation.optimiser import Estimate, Objective, shortened
+from hygrokf.estimation.optimiser import Objective, natural_units, shortened
 from hygrokf.estimation.profile_likelihood import profile
+from hygrokf.estimation.subject import Given, Source, estimated
 from hygrokf.physics.parameters import Coordinates, Parameter
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ it has not, the bound is open."""
 
 
 def confidence_intervals(
-    likelihood: AnyLikelihood,
-    estimate: Estimate,
+    source: Source,
+    given: Given | None = None,
     names: Sequence[str] | None = None,
     method: str = "profile",
     level: float = 0.95,
@@ -62,7 +62,8 @@ def confidence_intervals(
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
 
-    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    source, given: a `Likelihood` and the `Estimate` that `fit_mle` made of it; or a `Fit` and its `Record`,
+        where the likelihood of the whole model is first climbed to its maximum from the fit's values.
     names: of the parameters.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
         sandwich factor (`profile_likelihood.profile`); "likelihood-ratio" does so with the plain threshold;
@@ -74,8 +75,10 @@ def confidence_intervals(
 
     Returns `lower` and `upper` by name, in the parameters' units.  Where an end is open they are 0 and
     infinity, or the limits of the search of a parameter that is not positive, and `statement` says why.
-    Raises ValueError for an unknown method or level, and for names that are not free parameters.
+    Raises ValueError for an unknown method or level, and for names that are not free parameters, and for
+    anything else, with the call that makes what is missing.
     """
+    likelihood, estimate = estimated("confidence_intervals", source, given)
     free = estimate.coordinates.names
     wanted = free if names is None else tuple(names)
     unknown = [f"{name}{suggestion(name, free, 1)}" for name in wanted if name not in free]
@@ -119,8 +122,8 @@ class TimeConstant:
 
 
 def modal_time_constants(
-    likelihood: AnyLikelihood,
-    estimate: Estimate,
+    source: Source,
+    given: Given | None = None,
     level: float = 0.95,
     state: Mapping[str, float] | None = None,
     inputs: Mapping[str, float] | None = None,
@@ -133,7 +136,7 @@ def modal_time_constants(
     with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
     coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    source, given: as `confidence_intervals` takes them.
     level: [1] of confidence, between 0 and 1.
     state, inputs: where a nonlinear model is linearised, in the model's units; values not given there are the
         means of the filtered states and the medians of the inputs over the record.
@@ -147,7 +150,8 @@ def modal_time_constants(
     """
     from scipy.linalg import eig
 
-    at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
+    likelihood, estimate = estimated("modal_time_constants", source, given)
+    at_state, at_inputs = operating_point(likelihood, estimate.values, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z
     objective = Objective(likelihood, coordinates)
     known = known or uncertainty(objective, estimate)
@@ -172,7 +176,7 @@ def modal_time_constants(
         return found
 
     slopes = []
-    for place, step in zip(inside, COORDINATE_STEP * widths(coordinates)[inside], strict=True):
+    for place, step in zip(inside, COORDINATE_STEP * natural_units(coordinates)[inside], strict=True):
         there = step * (np.arange(len(z)) == place)
         slopes.append((matrix(z + there) - matrix(z - there)) / (2.0 * step))
     values, left, right = eig(matrix(z), left=True, right=True)
@@ -196,11 +200,14 @@ def modal_time_constants(
     return tuple(sorted(found, key=lambda one: -one.value))
 
 
-def _point(
-    likelihood: AnyLikelihood, estimate: Estimate, state: Mapping[str, float], inputs: Mapping[str, float]
+def operating_point(
+    likelihood: AnyLikelihood,
+    values: Mapping[str, float],
+    state: Mapping[str, float],
+    inputs: Mapping[str, float],
 ) -> tuple[np.ndarray, dict[str, float]]:
     """State (n,) and inputs at which a model is linearised."""
-    model, records = likelihood.model, records_of(likelihood, estimate.values)
+    model, records = likelihood.model, records_of(likelihood, values)
     for kind, given, there in (("state", state, model.states), ("inputs", inputs, model.inputs)):
         unknown = [f"{name}{suggestion(name, there, 1)}" for name in sorted(set(given) - set(there))]
         if unknown:
@@ -292,10 +299,10 @@ def _cells(row: ParameterEstimate) -> tuple[str, ...]:
     )
 
 
-def parameter_table(likelihood: AnyLikelihood, estimate: Estimate, level: float = 0.95) -> ParameterTable:
+def parameter_table(source: Source, given: Given | None = None, level: float = 0.95) -> ParameterTable:
     """Values, standard errors, bounds, correlations and identifiable combinations of a model's parameters.
 
-    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    source, given: as in `confidence_intervals`.
     level: [1] of confidence, between 0 and 1, of Wald's bounds with the wider of both covariances.
 
     Groups of parameters that trade against each other are the eigenvectors with small eigenvalues of the
@@ -304,6 +311,7 @@ def parameter_table(likelihood: AnyLikelihood, estimate: Estimate, level: float 
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
+    likelihood, estimate = estimated("parameter_table", source, given)
     coordinates = estimate.coordinates
     known = uncertainty(Objective(likelihood, coordinates), estimate)
     rows = []

@@ -23,16 +23,15 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.rates import rate_bound, sizes
-from hygrokf.engine.square_root import square_root
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, traced
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
 from hygrokf.estimation.gaussian import expect_initial
-from hygrokf.estimation.moments import Kept, checked_loglik, covariances, loglik_of
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
+from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
 from hygrokf.estimation.start import Moments, law, law_with_slopes, packed, packed_slopes
-from hygrokf.physics.model import Model, fields_alone
+from hygrokf.physics.model import Model, fields_alone, fields_by_line
 from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
@@ -81,6 +80,7 @@ class Likelihood:
         expect_initial(self.model, self.initial, self.diffuse_states)
 
     __getstate__ = fields_alone
+    __repr__ = fields_by_line
 
     @cached_property
     def recursion(self) -> Recursion:
@@ -506,11 +506,11 @@ class Likelihood:
         """
         return self._traced(values, gain, start)[0]
 
-    def kept(self, values: Mapping[str, float]) -> Kept:
-        """The trace, and the square roots of its covariances."""
+    def with_roots(self, values: Mapping[str, float]) -> tuple[Trace, np.ndarray, np.ndarray]:
+        """The trace; W (T, n, n), W W' the covariance after an instant but for what is infinite; and the
+        directions (T, n, d) of the state of which nothing is known there."""
         found, r, moments = self._traced(values)
-        root = r.root_of(moments) if r.factored else square_root(r.covariance_of(moments))
-        return Kept(found, root, r.unknown_of(moments))
+        return found, r.root_of(moments), r.unknown_of(moments)
 
     def _traced(
         self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None

@@ -62,16 +62,6 @@ class Trace:
         return any(np.einsum("tii->ti", p).min(initial=0.0) < 0.0 for p in both)
 
 
-@dataclass(frozen=True)
-class Kept:
-    """A trace and what a smoother takes besides: W (T, n, n), W W' the covariance after an instant but for
-    what is infinite, and the directions (T, n, d) of the state of which nothing is known there."""
-
-    trace: Trace
-    root: np.ndarray
-    unknown: np.ndarray
-
-
 def loglik_of(sums: Sequence[np.ndarray]) -> float:
     """ln L from the sums that loops wrote over the pieces of a run (`RunningSums.write`)."""
     parts = [part.tolist() for part in sums]

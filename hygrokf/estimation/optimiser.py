@@ -43,8 +43,12 @@ would be rounding."""
 BUDGET = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
+SHARE = 1.0 / 30.0
+"""[1] share of a search range that compares with 1 of a logarithm."""
+REACH = 1.5
+"""Least half width of the box of one step, in the coordinates' natural units."""
 AT_LIMIT = 1e-9
-"""Distance within which a coordinate counts as being at a limit."""
+"""Distance within which a coordinate counts as being at a limit, in its natural unit."""
 BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
@@ -217,7 +221,8 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
             return Optimum(z, value, True, "converged: every free parameter is at a bound")
-        promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9)[1]
+        reach = reach_of(objective.coordinates, z)
+        promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and settled:
             return Optimum(z, value, True, "converged")
         if count == passes:
@@ -225,7 +230,7 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
         settled = promised < tolerance
         far = promised > NEAR and count < SCORING_PASSES
         for _ in range(25):
-            step, promised = bounded_step(curvature, gradient, free, z, lower, upper, damping)
+            step, promised = bounded_step(curvature, gradient, free, z, lower, upper, damping, reach)
             new, slope = (objective.value(z + step), gradient) if far else objective.score(z + step)
             gain = new - value
             if not far and math.isfinite(new):
@@ -259,6 +264,17 @@ def secant_update(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.nda
     return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
 
 
+def natural_units(coordinates: Coordinates) -> np.ndarray:
+    """Units (d,) in which steps of the coordinates compare: 1 of a logarithm, else a share of the search
+    range's width, so that nothing depends on the parameters' units."""
+    return np.array([1.0 if p.positive else SHARE * (p.upper - p.lower) for p in coordinates.free])
+
+
+def reach_of(coordinates: Coordinates, z: np.ndarray) -> np.ndarray:
+    """Half widths (d,) of the box that one step from z stays in: wider far from the parameters' starts."""
+    return np.maximum(REACH * natural_units(coordinates), 0.5 * np.abs(z - coordinates.start()))
+
+
 def bounded_step(
     information: np.ndarray,
     gradient: np.ndarray,
@@ -267,22 +283,24 @@ def bounded_step(
     lower: np.ndarray,
     upper: np.ndarray,
     damping: float,
+    reach: np.ndarray,
 ) -> tuple[np.ndarray, float]:
-    """The damped step within the bounds and a trust box, and the gain that the quadratic model promises for
-    it.
+    """The damped step within the bounds and a trust box of half width `reach` (d,), and the gain that the
+    quadratic model promises for it.
 
     The step is the most promising of three: coordinates that would leave the box held at its edge and the
     others solved again; the whole step shortened; the steepest ascent.  Shortening alone would let a flat
     direction, whose full step is unbounded, shrink the steps of all other coordinates to nothing and so
     simulate convergence.
     """
-    reach = np.maximum(1.5, 0.5 * np.abs(z))
     low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
     held, moving = np.zeros_like(z), free.copy()
     shortened = np.zeros_like(z)
     while moving.any():
         rest = gradient - information @ np.where(moving, 0.0, held)
-        held[moving] = _damped_step(information[np.ix_(moving, moving)], rest[moving], damping)
+        held[moving] = _damped_step(
+            information[np.ix_(moving, moving)], rest[moving], damping, reach[moving]
+        )
         if moving.sum() == free.sum():
             shortened = np.clip(held / max(1.0, float(np.max(np.abs(held) / reach))), lower - z, upper - z)
         beyond = moving & ((held < low) | (held > high))
@@ -303,8 +321,13 @@ def bounded_step(
     return step, promised
 
 
-def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    diagonal = np.maximum(np.diag(information), 1e-12 * max(float(np.max(np.diag(information))), 1e-300))
+def _damped_step(
+    information: np.ndarray, gradient: np.ndarray, damping: float, unit: np.ndarray
+) -> np.ndarray:
+    """The solution of the module's equation; coordinates with less than 1e-12 of the information of the best
+    known one, both in their `unit`, count as having that much."""
+    own = np.diag(information)
+    diagonal = np.maximum(own, 1e-12 * max(float(np.max(own * unit**2)), 1e-300) / unit**2)
     root = 1.0 / np.sqrt(diagonal)
     scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
     try:
@@ -432,14 +455,20 @@ def fit_mle(
         )
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []
+    units = natural_units(coordinates)
+
+    def far(a: Optimum, b: Optimum) -> bool:
+        """Whether two optima differ by more than incomplete climbs explain."""
+        return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z) / units)) > 0.7
+
     if progress is not None:
         progress("climb")
     for k, o in enumerate(short):
         # continue the best climb, and others that may still overtake it
-        if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not _far(o, short[0])):
+        if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not far(o, short[0])):
             continue
         done = climb(objective, o.z, tolerance=tolerance, budget=budget)
-        if all(_far(done, kept) for kept in optima):
+        if all(far(done, kept) for kept in optima):
             optima.append(done)
     least = least_objective(coordinates, parents)
     if max(o.objective for o in optima) < least - BETTER:
@@ -471,7 +500,8 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]
     values = coordinates.values(best.z)
-    ends = (best.z <= coordinates.lower + AT_LIMIT) | (best.z >= coordinates.upper - AT_LIMIT)
+    near = AT_LIMIT * natural_units(coordinates)
+    ends = (best.z <= coordinates.lower + near) | (best.z >= coordinates.upper - near)
     message = (
         best.message
         if best.converged
@@ -488,8 +518,3 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         at_bounds=tuple(name for name, at in zip(coordinates.names, ends, strict=True) if at),
         others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
     )
-
-
-def _far(a: Optimum, b: Optimum) -> bool:
-    """Whether two optima differ by more than incomplete climbs explain."""
-    return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z))) > 0.7

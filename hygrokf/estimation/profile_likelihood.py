@@ -25,7 +25,6 @@ from hygrokf.estimation.confidence import (
     positive,
     positive_inverse,
     too_short,
-    widths,
     with_unit,
 )
 from hygrokf.estimation.optimiser import (
@@ -34,6 +33,8 @@ from hygrokf.estimation.optimiser import (
     Estimate,
     Objective,
     bounded_step,
+    natural_units,
+    reach_of,
     secant_update,
 )
 from hygrokf.physics.parameters import Parameter
@@ -79,7 +80,7 @@ def profile(
     place = found.place(name)
     factor = float(found.factor[place]) if place is not None and robust else 1.0
     threshold = factor * normal_quantile(level) ** 2
-    width = float(widths(coordinates)[index])
+    width = float(natural_units(coordinates)[index])
     se = math.sqrt(found.wald[place, place]) if place is not None else 0.3 * width
     walk = _Walk(objective, estimate, found, index)
     points = [(p.from_coordinate(estimate.z[index]), 0.0)]
@@ -138,8 +139,10 @@ class _Walk:
         self.others = np.arange(len(self.free)) != index
         bounds = np.array([p.beyond_guards() for p in self.free])
         own = estimate.coordinates
-        self.lower = np.where(estimate.z <= own.lower + AT_LIMIT, own.lower, bounds[:, 0])
-        self.upper = np.where(estimate.z >= own.upper - AT_LIMIT, own.upper, bounds[:, 1])
+        self.units = natural_units(own)
+        near = AT_LIMIT * self.units
+        self.lower = np.where(estimate.z <= own.lower + near, own.lower, bounds[:, 0])
+        self.upper = np.where(estimate.z >= own.upper - near, own.upper, bounds[:, 1])
         self.curvature = positive(found.curvature)
         self.path = np.zeros(len(self.free))
         inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
@@ -163,7 +166,14 @@ class _Walk:
                 break
             outwards = ((z <= self.lower) & (gradient <= 0)) | ((z >= self.upper) & (gradient >= 0))
             step, promised = bounded_step(
-                curvature, gradient, self.others & ~outwards, z, self.lower, self.upper, 1e-9
+                curvature,
+                gradient,
+                self.others & ~outwards,
+                z,
+                self.lower,
+                self.upper,
+                1e-9,
+                reach_of(self.estimate.coordinates, z),
             )
             if promised < WALK_TOLERANCE:
                 break
@@ -191,30 +201,32 @@ class _Walk:
         drop, z = self.best
         return None if drop >= -BETTER else self.objective.coordinates.values(z)
 
-    def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
+    def limits(self, side: str, offset: float, threshold: float) -> list[Limit]:
         """Limits of other coordinates that matter at this offset, except those that the estimate is already
         at."""
         z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
         own = self.estimate.coordinates
         found = []
         for i, p in enumerate(self.free):
-            above = z[i] > own.upper[i] - AT_LIMIT
+            near = AT_LIMIT * self.units[i]
+            above = z[i] > own.upper[i] - near
             at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
-            same = abs(self.estimate.z[i] - at) <= AT_LIMIT
-            if i == self.index or same or not (above or z[i] < own.lower[i] + AT_LIMIT):
+            same = abs(self.estimate.z[i] - at) <= near
+            if i == self.index or same or not (above or z[i] < own.lower[i] + near):
                 continue
             unit = 1.0 if p.positive else p.upper - p.lower
             pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
-            at_the_end = abs(z[i] - lifted) <= AT_LIMIT and pushed
-            physical = abs(p.from_coordinate(lifted) - p.physical[int(above)]) <= AT_LIMIT
+            at_the_end = abs(z[i] - lifted) <= near and pushed
+            end = p.from_coordinate(lifted)
+            physical = abs(end - p.physical[int(above)]) <= near * p.slope(end)
             if at_the_end:
                 effect = "held" if physical else "open"
-            elif abs(z[i] - at) > AT_LIMIT:
+            elif abs(z[i] - at) > near:
                 effect = "lifted"
             else:
                 continue
             value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
-            found.append(Limit(end, p.name, p.unit, value, limit, effect))
+            found.append(Limit(side, p.name, p.unit, value, limit, effect))
         return found
 
     def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
@@ -240,7 +252,7 @@ def _end(
         points.append((p.from_coordinate(z + direction * offset), drop))
         return math.sqrt(max(drop, 0.0)) - math.sqrt(threshold)
 
-    if limit < AT_LIMIT:
+    if limit < AT_LIMIT * walk.units[index]:
         return None, points
     inner, value_inner = 0.0, -math.sqrt(threshold)
     outer = min(first, limit)

@@ -78,7 +78,7 @@ def optimal_block(terms: np.ndarray) -> tuple[float, float]:
     missed by it."""
     n = len(terms)
     run = max(5, math.ceil(math.sqrt(math.log10(n))))
-    most = min(math.ceil(math.sqrt(n)) + run, n - 1)
+    most = n // 4
     covariance = autocovariance(terms, min(2 * most + run, n - 1))
     if not covariance[0] > 0.0:
         return 1.0, 0.0
@@ -86,6 +86,8 @@ def optimal_block(terms: np.ndarray) -> tuple[float, float]:
     memory = next((k for k in range(most) if not large[k : k + run].any()), most)
     if memory == 0:
         return 1.0, 0.0
+    if memory == most:  # longer than the series can tell
+        return float(n), float(n)
     lags = np.arange(1, min(2 * memory, len(covariance) - 1) + 1)
     window = np.minimum(1.0, 2.0 * (1.0 - lags / lags[-1]))
     total = covariance[0] + 2.0 * float(window @ covariance[lags])

@@ -14,8 +14,7 @@ import numpy as np
 from hygrokf.engine.square_root import square_root
 from hygrokf.engine.traced_filter import UNSEEN
 from hygrokf.estimation.likelihood import CHUNK, Gaussian, Likelihood
-from hygrokf.estimation.moments import Kept
-from hygrokf.physics.parameters import expect_values
+from hygrokf.estimation.subject import Given, Source, subject
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -24,7 +23,7 @@ SINGULAR = 1e-14
 """[1] share of the largest singular value below which a direction counts as known."""
 
 
-def smooth(
+def smoothed_states(
     likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """States given all readings of the timeline.
@@ -44,16 +43,16 @@ def smooth(
     Source: Rauch, Tung & Striebel 1965, doi:10.2514/3.3166; in square roots Park & Kailath 1995,
     doi:10.1080/00207179508921953.
     """
-    kept = likelihood.kept(values)
-    found, unknown = kept.trace, kept.unknown[-1]
+    found, roots, directions = likelihood.with_roots(values)
     count, n = found.mean.shape
     mean = found.mean.copy()
     matrices = np.empty((count if covariance else 0, n, n))
     carried = _carried(likelihood)[..., None, :] * np.roll(found.transition, -1, axis=0)
-    matrix = kept.root[-1] @ kept.root[-1].T
+    noise = square_root(found.noise[1:])
+    matrix, unknown = roots[-1] @ roots[-1].T, directions[-1]
     for first in range((count - 1) // CHUNK * CHUNK, -1, -CHUNK):
         part = slice(first, min(first + CHUNK, count - 1))
-        gains, spreads, still = _given_next(kept, carried[part], part)
+        gains, spreads, still = _given_next(roots[part], directions[part], carried[part], noise[part])
         if covariance and part.stop == count - 1:
             matrices[-1] = _with_infinite(matrix, unknown)
         for k in range(part.stop - 1, first - 1, -1):
@@ -62,23 +61,25 @@ def smooth(
             if covariance:
                 matrix = gain @ matrix @ gain.T + spreads[k - first]
                 if unknown.size:
-                    unknown = np.linalg.qr(np.hstack([gain @ unknown, still[k - first]]).T)[1].T
+                    unknown = _sure(gain @ unknown, np.abs(gain) @ np.abs(unknown))
+                    unknown = np.linalg.qr(np.hstack([unknown, still[k - first]]).T)[1].T
                 matrices[k] = _with_infinite(matrix, unknown)
     return likelihood.model.natural(mean, matrices)
 
 
-def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _given_next(
+    own: np.ndarray, start: np.ndarray, carried: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The law of the states at some instants k given those at k + 1 and the readings until k: C (t, n, n),
     D D' (t, n, n), and the directions (t, n, d) that stay unknown.
 
     With η the unknown start, x_k = m_k + B η + W ε and x_{k+1} = m⁻ + F (B η + W ε) + V ω.  Across F B the
     next state tells ε and ω by their regression, along it η.
     """
-    n, d = kept.unknown.shape[1:]
-    own = kept.root[part]
+    n, d = start.shape[1:]
     wide = np.concatenate([own, np.zeros_like(own)], axis=2)
-    later = np.concatenate([carried @ own, square_root(kept.trace.noise[1:][part])], axis=2)
-    start, along = kept.unknown[part], carried @ kept.unknown[part]
+    later = np.concatenate([carried @ own, noise], axis=2)
+    along = carried @ start
     scale = np.sqrt((later**2).sum(axis=2) + (along**2).sum(axis=2))[..., None]
     scale = np.where(scale > 0.0, scale, 1.0)
     later, back = later / scale, np.eye(n) / np.swapaxes(scale, 1, 2)
@@ -109,9 +110,13 @@ def _given_next(kept: Kept, carried: np.ndarray, part: slice) -> tuple[np.ndarra
 
 def _with_infinite(matrix: np.ndarray, unknown: np.ndarray) -> np.ndarray:
     """A covariance (n, n), infinite along the directions `unknown` (n, d)."""
-    infinite = unknown @ unknown.T
-    sure = np.abs(infinite) > UNSEEN * (np.abs(unknown) @ np.abs(unknown.T))
-    return np.where(sure, np.copysign(np.inf, infinite), matrix)
+    infinite = _sure(unknown @ unknown.T, np.abs(unknown) @ np.abs(unknown.T))
+    return np.where(infinite != 0.0, np.copysign(np.inf, infinite), matrix)
+
+
+def _sure(found: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Sums of products, 0 where rounding alone is left of their `terms`."""
+    return np.where(np.abs(found) > UNSEEN * terms, found, 0.0)
 
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
@@ -123,18 +128,20 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
     return result
 
 
-def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
+def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFilter:
     """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
-    likelihood: of the model on its timeline, with n states.
-    values: of all parameters, in the parameters' units.
+    source, given: a `Fit` and its `Record`, or a `Likelihood` and its `Estimate` or values; n states.
 
     Returns filterpy's filter with x (n,) and P (n, n) in the states' units, and two more methods:
     `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
     (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
     nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
-    parameters without a value and for a diffuse start, which filterpy cannot hold.
+    a diffuse start, which filterpy cannot hold, and for anything else, with the call that makes what is
+    missing.
     """
+    found = subject("to_filterpy", source, given)
+    likelihood, values = found.likelihood, found.values
     if likelihood.initial == "diffuse":
         raise ValueError(
             "initial: filterpy's filter starts from finite variances, found a diffuse start; state another "
@@ -142,7 +149,6 @@ def to_filterpy(likelihood: Likelihood, values: Mapping[str, float]) -> Extended
         )
     from filterpy.kalman import ExtendedKalmanFilter
 
-    expect_values(likelihood.model.parameters, values)
 
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""

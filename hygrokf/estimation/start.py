@@ -33,15 +33,7 @@ NEWTON = 50
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean (n,) and covariance (n, n) of the state."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-@dataclass(frozen=True)
-class Slopes:
-    """Derivatives of the moments by the parameters: of the mean (d, n), of the covariance (d, n, n)."""
+    """Mean (n,) and covariance (n, n) of the state; derivatives by the parameters have a first axis (d,)."""
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -51,16 +43,14 @@ def law(
     name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
 ) -> Moments:
     """The start called "stationary", or the mechanisms' own under any other name."""
-    return (
-        stationary(model, recursion, values, inputs)[0]
-        if name == "stationary"
-        else prior(model, values, inputs)
-    )
+    if name == "stationary":
+        return stationary(model, recursion, values, inputs)[0]
+    return prior(model, values, inputs)
 
 
 def law_with_slopes(
     name: str, model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
-) -> tuple[Moments, Slopes]:
+) -> tuple[Moments, Moments]:
     """`law` and its derivatives."""
     if name == "stationary":
         return stationary_with_slopes(model, recursion, values, inputs)
@@ -73,12 +63,12 @@ def prior(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]
     return Moments(np.array(mean, dtype=float), np.array(covariance, dtype=float))
 
 
-def prior_slopes(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Slopes:
+def prior_slopes(model: Model, values: Mapping[str, float], inputs: Mapping[str, float]) -> Moments:
     """Derivatives of `prior`."""
     mean, covariance = model.initial_moments(_stepped(model, values), inputs)
     n, count = len(mean), len(model.parameters)
     slopes = _slopes([value for row in covariance for value in row], count)
-    return Slopes(_slopes(mean, count), slopes.reshape(count, n, n))
+    return Moments(_slopes(mean, count), slopes.reshape(count, n, n))
 
 
 def stationary(
@@ -89,14 +79,15 @@ def stationary(
     Raises ValueError where the model has none: Newton's steps from the prior's mean do not end, or a state
     does not return.
     """
-    mean = prior(model, values, inputs).mean
+    begun = prior(model, values, inputs)
+    mean, width = begun.mean, np.sqrt(np.diag(begun.covariance))
     for _ in range(NEWTON):
         rates, matrix, noise = _linearised(recursion, values, mean, inputs)
         try:
             change = np.linalg.solve(matrix, rates)
         except np.linalg.LinAlgError:
             break
-        if recursion.exact or np.all(np.abs(change) <= 1e-14 * np.abs(mean)):
+        if recursion.exact or np.all(np.abs(change) <= 1e-13 * (np.abs(mean) + width)):
             if np.linalg.eigvals(matrix).real.max() >= 0.0:
                 break
             return Moments(mean - change, lyapunov(matrix, noise[None])[0]), matrix
@@ -106,7 +97,7 @@ def stationary(
 
 def stationary_with_slopes(
     model: Model, recursion: Recursion, values: Mapping[str, float], inputs: Mapping[str, float]
-) -> tuple[Moments, Slopes]:
+) -> tuple[Moments, Moments]:
     """`stationary` and its derivatives."""
     at, matrix = stationary(model, recursion, values, inputs)
     count, graph, moved = len(model.parameters), recursion.graph, _stepped(model, values)
@@ -118,7 +109,7 @@ def stationary_with_slopes(
     n, half = recursion.n, len(places)
     right = _filled(n, places, found[:, :half]) @ at.covariance
     right = right + np.swapaxes(right, 1, 2) + _filled(n, noise_places, found[:, half:])
-    return at, Slopes(mean.T, lyapunov(matrix, right))
+    return at, Moments(mean.T, lyapunov(matrix, right))
 
 
 def packed(recursion: Recursion, first: Moments, unknown: Sequence[int], begun: bool) -> np.ndarray:
@@ -136,7 +127,9 @@ def packed(recursion: Recursion, first: Moments, unknown: Sequence[int], begun: 
     return state
 
 
-def packed_slopes(recursion: Recursion, first: Moments, slopes: Slopes, unknown: Sequence[int]) -> np.ndarray:
+def packed_slopes(
+    recursion: Recursion, first: Moments, slopes: Moments, unknown: Sequence[int]
+) -> np.ndarray:
     """Derivatives (d, w) of `packed`."""
     mean, covariance = (
         a + 1j * STEP * b for a, b in zip(vars(first).values(), vars(slopes).values(), strict=True)

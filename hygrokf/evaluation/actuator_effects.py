@@ -13,7 +13,7 @@ from hygrokf.data.actuators import Actuator, actuators
 from hygrokf.data.record import Record
 from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
-from hygrokf.evaluation.simulation import QUANTITIES, simulate
+from hygrokf.evaluation.simulation import QUANTITIES, free_run
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.parameters import Parameter
@@ -85,7 +85,7 @@ def _effects(
 
     def means(at: Mapping[str, float]) -> dict[str, float]:
         """Mean of each quantity while the actuator is on."""
-        prediction = simulate(design, {**values, **at}, run)
+        prediction = free_run(design, {**values, **at}, run)
         pairs = {name: prediction.of(name) for name in QUANTITIES}
         return {
             name: float(np.average(pair[0], weights=weight))

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import normal_quantile
-from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecast, measured
+from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
@@ -251,7 +251,7 @@ def bands(
     late = masks["validation"] if masks["validation"].any() else masks["identification"]
     known = measured(run)
     result: dict[str, dict[str, Coverage]] = {}
-    found = forecast(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
+    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
     for lead, by_quantity in found.items():
         result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}
     chosen = late & run.scored

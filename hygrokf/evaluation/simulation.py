@@ -5,22 +5,19 @@ Shapes: T instants, n states, k outputs, d parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.tabular import utc_index, with_units
+from hygrokf.data.record import Record
+from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
-from hygrokf.modelling.design import Design
-from hygrokf.modelling.inputs import Run, gap_ends
-from hygrokf.physics.model import Equations
+from hygrokf.modelling.design import Design, read_as
+from hygrokf.modelling.inputs import Run, gap_ends, model_inputs
+from hygrokf.physics.model import Equations, Model
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
 
@@ -41,23 +38,6 @@ class Prediction:
         """The quantity with a name used in reports: temperature_K, relative_humidity,
         absolute_humidity_g_m3."""
         return getattr(self, quantity.removesuffix("_K").removesuffix("_g_m3"))
-
-    def to_frame(self, time_s: np.ndarray) -> DataFrame:
-        """The readings and their standard deviations as a pandas frame over time in UTC, with units in the
-        names of its columns.
-
-        time_s: [s] (T,) since 1970-01-01T00:00Z, `run.timeline.seconds`.
-        """
-        from pandas import DataFrame
-
-        columns = {}
-        for quantity, unit in zip(QUANTITIES, ("K", "1", "g/m³"), strict=True):
-            pair = self.of(quantity)
-            if pair is not None:
-                name = quantity.removesuffix("_K").removesuffix("_g_m3").replace("_", " ")
-                columns[f"{name} [{unit}]"], columns[f"{name}, standard deviation [{unit}]"] = pair
-        frame = DataFrame(columns, index=utc_index(time_s))
-        return with_units(frame, {one: one.partition(" [")[2].removesuffix("]") for one in columns})
 
 
 def measured(run: Run) -> dict[str, np.ndarray]:
@@ -93,6 +73,15 @@ def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.where(near, np.interp(time, known, value[there]), np.nan)
 
 
+def run_on(
+    design: Design, values: Mapping[str, float], record: Record, beyond: bool = False
+) -> tuple[Design, Run]:
+    """The design as the record's loggers read it, and the record's run, settled; `beyond`: as
+    `model_inputs`."""
+    base = read_as(design, record)
+    return base, settled(base, values, model_inputs(base, record, beyond=beyond))
+
+
 def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: float | None = None) -> Run:
     """The run with `scored` False also until the free run has forgotten the gaps of its inputs.
 
@@ -114,9 +103,9 @@ def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: fl
 
 
 def project(
-    design: Design,
+    model: Model,
+    t: Timeline,
     values: Mapping[str, float],
-    run: Run,
     mean: np.ndarray,
     covariance: np.ndarray | None,
     function: Callable[[Equations], np.ndarray],
@@ -127,8 +116,6 @@ def project(
     mean, covariance: (T, n), (T, n, n) of the states; without a covariance the variance is zero.
     function: equations -> (T,); the slopes come from complex steps.
     """
-    t = run.timeline
-    model = design.model
     u = {name: t.input(name) for name in model.inputs}
     n = len(model.states)
 
@@ -153,69 +140,85 @@ def air_temperature(equations: Equations) -> np.ndarray:
     return equations.quantities["cabinet_air_temperature"]
 
 
+def expected_readings(
+    model: Model, t: Timeline, values: Mapping[str, float], trace: Trace
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Value and standard deviation (T,) of every output, before the readings of each instant are used."""
+    found = {
+        name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
+    }
+    return found | {
+        name: _between_means(model, t, values, trace, name, found[name]) for name in model.averaged
+    }
+
+
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
     """Expected logger readings before the readings of each instant are used.
 
     The spread of the absolute humidity combines that of the vapour itself with both readings' white noise.
     Errors of the predicted temperature change both readings and leave the vapour unchanged.
     """
-    model = design.model
-    found = {
-        name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
-    }
-    for name in model.averaged:
-        found[name] = _between_means(design, values, run, trace, name, found[name])
+    model, t = design.model, run.timeline
+    found = expected_readings(model, t, values, trace)
     temperature = found.get("cabinet_temperature")
     relative = found.get("cabinet_relative_humidity")
     absolute = found.get("cabinet_absolute_humidity")
     warm = temperature[0] if temperature is not None else None
     if warm is None and "cabinet_temperature" in model.inputs:
-        warm = run.timeline.input("cabinet_temperature")
+        warm = t.input("cabinet_temperature")
     if relative is not None and warm is not None:
         value = 1e3 * absolute_humidity(relative[0], warm)
         slope = 1e3 * absolute_humidity_slope_temperature(relative[0], warm)
-        by_temperature = slope * _noise(design, values, run, "cabinet_temperature")
+        by_temperature = slope * _noise(model, t, values, "cabinet_temperature")
         saturated = 1e3 * absolute_humidity(1.0, warm)
-        by_humidity = saturated * _noise(design, values, run, "cabinet_relative_humidity")
+        by_humidity = saturated * _noise(model, t, values, "cabinet_relative_humidity")
         state = model.states.index("vapour")
-        ratio = run.timeline.input("ambient_temperature") / warm  # equation (5)
+        ratio = t.input("ambient_temperature") / warm  # equation (5)
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
         absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
 
 
 def _between_means(
-    design: Design,
+    model: Model,
+    t: Timeline,
     values: Mapping[str, float],
-    run: Run,
     trace: Trace,
     name: str,
     pair: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """The reading of an interval mean at the instants that have one; at other instants the reading of an
     instant."""
-    state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
-
-    value, variance = project(
-        design, values, run, trace.prior_mean, trace.prior_covariance, lambda e: e.rates[state] * interval
-    )
-    sd = np.sqrt(np.maximum(variance, 0.0) + _noise(design, values, run, name) ** 2)
-    read = np.isfinite(run.timeline.reading(name))
+    state, interval = model.states.index(f"mean_{name}"), model.averaged[name]
+    mean, covariance = trace.prior_mean, trace.prior_covariance
+    value, variance = project(model, t, values, mean, covariance, lambda e: e.rates[state] * interval)
+    sd = np.sqrt(np.maximum(variance, 0.0) + _noise(model, t, values, name) ** 2)
+    read = np.isfinite(t.reading(name))
     return np.where(read, pair[0], value), np.where(read, pair[1], sd)
 
 
-def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -> float:
+def _noise(model: Model, t: Timeline, values: Mapping[str, float], output: str) -> float:
     """Standard deviation of a single reading's white noise, including resolution; 0 for a signal that is not
     an output."""
-    model = design.model
     if output not in model.outputs:
         return 0.0
-    u = {name: float(run.timeline.input(name)[0]) for name in model.inputs}
+    u = {name: float(t.input(name)[0]) for name in model.inputs}
     mean, _ = model.initial(values, u)
     return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
 
 
-def simulate(
+def reading_slopes(
+    likelihood: Likelihood, values: Mapping[str, float], directions: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Slopes (T, r) of the free run's outputs along directions (d, r) of the parameters."""
+    t = likelihood.timeline
+    # with readings of zero, the residuals of the free run are minus the predictions at every instant
+    zero = replace(likelihood, timeline=t.with_readings(np.zeros_like(t.y)))
+    _, slopes = zero.residuals(values, directions)
+    return {name: -slopes[:, j] for j, name in enumerate(t.outputs)}
+
+
+def free_run(
     design: Design,
     values: Mapping[str, float],
     run: Run,
@@ -244,11 +247,7 @@ def simulate(
     place = {p.name: i for i, p in enumerate(design.model.parameters)}
     directions = np.zeros((len(place), len(names)))
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
-    # with readings of zero, the residuals of the free run are minus the predictions at every instant
-    zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    zero = Likelihood(design.model, zeros, rate_step=rate_step)
-    _, slopes = zero.residuals(values, directions)
-    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
+    rows = reading_slopes(likelihood, values, directions)
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
     vapour = rows.get("cabinet_absolute_humidity")
@@ -259,13 +258,13 @@ def simulate(
             slope = 1e3 * absolute_humidity_slope_temperature(relative[0], prediction.temperature[0])
             vapour = vapour + slope[:, None] * warm
     return Prediction(
-        _wider(prediction.temperature, warm, matrix),
-        _wider(relative, moist, matrix),
-        _wider(absolute, vapour, matrix),
+        widened(prediction.temperature, warm, matrix),
+        widened(relative, moist, matrix),
+        widened(absolute, vapour, matrix),
     )
 
 
-def _wider(
+def widened(
     pair: tuple[np.ndarray, np.ndarray] | None, jacobian: np.ndarray | None, matrix: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """A prediction with the variance J V J' of its parameters added."""
@@ -275,7 +274,7 @@ def _wider(
     return pair[0], np.sqrt(pair[1] ** 2 + np.maximum(extra, 0.0))
 
 
-def forecast(
+def forecasts(
     design: Design,
     values: Mapping[str, float],
     run: Run,
@@ -300,7 +299,7 @@ def forecast(
     """
     t = run.timeline
     likelihood = Likelihood(design.model, t, rate_step=rate_step)
-    trace, fastest = likelihood.trace(values), likelihood.rate(values)
+    trace = likelihood.trace(values)
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
     there = there[there >= first]
@@ -313,19 +312,9 @@ def forecast(
     step = float(np.median(np.diff(t.time[there])))
     ends = np.searchsorted(t.time, t.time[starts] + max(leads_h) + step, side="right")
     starts, ends = starts[ends - starts >= 3], ends[ends - starts >= 3]
-    states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
-    pieces = []
-    for start, last in zip(starts, ends, strict=True):
-        part = t.window(start + 1, last)
-        part = part.with_readings(np.full_like(part.y, np.nan))
-        pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
-    pieces = self_switched(design, values, pieces, states)
-    for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
+    predictions = ahead(likelihood, values, run, design, trace, starts, ends)
+    for start, last, (piece, prediction) in zip(starts, ends, predictions, strict=True):
         part = piece.timeline
-        ahead = Likelihood(design.model, part, rate_step=rate_step, fastest=fastest).trace(
-            values, start=state
-        )
-        prediction = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:
                 pair = prediction.of(quantity)
@@ -342,3 +331,27 @@ def forecast(
         lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows}
         for lead, found in result.items()
     }
+
+
+def ahead(
+    likelihood: Likelihood,
+    values: Mapping[str, float],
+    run: Run,
+    design: Design,
+    trace: Trace,
+    starts: np.ndarray,
+    ends: np.ndarray,
+) -> Iterator[tuple[Run, Prediction]]:
+    """The run after each start, up to before its end (instants), and its prediction from the filtered state
+    at the start; the switches of a piece follow the prediction."""
+    t = run.timeline
+    states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
+    pieces = []
+    for start, last in zip(starts, ends, strict=True):
+        part = t.window(start + 1, last)
+        part = part.with_readings(np.full_like(part.y, np.nan))
+        pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
+    fastest = likelihood.rate(values)
+    for piece, state in zip(self_switched(design, values, pieces, states), states, strict=True):
+        own = replace(likelihood, timeline=piece.timeline, fastest=fastest)
+        yield piece, predicted_readings(design, values, piece, own.trace(values, start=state))

@@ -168,7 +168,7 @@ TASKS: Mapping[str, Task] = {
             **_CONSTANTS,
             **_VERDICTS,
             **_SCORES,
-            "loglik": "log-likelihood of all stages",
+            "loglik": "log-likelihood of the identification period",
             "at_bounds": "parameters that ended at a limit",
         },
         _CONSTANTS_AND_ERRORS,

@@ -29,7 +29,7 @@ from hygrokf.estimation.optimiser import (
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.profile_likelihood import profile
-from hygrokf.estimation.smoother import smooth
+from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.evaluation.simulation import air_temperature, project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
@@ -203,8 +203,8 @@ def smoothed_temperature(
     better than a straight line.
     """
     t = run.timeline
-    mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
-    air, _ = project(base, values, run, mean, None, air_temperature)
+    mean, _ = smoothed_states(Likelihood(base.model, t), values, covariance=False)
+    air, _ = project(base.model, t, values, mean, None, air_temperature)
     seconds = t.seconds
     raw = early["cabinet_temperature"]
     moist = early[humidity]

@@ -30,15 +30,20 @@ from hygrokf.data.files import (
     write_bytes_whole,
     write_text_whole,
 )
+from hygrokf.data.readings import mask
+from hygrokf.data.record import Record, expect_record
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
 from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.subject import IDENTIFICATION, WHOLE
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, with_verdicts
 from hygrokf.identification.verdict_terms import verdict_lines
 from hygrokf.modelling.derived_inputs import feature_faults
-from hygrokf.modelling.design import Design
+from hygrokf.modelling.design import Design, read_as
+from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.registry import absent
 from hygrokf.version import __version__
 
@@ -79,6 +84,25 @@ class Fit:
         found = self.results.covariance
         count = len(found.names)
         return found.names, found.matrix.reshape(count, -1) if count else np.empty((0, 0))
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The parameters that were not estimated, with their values in their units."""
+        return {name: row.value for name, row in self.results.parameters.items() if row.fixed}
+
+    def likelihood(self, record: Record, part: str = IDENTIFICATION) -> Likelihood:
+        """The likelihood of a record under this model.
+
+        record: the one that was identified, or another with the inputs that the model reads.
+        part: "identification" (the readings up to `record.until_s`) or "whole".
+
+        Returns the `Likelihood`, whose `timeline.part` says which part it holds.  On the identification part
+        of the fit's own record `likelihood(record).value(fit.values)` is `fit.results.loglik`.
+        Raises ValueError for anything but a record, and for another part; KeyError for a missing input.
+        """
+        if part not in (IDENTIFICATION, WHOLE):
+            raise ValueError(f"part: expected {IDENTIFICATION!r} or {WHOLE!r}, found {part!r}")
+        return likelihood_on(self.design, expect_record(record, "likelihood"), part)
 
     def to_json(self) -> JsonObject:
         """The data of `fit.json`."""
@@ -121,14 +145,27 @@ class Fit:
         return drawn("plot_fit", self, axes)
 
     def __str__(self) -> str:
-        """The name with its time constants and their verdicts."""
-        return "\n".join([self.name, *verdict_lines(inherited(self.results))])
+        """The name with its time constants and their verdicts, and what they were identified on."""
+        found = self.results
+        lines = [self.name, *verdict_lines(inherited(found))]
+        if math.isfinite(found.loglik):
+            ends = (found.period.start, found.period.until or found.period.end)
+            span = " … ".join(f"{one[:16]}Z" for one in ends if one)
+            lines.append(f"ln L {found.loglik:.2f} of {found.n_obs} readings, identification part {span}")
+        return "\n".join(lines)
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
         """The table of the time constants, for a notebook."""
         return str(self.to_frame().to_html())
+
+
+def likelihood_on(design: Design, record: Record, part: str) -> Likelihood:
+    """The likelihood of a design on a record, or on its identification period, masked as `identify` does."""
+    chosen = mask(record).identification() if part == IDENTIFICATION else mask(record)
+    own = read_as(design, chosen)
+    return Likelihood(own.model, replace(model_inputs(own, chosen).timeline, part=part))
 
 
 # --- files -----------------------------------------------------------------------------------

@@ -9,15 +9,15 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, expect_record
 from hygrokf.evaluation.scoring import Scored, bands, baselines, scores, sensor_share
-from hygrokf.evaluation.simulation import Prediction, settled, simulate
+from hygrokf.evaluation.simulation import Prediction, free_run, run_on
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.identification.wording import iso_time
-from hygrokf.modelling.design import HUMIDITIES, Design, read_as
-from hygrokf.modelling.inputs import Run, model_inputs
+from hygrokf.modelling.design import HUMIDITIES, Design
+from hygrokf.modelling.inputs import Run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 COLUMNS = {
@@ -63,9 +63,8 @@ class Evaluation(Scored):
 def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
     loggers."""
-    base = read_as(fit.design, record)
-    run = settled(base, fit.values, model_inputs(base, record))
-    return base, run, simulate(base, fit.values, run, fit.covariance)
+    base, run = run_on(fit.design, fit.values, expect_record(record, "evaluate"))
+    return base, run, free_run(base, fit.values, run, fit.covariance)
 
 
 def simulation_csv(run: Run, predicted: Prediction) -> str:

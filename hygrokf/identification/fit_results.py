@@ -230,7 +230,8 @@ class FitResults(Scored):
 
     `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record, by
     time constant in `doubted`; `provenance`: files read, with their digests; `converged`: None where not
-    stated; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
+    stated; `loglik` of the whole model at the reported values on the identification period, and `aic`, `bic`
+    of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
     their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
     `identified_on`: 0.1 and 99.9 % quantiles of the inputs.
     """

@@ -14,16 +14,17 @@ import numpy as np
 from hygrokf.cases.doubts import all_doubts, doubted
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
-from hygrokf.data.record import Record
+from hygrokf.data.record import Record, expect_record
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.estimation.profile_likelihood import limit_remarks
+from hygrokf.estimation.subject import IDENTIFICATION
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share
-from hygrokf.evaluation.simulation import QUANTITIES, Prediction, measured, settled, simulate
+from hygrokf.evaluation.simulation import QUANTITIES, Prediction, free_run, measured, settled
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
     LEVEL,
@@ -36,7 +37,7 @@ from hygrokf.identification.estimation import (
     select_form,
     smoothed_temperature,
 )
-from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit import Fit, likelihood_on
 from hygrokf.identification.fit_results import (
     Covariance,
     FitResults,
@@ -104,13 +105,16 @@ def identify(
         it.
 
     Returns the fit: time constants [h] with bounds in `results.time_constants`.
-    Raises ValueError for unknown options, and for records from which nothing can be identified.
+    Raises ValueError for unknown options, for records from which nothing can be identified, and for anything
+    but a record.
     """
     if kind not in (JOINT, CASCADE):
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
     if criterion not in CRITERIA:
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
-    record = mask(record)  # nothing to do for a record of `read_case` and `read_frames`
+    record = mask(
+        expect_record(record, "identify")
+    )  # nothing to do for a record of `read_case` and `read_frames`
     early = record.identification()
     if model is not None:
         _expect_model(model, criterion, prior, early)
@@ -289,7 +293,7 @@ def assemble_fit(
     }
     run = settled(whole, values, model_inputs(whole, record), rate_step)
     spread = _covariance(stages, whole, by_free_run, values)
-    predicted = simulate(whole, values, run, spread, rate_step)
+    predicted = free_run(whole, values, run, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
@@ -307,8 +311,9 @@ def assemble_fit(
     )
     say("innovations")
     series = _series(whole, values, run, predicted, record, rate_step)
+    likelihood = likelihood_on(whole, record, IDENTIFICATION)
     results = replace(
-        _searched(scored, stages),
+        _searched(scored, stages, likelihood.trace(values).loglik, likelihood.timeline.n_readings),
         name=record.name,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -349,11 +354,10 @@ def _statements(
     return lines + [line for stage in stages for line in _remarks(stage)]
 
 
-def _searched(results: FitResults, stages: Sequence[Stage]) -> FitResults:
-    """The results with likelihood, information criteria, and how the search for each maximum ended."""
-    n = sum(stage.run.timeline.n_readings for stage in stages)
+def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: int) -> FitResults:
+    """The results with ln L of the whole model from its n readings, information criteria, and how the search
+    for each maximum ended; other optima are as far from `loglik` as from the best of their stage."""
     d = sum(len(stage.estimate.z) for stage in stages)
-    loglik = sum(stage.estimate.loglik for stage in stages)
     return replace(
         results,
         loglik=loglik,
@@ -363,7 +367,7 @@ def _searched(results: FitResults, stages: Sequence[Stage]) -> FitResults:
         converged=all(stage.estimate.converged for stage in stages),
         message="; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
         other_optima=tuple(
-            Optimum(o, **{k: v[k] for k in TIME_CONSTANTS if k in v})
+            Optimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
             for stage in stages
             for o, v in stage.estimate.others
         ),

@@ -108,6 +108,10 @@ class Design:
 
     __getstate__ = fields_alone
 
+    def __repr__(self) -> str:
+        """Its model, and the humidity that it reads."""
+        return f"Design of a {self.model!r}\n  humidity: {self.humidity or 'none'}"
+
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])

@@ -9,7 +9,7 @@ import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, smoothed
 from hygrokf.data.input_paths import input_path, without_response
-from hygrokf.data.record import Record, Series
+from hygrokf.data.record import Record, Series, expect_record
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, TEMPERATURE, Design, power_features
@@ -36,6 +36,10 @@ class Run:
     timeline: Timeline
     operating: np.ndarray
     scored: np.ndarray
+
+    def __repr__(self) -> str:
+        """The timeline, and how many of its instants are flagged."""
+        return f"Run on a {self.timeline!r}\n  {self.operating.sum()} operating, {self.scored.sum()} scored"
 
 
 def _changes(series: Series, first: float, last: float) -> np.ndarray:
@@ -70,7 +74,7 @@ def model_inputs(design: Design, record: Record, *, beyond: bool = False) -> Run
     Raises KeyError where the record lacks an input; ValueError where nothing is left, and where the record's
     averaging intervals differ from the design's (`read_as` makes a design that fits).
     """
-    model = design.model
+    model, record = design.model, expect_record(record, "model_inputs")
     outputs = [name for name in model.outputs if name in record]
     _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)

@@ -13,7 +13,6 @@ the operation.
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -400,7 +399,10 @@ def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Val
         return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
 
     function.__name__ = name
-    function.__doc__ = f"{name} of a number, an array or a traced expression."
+    function.__doc__ = (
+        f"{name} for the equations of a model: of a number, an array or a traced expression.\n\n"
+        "Returns what it was given.  Raises what numpy raises for other arguments."
+    )
     return function
 
 
@@ -410,7 +412,12 @@ sqrt = _unary("sqrt", np.sqrt)
 
 
 def where(condition: Value, yes: Value, no: Value) -> Value:
-    """`yes` where `condition` holds, else `no`; accepts numbers, arrays and traced expressions."""
+    """`yes` where `condition` holds, else `no`: a choice in the equations of a model.
+
+    condition, yes, no: numbers, arrays or traced expressions; both branches are always computed.
+
+    Returns a value of the same kind.  Raises what numpy raises for other arguments.
+    """
     for value in (condition, yes, no):
         if isinstance(value, Expression):
             g = value.graph
@@ -555,46 +562,7 @@ Matrix = list[list[Value]]
 """Rows of expressions and numbers; a structural zero is the float 0.0."""
 
 
-def product(a: Matrix, b: Matrix) -> Matrix:
-    """Matrix product that skips structural zeros."""
-    rows, inner, columns = len(a), len(b), len(b[0])
-    return [
-        [dot([a[i][k] for k in range(inner)], [b[k][j] for k in range(inner)]) for j in range(columns)]
-        for i in range(rows)
-    ]
-
-
-def dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
-    """Scalar product that skips structural zeros."""
-    total: Value = 0.0
-    for x, y in zip(a, b, strict=True):
-        if not is_zero(x) and not is_zero(y):
-            total = x * y if is_zero(total) else total + x * y
-    return total
-
-
 def is_zero(value: Expression | float) -> bool:
     """Whether a value is a structural zero."""
     number = value.graph.number(value.index) if isinstance(value, Expression) else value
     return number == 0.0
-
-
-def add(a: Matrix, b: Matrix) -> Matrix:
-    return [[x + y for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
-
-
-def scale(factor: Value, a: Matrix) -> Matrix:
-    return [[0.0 if is_zero(x) else factor * x for x in row] for row in a]
-
-
-def identity(n: int) -> Matrix:
-    return [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
-
-
-def transpose(a: Matrix) -> Matrix:
-    return [list(row) for row in zip(*a, strict=True)]
-
-
-def factorials(count: int) -> list[float]:
-    """0!, 1!, … as floats."""
-    return [float(math.factorial(k)) for k in range(count)]

@@ -16,8 +16,9 @@ import inspect
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
+from textwrap import fill, indent
 from types import SimpleNamespace
 from typing import Any
 
@@ -98,6 +99,18 @@ SUMS = {
 def fields_alone(instance: Any) -> dict[str, Any]:
     """What a pickle keeps of a dataclass: its fields. A copy derives again what is cached."""
     return {one.name: getattr(instance, one.name) for one in fields(instance)}
+
+
+def fields_by_line(instance: Any) -> str:
+    """A dataclass in words: what it consists of, and its settings that are not the usual ones."""
+    lines = [type(instance).__name__]
+    for one in fields(instance):
+        value = getattr(instance, one.name)
+        if one.default is MISSING:
+            lines.append(indent(repr(value), "  "))
+        elif value != one.default:
+            lines.append(f"  {one.name}: {value!r}")
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -183,6 +196,13 @@ class Model:
     bound: float = math.inf
 
     __getstate__ = fields_alone
+
+    def __repr__(self) -> str:
+        """Mechanisms, states, inputs and outputs by name."""
+        rows = {"mechanisms": [m.name for m in self.mechanisms], "states": self.states}
+        rows |= {"inputs": self.inputs, "outputs": self.outputs}
+        lines = (f"  {kind}: {', '.join(names)}" for kind, names in rows.items())
+        return "\n".join(["Model", *(fill(line, 100, subsequent_indent="    ") for line in lines)])
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "holds", holds_named(self.holds))

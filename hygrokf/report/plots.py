@@ -12,10 +12,12 @@ from hygrokf.climate.study import Study
 from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.results import Discovered
 from hygrokf.errors import HygrokfError
+from hygrokf.evaluation.responses import FrequencyResponse, StepResponse
 from hygrokf.identification.fit import Fit
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, expect_matplotlib, styled
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
+from hygrokf.report.figures.responses import bode_figure, step_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +47,18 @@ def plot_climate(study: Study, axes: Axes | Sequence[Axes] | None = None) -> tup
     """The year in the cabinet, or regions side by side, see `Study.plot`."""
     expect_matplotlib()
     return _plotted(lambda: lead_of_climate(study), study.name, axes)
+
+
+def plot_bode(found: FrequencyResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+    """Magnitude and phase over frequency, see `FrequencyResponse.plot`."""
+    expect_matplotlib()
+    return _plotted(lambda: bode_figure(found), "bode", axes)
+
+
+def plot_step_response(found: StepResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+    """The answers to steps of the inputs, see `StepResponse.plot`."""
+    expect_matplotlib()
+    return _plotted(lambda: step_figure(found), "step_response", axes)
 
 
 def _plotted(made: Callable[[], Figure], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:

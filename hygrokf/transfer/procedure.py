@@ -28,7 +28,7 @@ from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, 
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
-from hygrokf.evaluation.simulation import Prediction, measured, simulate
+from hygrokf.evaluation.simulation import Prediction, free_run, measured
 from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
@@ -72,7 +72,7 @@ def _transferred(source: Fit | TurbineType, record: Record, say: Progress, fits:
     say("as it is")
     found = _estimates(baseline, say)
     say("held-out errors")
-    predicted = {n: simulate(baseline.base, one, baseline.run) for n, one in found.values(baseline).items()}
+    predicted = {n: free_run(baseline.base, one, baseline.run) for n, one in found.values(baseline).items()}
     results = with_verdict(_results(baseline, found, predicted, statements))
     course = Course.of(baseline.run, baseline.until_s, predicted)
     if not fits:
@@ -177,7 +177,7 @@ def _results(
 def _effect(baseline: Baseline, own: Estimate, group: str) -> dict[str, float]:
     """What a group's own values change in the free run: root mean square [K] and [g/m³] over the record."""
     changed = dict(baseline.origin.values) | {n: own.values[n] for n in members(baseline.groups, group)}
-    runs = [simulate(baseline.base, values, baseline.run) for values in (baseline.origin.values, changed)]
+    runs = [free_run(baseline.base, values, baseline.run) for values in (baseline.origin.values, changed)]
     found = {}
     for quantity in SCORED:
         before, after = (made.of(quantity) for made in runs)

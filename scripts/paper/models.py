@@ -10,8 +10,7 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.evaluation.scoring import baselines, scores
-from hygrokf.evaluation.simulation import Prediction, measured
-from hygrokf.evaluation.simulation import simulate as free_run
+from hygrokf.evaluation.simulation import Prediction, free_run, measured
 from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import assemble_fit, identify_stages

@@ -12,7 +12,7 @@ from hygrokf.climate.ensemble import _drawn, course, draw_members, kept_instants
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.evaluation.simulation import simulate
+from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.modelling.design import extended
@@ -127,7 +127,7 @@ def test_every_member_drives_its_own_heater(reads: str) -> None:
     calm = record.replace_series(replace(record["active_power"], value=np.zeros(len(record["active_power"]))))
     (year,) = simulate_years(fit, calm, [dict(fit.values)] * 3, 1, Surface(), process=False)
     made = course(fit, calm)
-    expected = simulate(fit.design, fit.values, made).temperature[0][kept_instants(made.timeline.time)]
+    expected = free_run(fit.design, fit.values, made).temperature[0][kept_instants(made.timeline.time)]
     late = slice(48, None)
     assert np.ptp(year.temperature_K, axis=0).max() < 1e-9
     apart = (year.temperature_K[0] - expected)[late]

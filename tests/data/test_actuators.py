@@ -32,7 +32,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
 from hygrokf.modelling.design import CASCADE, design
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.modelling.thermal_system import to_statespace
+from hygrokf.modelling.thermal_system import thermal_system
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.report.fit_page import fit_blocks
 from hygrokf.report.page import page_html
@@ -216,7 +216,7 @@ def test_the_design_comes_back_from_its_json(all_logged) -> None:
     _, fit, _ = all_logged
     again = Design.from_json(json.loads(json.dumps(fit.design.to_json())))
     assert again.model is fit.design.model
-    assert to_statespace(again, fit.values).A.shape == (1, 1)
+    assert thermal_system(again, fit.values).A.shape == (1, 1)
 
 
 def test_the_tracker_awaits_what_the_model_reads(all_logged) -> None:

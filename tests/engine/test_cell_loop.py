@@ -27,7 +27,7 @@ from hygrokf.engine.cell_loop import CONTROL, CellModel, Cells, run
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.evaluation.self_switching import self_switched
-from hygrokf.evaluation.simulation import simulate
+from hygrokf.evaluation.simulation import free_run
 from hygrokf.modelling.design import CASCADE, JOINT, Chosen, Design, design, extended
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.mechanisms import LIBRARY, linear_network
@@ -191,8 +191,8 @@ def parameters(one: Simulator, *values: Mapping[str, float]) -> np.ndarray:
     return np.array([[given[name]] for name in one.names])
 
 
-def free_run(made: Design, values: Mapping[str, float], line: Run, quantity: str) -> np.ndarray:
-    found = simulate(made, values, line)
+def simulated(made: Design, values: Mapping[str, float], line: Run, quantity: str) -> np.ndarray:
+    found = free_run(made, values, line)
     pair = found.temperature if quantity == "temperature" else found.relative_humidity
     assert pair is not None
     return pair[0]
@@ -204,7 +204,7 @@ def differences(record: Record, effect: Effect, quantity: str) -> list[float]:
     one = made[quantity]
     values = started(one, effect)
     line = model_inputs(one, record)
-    expected = free_run(one, values, line, quantity)
+    expected = simulated(one, values, line, quantity)
     scene = scene_of(record, made["temperature"], made["vapour"])
     found = []
     for part in (1, 2):
@@ -326,7 +326,7 @@ def test_heat_and_vapour_together_give_the_joint_free_run(name):
     made = designs(record, effect)
     values = started(made["both"], effect)
     line = model_inputs(made["both"], record)
-    expected = simulate(made["both"], values, line)
+    expected = free_run(made["both"], values, line)
     scene = scene_of(record, made["temperature"], made["vapour"])
     sim = simulator(scene, made)
     theta = parameters(sim, values, levels(effect))
@@ -470,7 +470,7 @@ def test_likelihood_free_run_and_cells_follow_a_mechanism_that_changes(
         sim = simulator(scene_of(record, made["temperature"], made["vapour"]), made)
         shown = sim.simulated(parameters(sim, values), quantity)[:, 0]
         found = Likelihood(one.model, line.timeline).value(values)
-        return found, free_run(one, values, line, quantity), shown
+        return found, simulated(one, values, line, quantity), shown
 
     plain, expected = all_three(1.0), all_three(0.5)
     ordinary = LIBRARY[name]

@@ -27,8 +27,8 @@ from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation import likelihood as likelihoods
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
-from hygrokf.estimation.smoother import smooth, transition
-from hygrokf.evaluation.simulation import simulate
+from hygrokf.estimation.smoother import smoothed_states, transition
+from hygrokf.evaluation.simulation import free_run
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.modelling.inputs import model_inputs
@@ -240,10 +240,10 @@ def through_days(case: object) -> object:
 def test_the_smoother_and_the_transition_cross_a_gap(thermal: object) -> None:
     case = gapped(thermal, 2.0 * YEAR_H)
     values = case.values | {"heat_disturbance_time": 20000.0}
-    mean, covariance = smooth(case.likelihood, values)
+    mean, covariance = smoothed_states(case.likelihood, values)
     daily = through_days(case)
     kept = np.isin(daily.timeline.time, case.timeline.time)
-    expected, spread = (part[kept] for part in smooth(daily.likelihood, values))
+    expected, spread = (part[kept] for part in smoothed_states(daily.likelihood, values))
     np.testing.assert_allclose(mean, expected, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
     _, f, _ = transition(case.likelihood, values, AT, case.likelihood.trace(values).mean[AT - 1])
@@ -375,9 +375,9 @@ def test_a_switch_decides_after_a_gap_as_without_one() -> None:
     base, values = heated(record)
     long = apart(record, 730.0)
     begun = time.process_time()
-    found = simulate(base, values, model_inputs(base, long))
+    found = free_run(base, values, model_inputs(base, long))
     assert time.process_time() - begun < 10.0
-    plain = simulate(base, values, model_inputs(base, record))
+    plain = free_run(base, values, model_inputs(base, record))
     days_after = slice(-144 * 2, None)
     assert np.mean(found.temperature[0][days_after]) == pytest.approx(
         np.mean(plain.temperature[0][days_after]), abs=0.5

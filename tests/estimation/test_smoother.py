@@ -9,7 +9,7 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.smoother import smooth, to_filterpy
+from hygrokf.estimation.smoother import smoothed_states, to_filterpy
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import model_inputs
 
@@ -73,7 +73,7 @@ def test_smoothed_states_are_the_conditional_means(record):
     gain = joint @ h.T @ np.linalg.inv(s)
     expected = free.prior_mean.reshape(-1) + gain @ (line.y[seen, 0] - free.prediction[seen, 0])
     spread = joint - gain @ h @ joint
-    mean, covariance = smooth(likelihood, values)
+    mean, covariance = smoothed_states(likelihood, values)
     assert_allclose(mean.reshape(-1), expected, rtol=1e-9, atol=1e-8)
     for k in range(count):
         assert_allclose(covariance[k], spread[k * n : (k + 1) * n, k * n : (k + 1) * n], atol=1e-8)

@@ -50,10 +50,11 @@ def packed(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def test_a_nonlinear_steady_state_and_its_slopes() -> None:
-    """Against a bracketed root, and Richardson's differences of it, which have ten digits."""
+    """Against a bracketed root, and Richardson's differences of it, which have ten digits; Newton's steps end
+    where one moves the mean by less than 1e-13 of it."""
     model = radiating()
     found, slopes = stationary_with_slopes(model, traced(model), VALUES, {"u": 3.0})
-    np.testing.assert_allclose(packed(found.mean, found.covariance), steady(VALUES, 3.0), rtol=1e-13)
+    np.testing.assert_allclose(packed(found.mean, found.covariance), steady(VALUES, 3.0), rtol=1e-12)
     for i, (name, value) in enumerate(VALUES.items()):
         h = 2e-3 * value
         ends = [steady({**VALUES, name: value + s * h}, 3.0) for s in (-2, -1, 1, 2)]

@@ -29,7 +29,7 @@ from hygrokf.evaluation.scoring import (
     scores,
     sensor_share,
 )
-from hygrokf.evaluation.simulation import Prediction, measured, simulate
+from hygrokf.evaluation.simulation import Prediction, free_run, measured
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -78,7 +78,7 @@ def one():
         base=base,
         values=values,
         run=driven,
-        predicted=simulate(base, values, driven),
+        predicted=free_run(base, values, driven),
         until=record.start_s + 14 * DAY_S,
         seconds=driven.timeline.seconds,
         known=measured(driven),
@@ -294,7 +294,7 @@ def test_forecast_bands_hold_on_plants_with_their_true_parameters():
     for seed in (71, 72, 73, 74):
         record, base, values = true_model(seed)
         driven = model_inputs(base, record)
-        found = bands(base, values, driven, simulate(base, values, driven), record.start_s + 5 * DAY_S)
+        found = bands(base, values, driven, free_run(base, values, driven), record.start_s + 5 * DAY_S)
         assert list(found) == ["1h", "6h", "24h", "free_run"]
         for lead, by_quantity in found.items():
             assert set(by_quantity) == {"temperature_K", "relative_humidity", "absolute_humidity_g_m3"}

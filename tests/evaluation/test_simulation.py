@@ -21,11 +21,11 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.simulation import (
     QUANTITIES,
     air_temperature,
-    forecast,
+    forecasts,
+    free_run,
     measured,
     predicted_readings,
     project,
-    simulate,
 )
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import Run, model_inputs
@@ -87,7 +87,7 @@ def test_free_run_is_the_plants_own_trajectory(exact):
     """
     made, record, base, values = exact
     driven = model_inputs(base, record)
-    found = simulate(base, values, driven)
+    found = free_run(base, values, driven)
     truth = undisturbed(made)
     seconds = driven.timeline.seconds
     settled = driven.timeline.time > 24.0
@@ -105,7 +105,7 @@ def test_free_run_is_the_differential_equation(noisy):
     here."""
     _, base, driven, values = noisy
     t = driven.timeline
-    found = simulate(base, values, driven)
+    found = free_run(base, values, driven)
     last = int(np.searchsorted(t.time, 60.0))
     reference = dict(base.mechanisms)["heat_release"]["reference_K"]
     u = {name: t.input(name) for name in base.model.inputs}
@@ -150,20 +150,20 @@ def test_free_run_looks_at_no_reading(noisy):
     _, base, driven, values = noisy
     other = replace(driven, timeline=driven.timeline.with_readings(driven.timeline.y + 3.0))
     for quantity in QUANTITIES:
-        a, b = (simulate(base, values, one).of(quantity) for one in (driven, other))
+        a, b = (free_run(base, values, one).of(quantity) for one in (driven, other))
         assert_allclose(a, b, rtol=0, atol=0)
 
 
 def test_quantities_that_a_model_lacks_are_none(noisy):
     record, *_ = noisy
     thermal = design(record, kind="thermal")
-    found = simulate(thermal, parameters(thermal), model_inputs(thermal, record))
+    found = free_run(thermal, parameters(thermal), model_inputs(thermal, record))
     assert found.of("relative_humidity") is None
     assert found.of("absolute_humidity_g_m3") is None
     assert found.of("temperature_K") is found.temperature
     cascade = design(record, kind="cascade")
     driven = model_inputs(cascade, record)
-    found = simulate(cascade, parameters(cascade), driven)
+    found = free_run(cascade, parameters(cascade), driven)
     assert found.temperature is None
     warm = driven.timeline.input("cabinet_temperature")
     assert_allclose(found.absolute_humidity[0], 1e3 * absolute_humidity(found.relative_humidity[0], warm))
@@ -182,9 +182,9 @@ def test_a_logger_may_read_absolute_humidity(noisy):
     other = replace(record, series=(*without(record, moist.signal).series, grams))
     base = design(other)
     driven = model_inputs(base, other)
-    found = simulate(base, parameters(base), driven)
+    found = free_run(base, parameters(base), driven)
     assert found.relative_humidity is None
-    usual = simulate(own, values, run)
+    usual = free_run(own, values, run)
     assert np.isin(driven.timeline.time, run.timeline.time).all()
     assert_allclose(found.absolute_humidity[0], usual.absolute_humidity[0], atol=2e-3)
 
@@ -200,7 +200,7 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     assert base.averaged
     driven = model_inputs(base, record)
     values = parameters(base)
-    found = simulate(base, values, driven)
+    found = free_run(base, values, driven)
     seconds = driven.timeline.seconds
 
     # the same cabinet read each half minute as instants
@@ -212,7 +212,7 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     fine_record = record.replace_series(*fine_series)
     fine = replace(base, averaged={})
     fine_run = model_inputs(fine, fine_record)
-    course = simulate(fine, values, fine_run)
+    course = free_run(fine, values, fine_run)
     fine_seconds = fine_run.timeline.seconds
     for name, quantity, tolerance in (
         ("cabinet_temperature", "temperature_K", 2e-3),
@@ -311,7 +311,7 @@ def test_free_run_bands_hold_on_the_model_itself():
     )
     grams = 1e3 * absolute_humidity(humidity, warm)
 
-    found = simulate(base, values, driven, (names, covariance))
+    found = free_run(base, values, driven, (names, covariance))
     low, high = binom.ppf([0.0005, 0.9995], count, 0.95)
     for quantity, reading in zip(QUANTITIES, (warm, humidity, grams), strict=True):
         value, sd = (part[-1] for part in found.of(quantity))
@@ -319,7 +319,7 @@ def test_free_run_bands_hold_on_the_model_itself():
         assert low <= inside <= high, quantity
         assert np.std(reading - value) == pytest.approx(sd, rel=0.12), quantity
     # the parameters' share is no decoration: without it the temperature's band is too narrow
-    bare = simulate(base, values, driven)
+    bare = free_run(base, values, driven)
     assert bare.temperature[1][-1] < 0.95 * found.temperature[1][-1]
 
 
@@ -358,10 +358,10 @@ def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     random = np.random.default_rng(41)
     drawn = random.multivariate_normal(np.zeros(4), matrix, 200)
     runs = [
-        simulate(base, values | {n: values[n] + s for n, s in zip(names, shift, strict=True)}, driven)
+        free_run(base, values | {n: values[n] + s for n, s in zip(names, shift, strict=True)}, driven)
         for shift in drawn
     ]
-    plain, wide = simulate(base, values, driven), simulate(base, values, driven, (names, matrix))
+    plain, wide = free_run(base, values, driven), free_run(base, values, driven, (names, matrix))
     for quantity in QUANTITIES:
         spread = np.std([one.of(quantity)[0] for one in runs], axis=0)
         extra = np.sqrt(np.maximum(wide.of(quantity)[1] ** 2 - plain.of(quantity)[1] ** 2, 0.0))
@@ -378,7 +378,7 @@ def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
     _, base, driven, values = noisy
     t = driven.timeline
     first = int(np.searchsorted(t.time, 200.0))
-    found = forecast(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
+    found = forecasts(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
     seen = np.isfinite(t.y).any(axis=1) & driven.scored
     starts = np.flatnonzero(seen)
     starts = starts[starts >= first]
@@ -409,15 +409,15 @@ def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
 
 def test_too_few_readings_give_no_forecast(noisy):
     _, base, driven, values = noisy
-    assert forecast(base, values, driven, len(driven.timeline) - 9) == {}
+    assert forecasts(base, values, driven, len(driven.timeline) - 9) == {}
 
 
 def test_forecasts_leave_unscored_stretches_out(noisy):
     record, base, _, values = noisy
     driven = model_inputs(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
     scored = driven.timeline.time < 60.0
-    found = forecast(base, values, replace(driven, scored=scored), 0, (1.0,), 10_000)
-    usual = forecast(base, values, driven, 0, (1.0,), 10_000)
+    found = forecasts(base, values, replace(driven, scored=scored), 0, (1.0,), 10_000)
+    usual = forecasts(base, values, driven, 0, (1.0,), 10_000)
     share = len(found[1.0]["temperature_K"][0]) / len(usual[1.0]["temperature_K"][0])
     assert share == pytest.approx(60.0 / driven.timeline.time[-1], abs=0.02)
 
@@ -430,21 +430,21 @@ def test_projections_have_the_slopes_of_finite_differences(noisy):
     driven = model_inputs(base, record.window(record.start_s, record.start_s + 86400.0))
     trace = Likelihood(base.model, driven.timeline).trace(values)
     for function in (air_temperature, lambda equations: equations.rates[0] ** 2):
-        value, variance = project(base, values, driven, trace.mean, trace.covariance, function)
+        value, variance = project(base.model, driven.timeline, values, trace.mean, trace.covariance, function)
         slopes = []
         for i in range(trace.mean.shape[1]):
             moved = [trace.mean.copy(), trace.mean.copy()]
             moved[0][:, i] -= 1e-4
             moved[1][:, i] += 1e-4
-            low, high = (project(base, values, driven, m, None, function)[0] for m in moved)
+            low, high = (project(base.model, driven.timeline, values, m, None, function)[0] for m in moved)
             slopes.append((high - low) / 2e-4)
         j = np.array(slopes).T
         assert_allclose(variance, np.einsum("ti,tij,tj->t", j, trace.covariance, j), rtol=1e-5)
-        assert np.all(project(base, values, driven, trace.mean, None, function)[1] == 0.0)
+        assert np.all(project(base.model, driven.timeline, values, trace.mean, None, function)[1] == 0.0)
         assert value.shape == (len(driven.timeline),)
     u = driven.timeline.input("ambient_temperature")
     warm = 0.85 * trace.mean[:, 0] + 0.15 * u
-    assert_allclose(project(base, values, driven, trace.mean, None, air_temperature)[0], warm)
+    assert_allclose(project(base.model, driven.timeline, values, trace.mean, None, air_temperature)[0], warm)
 
 
 def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_hour(noisy):
@@ -490,6 +490,6 @@ def test_records_without_readings_are_predicted_all_the_same(noisy):
         "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
     )
     driven = model_inputs(base, alone)
-    found = simulate(base, values, driven)
+    found = free_run(base, values, driven)
     assert np.isfinite(found.temperature[0]).all()
     assert np.isnan(measured(driven)["temperature_K"]).all()

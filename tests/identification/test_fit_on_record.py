@@ -21,8 +21,12 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain, structured
+from hygrokf.estimation.inference import confidence_intervals
+from hygrokf.estimation.smoother import smoothed_states
+from hygrokf.evaluation.prediction import forecast, innovations, simulate, smooth
 from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.evaluation.simulation import Prediction, settled, simulate
+from hygrokf.evaluation.simulation import Prediction, forecasts, free_run, measured, settled
+from hygrokf.identification import fit_on_record
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import (
     Evaluation,
@@ -33,6 +37,7 @@ from hygrokf.identification.fit_on_record import (
     simulation_summary,
 )
 from hygrokf.identification.fit_results import Covariance, FitResults
+from hygrokf.identification.procedure import identify
 from hygrokf.identification.wording import NONE, QUANTITIES, RULES
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, model_inputs
@@ -116,7 +121,7 @@ def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
     names = ("temperature_degC", "relative_humidity_pct", "absolute_humidity_g_m3")
     assert head == columns_of(names)
     whole = model_inputs(fit.design, record)
-    ran = simulate(fit.design, fit.values, whole, fit.covariance)
+    ran = free_run(fit.design, fit.values, whole, fit.covariance)
     np.testing.assert_allclose(times, whole.timeline.seconds, atol=1e-3)
     columns = [
         ran.temperature[0] - 273.15,
@@ -407,4 +412,89 @@ def test_an_evaluation_without_readings_gives_the_reasons(fit, record, change):
     shown = " ".join(shown.split())
     for words in ("no temperature or absolute humidity of the cabinet", "needs the power", "`hygrokf check`"):
         assert words in shown
-    assert csv_of(fit, other).count("\n") > 1000
+    assert simulation_csv(fit, other).count("\n") > 1000
+
+
+# --- the public verbs of a fit --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["cascade", pytest.param("joint", marks=pytest.mark.slow)])
+def test_the_likelihood_of_a_fit_has_the_value_that_the_fit_states(record, kind) -> None:
+    """At the reported values, on the identification part alone, whose last instant is the last one before."""
+    found = identify(record, starts=1, profiles=False, kind=kind)
+    made = found.likelihood(record)
+    assert made.value(found.values) == pytest.approx(found.results.loglik, rel=1e-9)
+    assert made.timeline.part == "identification" and "identification" in repr(made)
+    assert made.timeline.seconds[-1] <= record.until_s
+    assert made.timeline.n_readings == found.results.n_obs
+    whole = found.likelihood(record, part="whole")
+    assert whole.timeline.part == "whole" and whole.timeline.seconds[-1] > record.until_s
+    assert whole.value(found.values) > made.value(found.values) + 100.0
+    for name, tau in found.results.time_constants.items():
+        parameter = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}[name]
+        # a cascade ends beside the maximum of the whole likelihood; both are inside the bounds
+        bounds = confidence_intervals(found, record, [parameter], "wald")[parameter]
+        scale = found.values[parameter] / tau.value_h
+        assert tau.lower_h * scale < bounds.value < tau.upper_h * scale
+        assert bounds.lower < found.values[parameter] < bounds.upper
+    words = repr(found).splitlines()
+    assert len(words) <= 12 and f"{found.results.loglik:.2f}" in words[-1] and "identification" in words[-1]
+
+
+def test_a_part_that_a_record_does_not_have_is_named(fit, record) -> None:
+    with pytest.raises(ValueError, match="part: expected 'identification' or 'whole', found 'late'"):
+        fit.likelihood(record, part="late")
+    with pytest.raises(
+        ValueError, match=r"likelihood: expected a Record, found the path 'case.toml'; read_case"
+    ):
+        fit.likelihood("case.toml")
+
+
+def test_simulate_takes_the_fit_and_its_record(fit, record) -> None:
+    """What the simulation file has, with the readings beside it."""
+    _, run, expected = fit_on_record.simulate_fit(fit, record)
+    found = simulate(fit, record)
+    assert list(found.value) == [
+        "cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity",
+    ]  # fmt: skip
+    for name, quantity in zip(
+        found.value, ("temperature_K", "relative_humidity", "absolute_humidity_g_m3"), strict=True
+    ):
+        pair = expected.of(quantity)
+        assert pair is not None
+        np.testing.assert_array_equal(found[name][0], pair[0])
+        np.testing.assert_array_equal(found[name][1], pair[1])
+        np.testing.assert_array_equal(found.reading[name], measured(run)[quantity])
+    np.testing.assert_array_equal(found.origin_s + 3600.0 * found.time_h, run.timeline.seconds)
+    assert found.to_frame().attrs["units"]["cabinet_temperature_upper"] == "K"
+
+
+def test_forecast_takes_the_fit_and_its_record(fit, record) -> None:
+    """The rows that `hygrokf evaluate` counts, where both quantities are read together."""
+    base, run, _ = fit_on_record.simulate_fit(fit, record)
+    first = 0
+    expected = forecasts(base, fit.values, run, first, (1.0,), count=30)[1.0]["temperature_K"]
+    found = forecast(fit, record, leads_h=(1.0,), count=30)
+    rows = {float(value): (value, sd) for value, sd in np.column_stack(found["cabinet_temperature"])}
+    shared = [(value, sd) for _, value, sd in zip(*expected, strict=True) if value in rows]
+    assert len(shared) >= 20
+    np.testing.assert_array_equal([rows[value] for value, _ in shared], shared)
+    short = replace(record, series=tuple(
+        replace(one, time=one.time[:-60], value=one.value[:-60]) if one.signal.startswith("cabinet") else one
+        for one in record.series
+    ))  # fmt: skip
+    single = forecast(fit, short)
+    assert single.lead_h.min() > 0.0 and set(single.value) == set(found.value)
+    ends = short["cabinet_temperature"].time[-1], record["ambient_temperature"].time[-1]
+    assert single.origin_s + 3600.0 * single.time_h[-1] == pytest.approx(ends[1], abs=1800.0)
+    assert single.lead_h[-1] == pytest.approx((ends[1] - ends[0]) / 3600.0, abs=0.5)
+
+
+def test_smoothed_states_and_innovations_of_a_fit_are_those_of_its_likelihood(fit, record) -> None:
+    whole = fit.likelihood(record, "whole")
+    states = smooth(fit, record)
+    np.testing.assert_array_equal(states.mean, smoothed_states(whole, fit.values)[0])
+    assert list(states.value) == list(fit.design.model.states)
+    errors = innovations(fit, record)
+    assert set(errors.error) == {"cabinet_temperature", "cabinet_relative_humidity"}
+    assert errors.tests().outputs["cabinet_temperature"].n == np.isfinite(whole.timeline.y[:, 0]).sum()

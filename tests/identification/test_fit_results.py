@@ -54,8 +54,9 @@ def test_a_fit_is_copied_between_processes_and_says_its_verdicts() -> None:
     again = pickle.loads(pickle.dumps(fit))
     assert again.design.model is fit.design.model
     assert again.to_json() == fit.to_json() and again.values == fit.values
-    first, *numbers = repr(again).splitlines()
+    first, *numbers, last = repr(again).splitlines()
     assert first == fit.name and len(numbers) == len(fit.results.time_constants)
+    assert last.startswith(f"ln L {fit.results.loglik:.2f} of {fit.results.n_obs} readings")
     frame = fit.to_frame()
     for part, constant in fit.results.time_constants.items():
         ends = [constant.value_h, constant.lower_h, constant.upper_h]

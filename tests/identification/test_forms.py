@@ -33,7 +33,7 @@ from hygrokf.identification.estimation import estimate_design, smoothed_temperat
 from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import model_inputs
-from hygrokf.modelling.thermal_system import state_space
+from hygrokf.modelling.thermal_system import thermal_system
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.mechanisms.thermal import STILL_K, natural_convection, small_signal
 from hygrokf.physics.model import compose
@@ -58,7 +58,8 @@ def convecting(exponent: float, difference: float = 8.0) -> tuple[Design, dict]:
 def test_small_changes_decay_with_the_time_constant_and_heat_counts_less(exponent):
     """About ΔT₀ the pole is −1/τ, and a kelvin of heat release warms the air by 1/(1+n), as ΔT^(1+n) has
     it."""
-    a, b, c, d = state_space(*convecting(exponent))
+    found = thermal_system(*convecting(exponent))
+    a, b, c, d = found.A, found.B, found.C, found.D
     # the still air's half kelvin beside 8 K is 0.4 % of its square
     assert a[0, 0] == pytest.approx(-1.0 / 1.7, rel=2e-3)
     gain = d[0, 1] - (c @ np.linalg.solve(a, b))[0, 1]

@@ -9,8 +9,10 @@ from numpy.testing import assert_allclose
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.evaluation.responses import to_statespace
+from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import Design
-from hygrokf.modelling.thermal_system import INPUTS, state_space, thermal_poles, to_statespace
+from hygrokf.modelling.thermal_system import INPUTS, thermal_poles, thermal_system
 
 TAU, RHO = 1.7, 0.83
 
@@ -37,7 +39,8 @@ def network() -> tuple[Design, dict]:
 
 
 def test_matrices_are_equations_2_and_3(network):
-    a, b, c, d = state_space(*network)
+    found = thermal_system(*network)
+    a, b, c, d = found.A, found.B, found.C, found.D
     assert_allclose(a, [[-1 / TAU]], rtol=1e-14)
     assert_allclose(b, [[1 / TAU, 1 / (TAU * RHO)]], rtol=1e-14)
     assert_allclose(c, [[RHO]], rtol=1e-14)
@@ -45,7 +48,7 @@ def test_matrices_are_equations_2_and_3(network):
 
 
 def test_system_has_names_and_poles(network):
-    system = to_statespace(*network)
+    system = to_statespace(Fit("made", *network))
     assert system.input_labels == list(INPUTS)
     assert system.state_labels == ["converter_temperature"]
     assert system.output_labels == ["cabinet_air_temperature"]
@@ -55,7 +58,7 @@ def test_system_has_names_and_poles(network):
 
 
 def test_steady_state_is_ambient_plus_release(network):
-    assert_allclose(control.dcgain(to_statespace(*network)), [[1.0, 1.0]], rtol=1e-12)
+    assert_allclose(control.dcgain(to_statespace(Fit("made", *network))), [[1.0, 1.0]], rtol=1e-12)
 
 
 @pytest.mark.parametrize("step_h", [1 / 60, 0.25, 1.0, 6.0, 72.0])
@@ -73,7 +76,7 @@ def test_filter_uses_the_matrices_of_python_control(network, step_h):
     )
     start = Gaussian(np.array([291.0]), np.zeros((1, 1)))
     trace = Likelihood(model, line.window(1, 2)).trace(values, start=start)
-    sampled = control.sample_system(to_statespace(design, values), step_h, "zoh")
+    sampled = control.sample_system(to_statespace(Fit("made", design, values)), step_h, "zoh")
     expected = sampled.A @ np.array([291.0]) + sampled.B @ np.array([280.0, 3.0])
     assert_allclose(trace.transition[0], sampled.A, rtol=1e-12, atol=1e-14)
     assert_allclose(trace.prior_mean[0], expected, rtol=1e-12)
@@ -82,4 +85,4 @@ def test_filter_uses_the_matrices_of_python_control(network, step_h):
 def test_a_design_without_network_says_so():
     design = Design(mechanisms=(("measured_air", {}), ("hygric_exchange", {})))
     with pytest.raises(ValueError, match="no thermal network"):
-        to_statespace(design, {})
+        to_statespace(Fit("made", design, {}))

@@ -13,7 +13,7 @@ from plants.plant import plant
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import DECIDE_H, self_switched, switches_of
-from hygrokf.evaluation.simulation import forecast, simulate
+from hygrokf.evaluation.simulation import forecasts, free_run
 from hygrokf.modelling.design import Design, design, extended, merged
 from hygrokf.modelling.inputs import Run, model_inputs
 from hygrokf.physics.switches import Throttle
@@ -63,7 +63,7 @@ def test_a_simulation_drives_its_own_heater() -> None:
     base, values = heated(record)
     made = model_inputs(base, record)
     assert made.timeline.input("throttled_heating").max() == 0.0
-    found = simulate(base, values, made).temperature[0]
+    found = free_run(base, values, made).temperature[0]
     own = self_switched(base, values, [made])[0]
     duty = own.timeline.input("throttled_heating")
     idle = ~made.operating
@@ -77,7 +77,7 @@ def test_a_simulation_drives_its_own_heater() -> None:
     # what is fed back is the course, and the simulation with it has the heater's temperatures at the steps
     again = self_switched(base, values, [own])[0]
     np.testing.assert_array_equal(again.timeline.input("throttled_heating"), duty)
-    without = simulate(base, {**values, "heater_heat": 0.0}, made).temperature[0]
+    without = free_run(base, {**values, "heater_heat": 0.0}, made).temperature[0]
     assert without[late].min() < 281.0
 
 
@@ -86,14 +86,14 @@ def test_readings_of_the_cabinet_change_nothing_in_a_simulation() -> None:
     otherwise."""
     record, blind = weather(), weather(cabinet=False)
     base, values = heated(record)
-    with_readings = simulate(base, values, model_inputs(base, record)).temperature[0]
-    without = simulate(base, values, model_inputs(base, blind)).temperature[0]
+    with_readings = free_run(base, values, model_inputs(base, record)).temperature[0]
+    without = free_run(base, values, model_inputs(base, blind)).temperature[0]
     np.testing.assert_allclose(with_readings, without, atol=1e-9)
     cold = record.replace_series(
         replace(record["cabinet_temperature"], value=np.full(len(record["cabinet_temperature"].time), 270.0))
     )
     np.testing.assert_allclose(
-        simulate(base, values, model_inputs(base, cold)).temperature[0], without, atol=1e-9
+        free_run(base, values, model_inputs(base, cold)).temperature[0], without, atol=1e-9
     )
 
 
@@ -141,7 +141,7 @@ def test_forecasts_do_not_know_the_readings_that_come() -> None:
     hot = made.timeline.u.copy()
     hot[1:, made.timeline.varying.index("throttled_heating")][late] = 1.0
     other = replace(made, timeline=replace(made.timeline, u=hot))
-    plain, told = (forecast(base, values, one, middle, (1.0,), count=1) for one in (made, other))
+    plain, told = (forecasts(base, values, one, middle, (1.0,), count=1) for one in (made, other))
     assert plain[1.0]["temperature_K"][1] == pytest.approx(told[1.0]["temperature_K"][1], abs=1e-12)
 
 
@@ -166,8 +166,8 @@ def test_a_switch_whose_reading_the_model_does_not_foretell_stays_with_the_readi
 def test_steps_between_decisions_are_bounded() -> None:
     record = weather(step=3600.0)
     base, values = heated(record)
-    coarse = simulate(base, values, model_inputs(base, record)).temperature[0]
-    fine = simulate(base, values, model_inputs(base, weather())).temperature[0][::6]
+    coarse = free_run(base, values, model_inputs(base, record)).temperature[0]
+    fine = free_run(base, values, model_inputs(base, weather())).temperature[0][::6]
     n = min(len(coarse), len(fine))
     idle = np.arange(n) < 95
     assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
@@ -202,8 +202,8 @@ def test_a_heater_in_any_state_holds_its_cabinet() -> None:
     duty = own.timeline.input("throttled_heating")
     late = made.timeline.time > 24.0
     assert duty[late & made.operating].mean() > 0.02 and 0.0 <= duty.min() <= duty.max() <= 1.0
-    found = simulate(wider, values, made).temperature[0]
-    cold = simulate(wider, {**values, "heater_heat": 0.0}, made).temperature[0]
+    found = free_run(wider, values, made).temperature[0]
+    cold = free_run(wider, {**values, "heater_heat": 0.0}, made).temperature[0]
     assert found[late].min() > cold[late].min() + 2.0
     inside = late & (duty > 0.05) & (duty < 0.95)
     expected = (296.0 - found[inside]) / 4.0

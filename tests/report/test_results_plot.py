@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from builders.report_case import report_case, results, write_case
 from matplotlib import pyplot, rcParams
 from matplotlib.figure import Figure
 
-from hygrokf.climate.study import Study
 from hygrokf.discovery.results import Discovered
 from hygrokf.errors import HygrokfError
+from hygrokf.evaluation.responses import FrequencyResponse, StepResponse, bode, step_response
 from hygrokf.identification.fit import Fit, read_series
+from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.modelling.design import Design
 
 
@@ -36,8 +38,24 @@ def empty() -> Discovered:
     return Discovered(typed(empty_case()), residuals_case(0.0))
 
 
-PANELS: dict[Callable[[], Fit | Discovered | Study], int] = {
-    fit: 2, discovered: 6, empty: 8, study_of: 2,
+def network() -> Fit:
+    """A thermal network whose time constant is known to 10 %."""
+    made = Design((("thermal_network", {}), ("thermal_diffusion", {})))
+    values = {p.name: p.start for p in made.model.parameters}
+    known = Covariance(("thermal_time_constant",), np.array([[0.04]]))
+    return Fit("made", made, values | {"thermal_time_constant": 2.0}, FitResults(covariance=known))
+
+
+def frequency() -> FrequencyResponse:
+    return bode(network())
+
+
+def step() -> StepResponse:
+    return step_response(network())
+
+
+PANELS: dict[Callable[[], Any], int] = {
+    fit: 2, discovered: 6, empty: 8, study_of: 2, frequency: 4, step: 2,
 }  # fmt: skip
 """How a result is made, and the panels of its picture; an empty discovery: two quantities, four drivers."""
 

@@ -22,7 +22,7 @@ from plants.plant import plant
 
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
-from hygrokf.evaluation.simulation import simulate
+from hygrokf.evaluation.simulation import free_run
 from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.procedure import identify
@@ -259,7 +259,7 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     from hygrokf.modelling.inputs import model_inputs
 
     record = sister((HEAT,))
-    again = simulate(
+    again = free_run(
         other.adapted.design, other.adapted.values, model_inputs(other.adapted.design, record)
     ).temperature[0]
     np.testing.assert_allclose(again, simulation, rtol=1e-9)

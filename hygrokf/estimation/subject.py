@@ -1,0 +1,208 @@
+"""What a verb works on: a model on its data with the values of its parameters, from a fit or a likelihood.
+
+Shapes: d parameters, r uncertain ones, N draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, TypeGuard
+
+import numpy as np
+
+from hygrokf.data.record import Record, kind_of, maker_of
+from hygrokf.estimation.confidence import Uncertainty, uncertainty
+from hygrokf.estimation.joint_likelihood import AnyLikelihood, JointLikelihood
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
+from hygrokf.physics.parameters import Parameter, expect_values
+
+IDENTIFICATION, WHOLE = "identification", "whole"
+"""Parts of a record: its identification period, and all of it."""
+
+
+class Fitted(Protocol):
+    """What a fit offers to the verbs; `design` is what higher floors need beside the likelihood."""
+
+    design: Any
+    values: Mapping[str, float]
+
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Parameters that were not estimated, with their values."""
+
+    @property
+    def covariance(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and covariance (r, r) of the uncertain parameters, in their units."""
+
+    def likelihood(self, record: Record, part: str = IDENTIFICATION) -> Likelihood:
+        """The likelihood of a record, or of its identification period."""
+
+
+Source = Fitted | AnyLikelihood
+"""The first argument of a verb."""
+Given = Record | Estimate | Mapping[str, float]
+"""The second: the record of a fit, or the estimate or the values of a likelihood."""
+MAKERS = (
+    "identify(record) makes a Fit, Likelihood(model, timeline(model, …)) and fit.likelihood(record) make a "
+    "Likelihood"
+)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Uncertain parameters: `names` and `covariance` (r, r) of their coordinates around `values`."""
+
+    parameters: tuple[Parameter, ...]
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: np.ndarray
+
+    @classmethod
+    def in_units(
+        cls,
+        parameters: Sequence[Parameter],
+        values: Mapping[str, float],
+        covariance: tuple[Sequence[str], np.ndarray],
+    ) -> Spread:
+        """From a covariance (r, r) in the parameters' units; parameters that are not listed are known."""
+        own = {p.name: p for p in parameters}
+        there = [i for i, name in enumerate(covariance[0]) if name in own]
+        names = tuple(covariance[0][i] for i in there)
+        scale = np.array([1.0 / own[name].slope(values[name]) for name in names])
+        matrix = covariance[1][np.ix_(there, there)] * np.outer(scale, scale)
+        return cls(tuple(parameters), values, names, matrix)
+
+    def directions(self) -> np.ndarray:
+        """Derivatives (d, r) of the parameters by the uncertain coordinates."""
+        place = {p.name: (i, p) for i, p in enumerate(self.parameters)}
+        found = np.zeros((len(place), len(self.names)))
+        for j, name in enumerate(self.names):
+            i, p = place[name]
+            found[i, j] = p.slope(self.values[name])
+        return found
+
+    def drawn(self, draws: np.ndarray) -> dict[str, Any]:
+        """Values of all parameters for standard normal draws (N, r): arrays (N,) of the uncertain ones, which
+        stay within their search limits."""
+        found: dict[str, Any] = dict(self.values)
+        values, vectors = np.linalg.eigh(self.covariance)
+        moves = draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        own = {p.name: p for p in self.parameters}
+        for name, move in zip(self.names, moves.T, strict=True):
+            p = own[name]
+            z = p.to_coordinate(self.values[name]) + move
+            z = np.clip(z, p.to_coordinate(p.lower), p.to_coordinate(p.upper))
+            found[name] = np.exp(z) if p.positive else z
+        return found
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model on its data: `likelihood`, `values` of its parameters, and where they come from: an `estimate`
+    of this likelihood, or a `fit`; neither for plain values."""
+
+    likelihood: Likelihood
+    values: Mapping[str, float]
+    estimate: Estimate | None = None
+    fit: Fitted | None = None
+
+    @cached_property
+    def spread(self) -> Spread:
+        """The uncertainty of the values: the fit's, or the wider of Wald and sandwich of the estimate."""
+        parameters = self.likelihood.model.parameters
+        if self.fit is not None:
+            return Spread.in_units(parameters, self.values, self.fit.covariance)
+        if self.estimate is None:
+            return Spread(parameters, self.values, (), np.empty((0, 0)))
+        found = uncertainty(Objective(self.likelihood, self.estimate.coordinates), self.estimate)
+        return Spread(parameters, self.values, found.names, found.wider)
+
+
+def subject(verb: str, source: Source, given: object, part: str = WHOLE) -> Subject:
+    """What a verb works on, from (a fit, a record) or (a likelihood, its estimate or values).
+
+    part: of the record.  Raises ValueError that names the call which makes what is missing, and for values
+    that do not belong to the model.
+    """
+    if isinstance(source, JointLikelihood):
+        raise ValueError(
+            f"{verb}: expected the likelihood of one record, found a JointLikelihood of {len(source.parts)}; "
+            "give one of its `parts`, with `values_of(values, k)` for part k"
+        )
+    if _is_likelihood(source):
+        if isinstance(given, Estimate):
+            expect_values(source.model.parameters, given.values)
+            return Subject(source, given.values, given)
+        if isinstance(given, Mapping) and not maker_of(given):
+            expect_values(source.model.parameters, given)
+            return Subject(source, given)
+    elif is_fit(source) and isinstance(given, Record):
+        return Subject(source.likelihood(given, part), source.values, fit=source)
+    raise ValueError(_refusal(verb, source, given))
+
+
+def estimated(verb: str, source: Source, given: object) -> tuple[AnyLikelihood, Estimate]:
+    """The likelihood and its maximum: for a fit that of its whole model on the identification period of the
+    record, from the fit's values."""
+    if isinstance(source, JointLikelihood) and isinstance(given, Estimate):
+        expect_values(source.parameters, given.values)
+        return source, given
+    found = subject(verb, source, given, IDENTIFICATION)
+    if found.estimate is not None:
+        return found.likelihood, found.estimate
+    if found.fit is None:
+        raise ValueError(
+            f"{verb}: expected the Estimate of this likelihood, found values, which need not be its maximum: "
+            "fit_mle(likelihood, values, count=1) makes one"
+        )
+    return found.likelihood, fit_mle(found.likelihood, found.values, found.fit.fixed, count=1)
+
+
+def covariances(source: Source, given: Given | None = None) -> Uncertainty:
+    """Covariances of all estimated parameters, and what the data do not determine.
+
+    source, given: a `Fit` and its `Record`, or a `Likelihood` and the `Estimate` that `fit_mle` made of it.
+
+    Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the logarithm
+    of a positive parameter), `wider` of both, `flat` directions and strongly correlated `trade_offs`.
+    Raises ValueError for anything else, with the call that makes what is missing.
+    """
+    likelihood, estimate = estimated("covariances", source, given)
+    return uncertainty(Objective(likelihood, estimate.coordinates), estimate)
+
+
+def _is_likelihood(source: object) -> TypeGuard[Likelihood]:
+    return callable(getattr(source, "sensitivities", None))
+
+
+def is_fit(source: object) -> TypeGuard[Fitted]:
+    """Whether it offers what the verbs need of a fit."""
+    return hasattr(source, "values") and callable(getattr(source, "likelihood", None))
+
+
+def _refusal(verb: str, source: object, given: object) -> str:
+    """What was expected, what was found, and the calls that make it."""
+    fit, likelihood, values = is_fit(source), _is_likelihood(source), isinstance(given, (Estimate, Mapping))
+    if (is_fit(given) and isinstance(source, Record)) or (
+        _is_likelihood(given) and isinstance(source, (Estimate, Mapping))
+    ):
+        remedies = ["give them in the other order"]
+    elif isinstance(given, Record) and likelihood:
+        remedies = ["a likelihood has its readings: give the Estimate of fit_mle(likelihood)"]
+    elif is_fit(given) and likelihood:
+        remedies = [f"{verb}(fit, record), or {verb}(likelihood, fit.values)"]
+    elif fit and values and not maker_of(given):
+        remedies = [f"{verb}(fit, record), or {verb}(fit.likelihood(record), values)"]
+    else:
+        remedies = [] if fit or likelihood else [maker_of(source, fit=True) or MAKERS]
+        if not (values or isinstance(given, Record)) or maker_of(given):
+            remedies.append("fit_mle(likelihood) makes an Estimate" if likelihood else maker_of(given) or "")
+        if fit and given is None:
+            remedies = ["read_case or read_frames makes a Record"]
+    return (
+        f"{verb}: expected a Fit and a Record, or a Likelihood and its Estimate or values, found "
+        f"{kind_of(source)} and {kind_of(given)}; {'; '.join(dict.fromkeys(one for one in remedies if one))}"
+    )

@@ -1,0 +1,335 @@
+"""What a model makes of its data: free run, forecast, smoothed states, innovations.
+
+A fit of a cabinet and a user's own likelihood go through the same calls.  Shapes: T instants, n states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.data.tabular import with_units
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.estimation.smoother import smoothed_states
+from hygrokf.estimation.subject import Given, Source, Spread, subject
+from hygrokf.evaluation.course import Course, time_index
+from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.simulation import (
+    QUANTITIES,
+    Prediction,
+    ahead,
+    expected_readings,
+    free_run,
+    measured,
+    reading_slopes,
+    run_on,
+    widened,
+)
+from hygrokf.modelling.inputs import Run
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Pairs = Mapping[str, tuple[np.ndarray, np.ndarray]]
+"""Values and standard deviations (T,) by output."""
+UNITS = dict(zip(QUANTITIES, ("K", "1", "g/m³"), strict=True))
+
+
+def simulate(source: Source, given: Given | None = None) -> Course:
+    """The free run: the model driven by its inputs alone, with the standard deviations of the readings.
+
+    source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
+
+    Returns every output over all instants of the data, in its unit; of a cabinet the temperature [K], the
+    relative humidity [1] and the absolute humidity [g/m³] that follows from both.  The standard deviations
+    include the noise of a reading, the model's disturbances and, of a fit or an estimate, the uncertainty of
+    the parameters to first order.  A cabinet's thermostats follow the simulated readings.
+    Raises ValueError for anything else, with the call that makes what is missing, and for a diffuse start.
+    """
+    found = subject("simulate", source, given)
+    if isinstance(given, Record) and found.fit is not None:
+        design, run = run_on(found.fit.design, found.values, given)
+        predicted = free_run(design, found.values, run, found.fit.covariance)
+        return _course(run.timeline, _by_output(predicted), _readings_of(run))
+    likelihood, t = found.likelihood, found.likelihood.timeline
+    if likelihood.initial == "diffuse":
+        raise ValueError(
+            "simulate: expected a known first state, found a diffuse one; give the likelihood `initial`, "
+            "such as Gaussian(smoothed.mean[0], smoothed.covariance[0]) of `smooth`"
+        )
+    blind = replace(likelihood, timeline=t.with_readings(np.full_like(t.y, np.nan)))
+    pairs = expected_readings(blind.model, t, found.values, blind.trace(found.values))
+    if len(found.spread.names):
+        slopes = reading_slopes(likelihood, found.values, found.spread.directions())
+        matrix = found.spread.covariance
+        pairs = {name: widened(pair, slopes[name], matrix) or pair for name, pair in pairs.items()}
+    return _course(t, pairs, _readings_in(t))
+
+
+def forecast(
+    source: Source,
+    given: Given | None = None,
+    *,
+    leads_h: Sequence[float] | None = None,
+    start_h: float | None = None,
+    count: int = 250,
+) -> Course:
+    """Forecasts from the filtered state at a reading, with the inputs that the data have after it.
+
+    source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
+    leads_h: [h] how far ahead; None: one forecast, to every later instant of the data.  Beyond the last
+        reading these are the further instants of a record's ambient series, or those that the `timeline` was
+        given with inputs and with NaN as readings.
+    start_h: [h] since the timeline's origin; later readings are not used.  Default: the last reading, or,
+        with leads, the first one.
+    count: with leads, number of forecasts, spread evenly over the readings from `start_h` on.
+
+    Returns the expected readings and their standard deviations, with the readings that came and the lead [h];
+    with leads one row per forecast and lead.  The state's uncertainty, the disturbances and the noise of a
+    reading make the bands, in a single forecast also that of the parameters of a fit or an estimate, to first
+    order; by lead, where forecasts judge a model on its own data, parameters count as known.
+    Raises ValueError for anything else, with the call that makes what is missing, and where no reading or no
+    later instant is left.
+    """
+    found = subject("forecast", source, given)
+    if isinstance(given, Record) and found.fit is not None:
+        design, run = run_on(found.fit.design, found.values, given, beyond=True)
+        likelihood = Likelihood(design.model, run.timeline)
+        usable = run.scored
+    else:
+        likelihood, usable = found.likelihood, np.ones(len(found.likelihood.timeline), dtype=bool)
+    t = likelihood.timeline
+    read = np.isfinite(t.y).any(axis=1) & usable
+    starts, ends = _origins(t, np.flatnonzero(read), leads_h, start_h, count)
+
+    def pieces(values: Mapping[str, float]) -> Iterator[Pairs]:
+        trace = likelihood.trace(values)
+        if likelihood is found.likelihood:
+            return _windows(likelihood, values, trace, starts, ends)
+        made = ahead(likelihood, values, run, design, trace, starts, ends)
+        return (_by_output(prediction) for _, prediction in made)
+
+    known = _readings_in(t) if likelihood is found.likelihood else _readings_of(run)
+    made = list(pieces(found.values))
+    if leads_h is None and len(found.spread.names):
+        made = [_with_parameters(made[0], found.spread, lambda values: next(pieces(values)))]
+    last = int(np.flatnonzero(read)[-1])
+    rows, parts = [], []
+    for start, end, pairs in zip(starts, ends, made, strict=True):
+        inside = np.arange(start + 1, end)
+        if leads_h is not None:
+            there = inside[read[inside] | (inside > last)]
+            inside = _nearest(t.time, there, t.time[start] + np.asarray(leads_h, dtype=float))
+        rows.append((np.full(len(inside), start), inside))
+        place = inside - start - 1
+        parts.append({name: (value[place], sd[place]) for name, (value, sd) in pairs.items()})
+    begun, at = (np.concatenate(column) for column in zip(*rows, strict=True))
+    value, sd = (
+        {name: np.concatenate([part[name][i] for part in parts]) for name in parts[0]} for i in (0, 1)
+    )
+    reading = {name: known[name][at] for name in value if name in known}
+    return Course(t.time[at], t.origin_s, value, sd, reading, t.time[at] - t.time[begun], _units(value))
+
+
+@dataclass(frozen=True, repr=False)
+class Smoothed(Course):
+    """Smoothed states: `value`, `sd` by state, and the `covariance` (T, n, n) of all states."""
+
+    covariance: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0)))
+
+    @property
+    def mean(self) -> np.ndarray:
+        """The states (T, n) in the model's order."""
+        return np.column_stack(list(self.value.values()))
+
+
+def smooth(source: Source, given: Given | None = None) -> Smoothed:
+    """The states given all readings, with their times, names and bands.
+
+    source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
+
+    Returns the smoothed states by name in the model's units; `mean` (T, n) and `covariance` (T, n, n) hold
+    all of them; `to_frame()` makes a pandas frame.  Parameters count as known.
+    Raises ValueError for anything else, with the call that makes what is missing.
+    Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
+    """
+    found = subject("smooth", source, given)
+    likelihood, t = found.likelihood, found.likelihood.timeline
+    mean, covariance = smoothed_states(likelihood, found.values)
+    sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    names = likelihood.model.states
+    return Smoothed(
+        t.time, t.origin_s, dict(zip(names, mean.T, strict=True)), dict(zip(names, sd.T, strict=True)),
+        covariance=covariance,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """One-step prediction errors: `error`, `sd` (T,) by output, NaN without reading; `inputs` (T,) by name.
+
+    `time_h` (T,) [h] from `origin_s` [s since 1970, UTC; 0 where a timeline states none].
+    """
+
+    time_h: np.ndarray
+    origin_s: float
+    error: Mapping[str, np.ndarray]
+    sd: Mapping[str, np.ndarray]
+    inputs: Mapping[str, np.ndarray]
+
+    @property
+    def standardised(self) -> dict[str, np.ndarray]:
+        """Innovations [1] divided by their standard deviations, (T,) by output."""
+        return {name: error / self.sd[name] for name, error in self.error.items()}
+
+    def to_frame(self) -> DataFrame:
+        """A pandas frame over time with `name`, `name_sd` and `name_standardised` of every output."""
+        from pandas import DataFrame
+
+        columns: dict[str, np.ndarray] = {}
+        for name, standard in self.standardised.items():
+            columns |= {name: self.error[name], f"{name}_sd": self.sd[name], f"{name}_standardised": standard}
+        frame = DataFrame(columns, index=time_index(self.time_h, self.origin_s))
+        return with_units(frame, {f"{name}_standardised": "1" for name in self.error})
+
+    def tests(self, longest_h: float = 24.0) -> Diagnosis:
+        """Whiteness, distribution and correlation with every input (`evaluation.innovation_tests.diagnose`).
+
+        longest_h: [h] longest lag.
+        """
+        from hygrokf.evaluation.innovation_tests import diagnose
+
+        return diagnose(self.time_h, self.standardised, self.inputs, longest_h=longest_h)
+
+    def __repr__(self) -> str:
+        lines = [f"Innovations at {len(self.time_h)} instants"]
+        for name, standard in self.standardised.items():
+            count, spread = int(np.isfinite(standard).sum()), math.sqrt(float(np.nanmean(standard**2)))
+            lines.append(f"  {name}: {count}, root mean square {spread:.3g} standard deviations")
+        return "\n".join(lines)
+
+
+def innovations(source: Source, given: Given | None = None) -> Innovations:
+    """The innovations of the filter, the errors of its one-step predictions.
+
+    source, given: a `Fit` and a `Record`; or a `Likelihood` and its `Estimate` or values by name.
+
+    Returns the errors with their standard deviations in the outputs' units; `standardised` [1] is white with
+    variance 1 where the model is right, which `tests()` judges; `to_frame()` makes a pandas frame.  Readings
+    count in full, also in a model that bounds their influence.
+    Raises ValueError for anything else, with the call that makes what is missing.
+    """
+    found = subject("innovations", source, given)
+    linear = replace(found.likelihood, model=replace(found.likelihood.model, bound=math.inf))
+    t, trace = linear.timeline, linear.trace(found.values)
+    there = np.isfinite(t.y)
+    error = np.where(there, t.y - trace.prediction, np.nan)
+    sd = np.where(there, np.sqrt(trace.variance), np.nan)
+    errors, deviations = (dict(zip(t.outputs, one.T, strict=True)) for one in (error, sd))
+    inputs = {name: t.input(name) for name in linear.model.inputs}
+    return Innovations(t.time, t.origin_s, errors, deviations, inputs)
+
+
+def _course(t: Timeline, pairs: Pairs, readings: Mapping[str, np.ndarray]) -> Course:
+    value, sd = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+    reading = {name: readings[name] for name in pairs if name in readings}
+    return Course(t.time, t.origin_s, value, sd, reading, units=_units(pairs))
+
+
+CABINET = {
+    quantity: f"cabinet_{quantity.removesuffix('_K').removesuffix('_g_m3')}" for quantity in QUANTITIES
+}
+"""Quantities of a cabinet and the names of their readings."""
+
+
+def _units(names: Iterable[str]) -> dict[str, str]:
+    """The units of a cabinet's readings among some names."""
+    known = {name: UNITS[quantity] for quantity, name in CABINET.items()}
+    return {name: known[name] for name in names if name in known}
+
+
+def _by_output(predicted: Prediction) -> Pairs:
+    return {name: pair for quantity, name in CABINET.items() if (pair := predicted.of(quantity)) is not None}
+
+
+def _readings_of(run: Run) -> dict[str, np.ndarray]:
+    return {CABINET[quantity]: value for quantity, value in measured(run).items()}
+
+
+def _readings_in(t: Timeline) -> dict[str, np.ndarray]:
+    return {name: t.reading(name) for name in t.outputs}
+
+
+def _origins(
+    t: Timeline, read: np.ndarray, leads_h: Sequence[float] | None, start_h: float | None, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Instants from which forecasts start, and the ends of what they predict."""
+    if leads_h is None:
+        starts = read[t.time[read] <= (math.inf if start_h is None else start_h)][-1:]
+        ends = np.full(len(starts), len(t))
+    else:
+        later = read[t.time[read] >= (-math.inf if start_h is None else start_h)]
+        spread = np.linspace(0, len(later) - 1, min(count, len(later)))
+        starts = later[np.unique(spread.astype(int))] if len(later) else later
+        ends = np.searchsorted(t.time, t.time[starts] + 1.5 * max(leads_h), side="right")
+    there = ends > starts + 1
+    if not there.any():
+        raise ValueError(
+            f"forecast: expected a reading{'' if start_h is None else f' at {start_h:g} h'} with instants "
+            "after it, found none; state an earlier start_h, or give inputs beyond the last reading"
+        )
+    return starts[there], ends[there]
+
+
+def _windows(
+    likelihood: Likelihood, values: Mapping[str, float], trace: Trace, starts: np.ndarray, ends: np.ndarray
+) -> Iterator[Pairs]:
+    """The expected readings after each start, from its filtered state."""
+    t = likelihood.timeline
+    for start, end in zip(starts, ends, strict=True):
+        part = t.window(start + 1, end)
+        part = part.with_readings(np.full_like(part.y, np.nan))
+        state = Gaussian(trace.mean[start], trace.covariance[start], float(t.time[start]))
+        own = replace(likelihood, timeline=part, initial=state, diffuse_states=())
+        yield expected_readings(own.model, part, values, own.trace(values))
+
+
+SHIFT = 0.1
+"""[standard errors] by which parameters move for the slopes of a forecast: the quotient's error is of the
+order of its square, that of the filter's steps is divided by it."""
+
+
+def _with_parameters(
+    pairs: Pairs, spread: Spread, predict: Callable[[Mapping[str, float]], Pairs]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """A prediction with the variance of its parameters added, by central differences along the axes of their
+    covariance."""
+    axes = SHIFT * np.eye(len(spread.names))
+    moved = spread.drawn(np.concatenate([axes, -axes]))
+    values = [
+        {name: float(np.broadcast_to(value, 2 * len(axes))[i]) for name, value in moved.items()}
+        for i in range(2 * len(axes))
+    ]
+    ends = [predict(one) for one in values]
+    found = {}
+    for name, (value, sd) in pairs.items():
+        slopes = np.array(
+            [up[name][0] - down[name][0] for up, down in zip(ends, ends[len(axes) :], strict=False)]
+        )
+        found[name] = (value, np.sqrt(sd**2 + np.sum((slopes / (2.0 * SHIFT)) ** 2, axis=0)))
+    return found
+
+
+def _nearest(time: np.ndarray, there: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Of the instants `there`, those nearest to the wanted times [h], where one lies within half a step."""
+    if not len(there):
+        return there
+    place = there[np.abs(time[there][:, None] - wanted).argmin(axis=0)]
+    step = float(np.median(np.diff(time[there]))) if len(there) > 1 else math.inf
+    return place[np.abs(time[place] - wanted) <= 0.5 * step]

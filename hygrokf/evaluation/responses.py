@@ -1,0 +1,310 @@
+"""A model as a linear system: its matrices for python-control, frequency and step responses with their
+uncertainty.
+
+Bands are percentiles over draws of the parameters from the covariance of their coordinates, here points of a
+scrambled Sobol' sequence (Owen 1998, doi:10.1006/jcom.1998.0487), which reach with a few thousand points what
+takes random ones some hundred thousand.  Shapes: F frequencies, T times, N draws; k outputs, m inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hygrokf.data.drawn import drawn
+from hygrokf.data.record import Record
+from hygrokf.estimation.inference import operating_point
+from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject
+from hygrokf.modelling.thermal_system import thermal_system
+from hygrokf.physics.linearisation import LinearSystem, linearised
+
+if TYPE_CHECKING:
+    import control
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+DRAWS = 4096
+POINTS = 121
+"""Frequencies or times of a response whose grid is not stated."""
+REACHED = 1e-9
+"""[1] share of the largest residue below which an input does not reach an output through a mode."""
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A value with its lower and upper bound, (F,) or (T,) each; NaN where no uncertainty is known."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the outputs answer to the inputs, one (output, input) pair at a time.
+
+    `level` [1] of the bands; `system`: the linear system at the values themselves.
+    """
+
+    level: float
+    system: LinearSystem
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """All pairs (output, input)."""
+        return [(output, name) for output in self.system.outputs for name in self.system.inputs]
+
+    def __repr__(self) -> str:
+        outputs, inputs = ", ".join(self.system.outputs), ", ".join(self.system.inputs)
+        return f"{type(self).__name__}\n  of {outputs}\n  to {inputs}\n  {100 * self.level:g} % bands"
+
+
+@dataclass(frozen=True, repr=False)
+class FrequencyResponse(Response):
+    """G(iω) = C (iω − A)⁻¹ B + D: `omega` (F,) [rad/h]; `magnitude` [output's unit by input's unit] and
+    `phase_deg` [°] by (output, input)."""
+
+    omega: np.ndarray
+    magnitude: Mapping[tuple[str, str], Answer]
+    phase_deg: Mapping[tuple[str, str], Answer]
+
+    def to_frame(self) -> DataFrame:
+        """A pandas frame over ω [rad/h]; its columns are output, input and value."""
+        told = {"magnitude": self.magnitude, "phase_deg": self.phase_deg}
+        return _frame("omega", self.omega, told)
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """The Bode diagram with its bands, magnitude over phase; one column for each input.
+
+        axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
+        """
+        return drawn("plot_bode", self, axes)
+
+
+@dataclass(frozen=True, repr=False)
+class StepResponse(Response):
+    """Answer to a step by one unit of an input at time 0: `time_h` (T,) [h]; `value` [output's unit by
+    input's unit] by (output, input)."""
+
+    time_h: np.ndarray
+    value: Mapping[tuple[str, str], Answer]
+
+    def to_frame(self) -> DataFrame:
+        """A pandas frame over the time [h]; its columns are output, input and value."""
+        return _frame("time_h", self.time_h, {"value": self.value})
+
+    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
+        """The step responses with their bands, one panel for each output and input.
+
+        axes: matplotlib's, row by row; None: a new figure of pyplot.  Returns the axes drawn on.
+        """
+        return drawn("plot_step_response", self, axes)
+
+
+def to_statespace(
+    source: Source,
+    given: Given | None = None,
+    *,
+    state: Mapping[str, float] | None = None,
+    inputs: Mapping[str, float] | None = None,
+) -> control.StateSpace:
+    """A model as a `control.StateSpace`, time in hours.
+
+    source, given: a `Fit`, of which the thermal network is taken, equations (2) and (3), with or without a
+        `Record`; or a `Likelihood` and its `Estimate` or values by name.
+    state, inputs: where a nonlinear model of a likelihood is linearised, in its units; values not given there
+        are the means of the filtered states and the medians of the inputs over the data.
+
+    Returns the system with the names of its states, inputs and outputs.  Of a fit: inputs
+    `ambient_temperature` and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K], state
+    `converter_temperature` [K].  `control.sample_system(system, step_h, "zoh")` gives F and G of the filter.
+    Raises ValueError for anything else, with the call that makes what is missing, for names that the model
+    does not have, and for a fit without a thermal network.
+    """
+    import control
+
+    made, spread = _linear("to_statespace", source, given, state, inputs)
+    found = made(spread.values)
+    return control.ss(
+        found.A, found.B, found.C, found.D,
+        states=list(found.states), inputs=list(found.inputs), outputs=list(found.outputs), name="model",
+    )  # fmt: skip
+
+
+def bode(
+    source: Source,
+    given: Given | None = None,
+    omega: np.ndarray | None = None,
+    *,
+    level: float = 0.95,
+    state: Mapping[str, float] | None = None,
+    inputs: Mapping[str, float] | None = None,
+) -> FrequencyResponse:
+    """Magnitude and phase of the outputs over frequency, with the uncertainty of the parameters.
+
+    source, given, state, inputs: as `to_statespace` takes them.
+    omega: (F,) [rad/h] above 0; default: a decade beyond the slowest and the fastest mode.
+    level: [1] of the bands.
+
+    Returns `magnitude` and `phase_deg` by (output, input), each as (value, lower, upper); the bounds are NaN
+    for plain values, whose uncertainty is not known.  `plot()` draws the diagram, `to_frame()` makes a frame.
+    Raises ValueError as `to_statespace` does.
+    """
+    made, spread = _linear("bode", source, given, state, inputs)
+    system = made(spread.values)
+    rates = np.abs(_modes(system)[0])
+    if omega is None:
+        low, high = (rates.min() / 10.0, rates.max() * 10.0) if len(rates) else (0.01, 100.0)
+        omega = np.geomspace(low, high, POINTS)
+    grid = np.asarray(omega, dtype=float)
+    exact, every = _frequency(system, grid), None
+    if len(spread.names):
+        every = _frequency(made(spread.drawn(_normal(len(spread.names)))), grid)
+    magnitude, phase = {}, {}
+    unwrapped = np.degrees(np.unwrap(np.angle(exact), axis=0))
+    for pair, place in _places(system).items():
+        size, angle = np.abs(exact[place]), unwrapped[place]
+        sizes = turns = None
+        if every is not None:
+            sizes = np.abs(every[(slice(None), *place)])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                turns = angle + np.degrees(np.angle(every[(slice(None), *place)] / exact[place]))
+        magnitude[pair], phase[pair] = _banded(size, sizes, level), _banded(angle, turns, level)
+    return FrequencyResponse(level, system, grid, magnitude, phase)
+
+
+def step_response(
+    source: Source,
+    given: Given | None = None,
+    time_h: np.ndarray | None = None,
+    *,
+    level: float = 0.95,
+    state: Mapping[str, float] | None = None,
+    inputs: Mapping[str, float] | None = None,
+) -> StepResponse:
+    """Answer of the outputs to a step by one unit of every input, with the uncertainty of the parameters.
+
+    source, given, state, inputs: as `to_statespace` takes them.
+    time_h: (T,) [h] from 0 on, evenly spaced; default: five times the slowest time constant of the answers.
+    level: [1] of the bands.
+
+    Returns `value` by (output, input) as (value, lower, upper); the bounds are NaN for plain values, whose
+    uncertainty is not known.  `plot()` draws the answers, `to_frame()` makes a frame.
+    Raises ValueError as `to_statespace` does, and for times that are not evenly spaced from 0 on.
+    """
+    made, spread = _linear("step_response", source, given, state, inputs)
+    system = made(spread.values)
+    if time_h is None:
+        decays = -1.0 / _modes(system)[0].real
+        decays = decays[decays > 0.0]
+        time_h = np.linspace(0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, POINTS)
+    grid = np.asarray(time_h, dtype=float)
+    steps = np.diff(grid)
+    if grid[0] != 0.0 or len(grid) < 2 or not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0.0:
+        raise ValueError("time_h: expected evenly spaced times [h] from 0 on, found others; use np.linspace")
+    exact, every = _steps(system, grid), None
+    if len(spread.names):
+        every = _steps(made(spread.drawn(_normal(len(spread.names)))), grid)
+    value = {
+        pair: _banded(exact[place], None if every is None else every[(slice(None), *place)], level)
+        for pair, place in _places(system).items()
+    }
+    return StepResponse(level, system, grid, value)
+
+
+# --- the system ------------------------------------------------------------------------------
+
+
+def _linear(
+    verb: str,
+    source: Source,
+    given: Given | None,
+    state: Mapping[str, float] | None,
+    inputs: Mapping[str, float] | None,
+) -> tuple[Callable[[Mapping[str, Any]], LinearSystem], Spread]:
+    """The linear system as a function of the parameters, and their values with their uncertainty."""
+    if is_fit(source) and (given is None or isinstance(given, Record)):
+        if state or inputs:
+            raise ValueError(
+                f"{verb}: expected no state and inputs beside a Fit, whose thermal network has a point of "
+                f"its own; linearise the whole model by {verb}(fit.likelihood(record), fit.values, …)"
+            )
+        parameters = source.design.model.parameters
+        spread = Spread.in_units(parameters, source.values, source.covariance)
+        return (lambda values: thermal_system(source.design, values)), spread
+    found = subject(verb, source, given)
+    point, at = operating_point(found.likelihood, found.values, state or {}, inputs or {})
+    model = found.likelihood.model
+    return (lambda values: linearised(model, values, point[: len(model.own_states)], at)), found.spread
+
+
+def _modes(system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues [1/h] of the modes by which an input reaches an output, and their residues."""
+    values, vectors = np.linalg.eig(system.A)
+    left = np.linalg.pinv(vectors)
+    shown, driven = np.abs(system.C @ vectors).max(axis=0), np.abs(left @ system.B).max(axis=1, initial=0.0)
+    residues = shown * driven
+    kept = (residues > REACHED * residues.max(initial=0.0)) & (np.abs(values) > 0.0)
+    return values[kept], residues[kept]
+
+
+def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]:
+    return {
+        (output, name): (slice(None), i, j)
+        for i, output in enumerate(system.outputs)
+        for j, name in enumerate(system.inputs)
+    }
+
+
+def _frequency(system: LinearSystem, omega: np.ndarray) -> np.ndarray:
+    """G(iω) (…, F, k, m)."""
+    n = len(system.states)
+    found = np.empty((*system.A.shape[:-2], len(omega), *system.D.shape[-2:]), dtype=complex)
+    for place, one in enumerate(omega):  # a frequency at a time: all together would fill the memory
+        found[..., place, :, :] = system.C @ np.linalg.solve(1j * one * np.eye(n) - system.A, system.B)
+    return found + system.D[..., None, :, :]
+
+
+def _steps(system: LinearSystem, time_h: np.ndarray) -> np.ndarray:
+    """Step responses (…, T, k, m): the state moves by exp of the matrix [[A, B], [0, 0]]."""
+    from scipy.linalg import expm
+
+    n, m = system.B.shape[-2:]
+    whole = np.zeros((*system.A.shape[:-2], n + m, n + m))
+    whole[..., :n, :n], whole[..., :n, n:] = system.A, system.B
+    moved = expm(whole * (time_h[1] - time_h[0]))
+    carry, drive = moved[..., :n, :n], moved[..., :n, n:]
+    state = np.zeros_like(system.B)
+    found = np.empty((*system.A.shape[:-2], len(time_h), *system.D.shape[-2:]))
+    for place in range(len(time_h)):
+        found[..., place, :, :] = system.C @ state + system.D
+        state = carry @ state + drive
+    return found
+
+
+@cache
+def _normal(count: int) -> np.ndarray:
+    """Standard normal points (DRAWS, count) that fill the space evenly, always the same ones."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(count), seed=1).random(DRAWS))
+
+
+def _banded(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer:
+    """A value (T,) with the percentiles of its draws (N, T)."""
+    if draws is None:
+        nothing = np.full(len(value), np.nan)
+        return value, nothing, nothing
+    lower, upper = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    return value, lower, upper
+
+
+def _frame(name: str, index: np.ndarray, told: Mapping[str, Mapping[tuple[str, str], Answer]]) -> DataFrame:
+    from pandas import DataFrame, Index
+
+    columns = {
+        (output, source, f"{kind}{end}"): answer
+        for kind, answers in told.items()
+        for (output, source), three in answers.items()
+        for end, answer in zip(("", "_lower", "_upper"), three, strict=True)
+    }
+    frame = DataFrame(columns, index=Index(index, name=name))
+    frame.columns.names = ["output", "input", "value"]
+    return frame
