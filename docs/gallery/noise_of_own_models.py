@@ -11,8 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hygrokf
-from hygrokf.engine.timeline import timeline
-from hygrokf.estimation.joint_likelihood import JointLikelihood
 
 
 def positive(name, unit, start, noise=False):
@@ -59,7 +57,7 @@ def record(seed, offset):
             state = state + (0.01 * (outside - state) / 8.0 + noise) * (k > 0)
         read.append(state + np.array([0.0, offset]) + 0.1 * random.normal(size=2))
     south, north = np.array(read).T
-    line = timeline(
+    line = hygrokf.timeline(
         model, time, {"ambient": ambient, "wind": wind}, {"south_read": south, "north_read": north}
     )
     return hygrokf.Likelihood(model, line)
@@ -68,7 +66,7 @@ def record(seed, offset):
 # %%
 # One likelihood of both records, each with an offset of its own.
 
-joint = JointLikelihood([record(1, 0.4), record(2, -0.8)], own=["offset"])
+joint = hygrokf.JointLikelihood([record(1, 0.4), record(2, -0.8)], own=["offset"])
 found = hygrokf.fit_mle(joint, count=2)
 for name, one in hygrokf.confidence_intervals(joint, found, method="wald").items():
     print(f"{name}: {found.values[name]:.2f} ({one.lower:.2f} … {one.upper:.2f})")
@@ -96,14 +94,13 @@ for _ in range(400):
 time = 0.1 * np.arange(400)
 made = hygrokf.compose([level])
 read = np.array(course) + 0.1 * random.normal(size=400)
-likelihood = hygrokf.Likelihood(made, timeline(made, time, {}, {"read": read}))
+likelihood = hygrokf.Likelihood(made, hygrokf.timeline(made, time, {}, {"read": read}))
 best = hygrokf.fit_mle(likelihood, count=2)
-mean, spread = hygrokf.smooth(likelihood, best.values)
+level_given_all = hygrokf.smooth(likelihood, best)
 
 figure, axis = plt.subplots(figsize=(8, 4))
-sd = np.sqrt(spread[:, 0, 0])
-low, high = mean[:, 0] - 2 * sd, mean[:, 0] + 2 * sd
-axis.fill_between(time, low, high, color="C0", alpha=0.3, label="smoothed, ± 2 sd")
+low, high = level_given_all.bounds("x")
+axis.fill_between(time, low, high, color="C0", alpha=0.3, label="smoothed, 95 %")
 axis.plot(time, course, "k", linewidth=0.8, label="truth")
 axis.plot(time, read, ".", color="C1", markersize=3, label="readings")
 axis.set_xlabel("time [h]")
