@@ -20,8 +20,8 @@ class Gaussian:
     """A state as a normal distribution x ~ N(mean, covariance), such as a filter's checkpoint.
 
     mean: (n,) in the order and the units of `Model.states`.
-    covariance: (n, n), symmetric, without negative eigenvalues; its off-diagonal entries correlate the
-    states. time_h: [h] the instant.
+    covariance: (n, n) in products of these units, symmetric, without negative eigenvalues.
+    time_h: [h] the instant.
 
     A likelihood that starts from it raises ValueError for other shapes and for what is no covariance.
     """

@@ -158,8 +158,9 @@ def covariances(source: Source, given: Given | None = None) -> Uncertainty:
 
     source, given: a `Fit` and its `Record`, or a `Likelihood` and the `Estimate` that `fit_mle` made of it.
 
-    Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the logarithm
-    of a positive parameter), `wider` of both, `flat` directions and strongly correlated `trade_offs`.
+    Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the
+    parameter in its unit, or the logarithm of a positive one), `wider` of both, `flat` directions and
+    strongly correlated `trade_offs`.
     Raises ValueError for anything else, with the call that makes what is missing.
     """
     likelihood, estimate = estimated("covariances", source, given)

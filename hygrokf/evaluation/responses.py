@@ -129,7 +129,7 @@ def bode(
 ) -> FrequencyResponse:
     """Magnitude and phase of the outputs over frequency, with the uncertainty of the parameters.
 
-    source, given, state, inputs: as `to_statespace` takes them.
+    source, given, state, inputs: as `to_statespace` takes them, in the model's units.
     omega: (F,) [rad/h] above 0; default: a decade beyond the slowest and the fastest mode.
     level: [1] of the bands.
 
@@ -171,7 +171,7 @@ def step_response(
 ) -> StepResponse:
     """Answer of the outputs to a step by one unit of every input, with the uncertainty of the parameters.
 
-    source, given, state, inputs: as `to_statespace` takes them.
+    source, given, state, inputs: as `to_statespace` takes them, in the model's units.
     time_h: (T,) [h] from 0 on, evenly spaced; default: five times the slowest time constant of the answers.
     level: [1] of the bands.
 

@@ -133,7 +133,7 @@ class Mechanism:
     parameters, states, inputs: what its functions read; states and inputs by name.
     corrections, conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions
         above.
-    noise_exponents: γ of the states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
+    noise_exponents: [1] γ of states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
         `diffusion` and 0 ≤ γ ≤ 1 (`Model.natural`).
     amounts: states that cannot be negative; simulations enforce this, the filter does not.
     features: those inputs that no signal gives and that this mechanism brings with it, by name.
