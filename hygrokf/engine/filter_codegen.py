@@ -366,11 +366,11 @@ class Emission:
                 seeds: Symbols = {}
                 if self.gain:
                     for e, i in zip(update, bars, strict=False):
-                        _seed(seeds, e, bar_symbol[i])
+                        seed(seeds, e, bar_symbol[i])
                 spread, quadratic = update[-2:]
                 g = r.graph
-                _seed(seeds, spread, -0.5 / spread)
-                _seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
+                seed(seeds, spread, -0.5 / spread)
+                seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
                 self._reverse_block(update, seeds, leaves, bars, bar_symbol, key, keep=not self.gain)
 
     def _reverse_predict(
@@ -397,7 +397,7 @@ class Emission:
             leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
             seeds: Symbols = {}
             for e, i in zip(r.predict, bars, strict=True):
-                _seed(seeds, e, bar_symbol[i])
+                seed(seeds, e, bar_symbol[i])
             self._reverse_block(
                 r.predict, seeds, leaves | self.at_parameters, bars, bar_symbol, key, keep=False
             )
@@ -556,5 +556,6 @@ class Emission:
         return directions, dots
 
 
-def _seed(seeds: Symbols, output: Expression, bar: Expression) -> None:
+def seed(seeds: Symbols, output: Expression, bar: Expression) -> None:
+    """Add a bar to the adjoint of an output."""
     seeds[output.index] = seeds[output.index] + bar if output.index in seeds else bar

@@ -67,6 +67,11 @@ class Writer:
         self._lines: list[str] = []
         self._count = 0
 
+    def inner_text(self) -> str:
+        """The text of a function that is called within its module only, and never copied into its callers."""
+        text = self.text().replace("define void", "define internal void", 1)
+        return text.replace(") {", ") noinline {", 1)
+
     def text(self) -> str:
         # `noalias` holds by construction: callers pass separate arrays
         kinds = {"ptr": "ptr noalias nocapture"}
@@ -190,7 +195,7 @@ class Writer:
                 case "neg":
                     names[i] = self.value(f"fneg {kind} {a[0]}")
                 case "fma":
-                    names[i] = self._fma(kind, a)
+                    names[i] = self.fma(kind, a)
                 case "lt":
                     names[i] = self.value(f"fcmp olt {kind} {a[0]}, {a[1]}")
                     kinds[i] = TRUTH if kind == SCALAR else self.truths
@@ -204,7 +209,8 @@ class Writer:
                     names[i] = self.value(f"call {kind} @{called}({kind} {a[0]})")
         return [(kinds[e.index], names[e.index]) for e in outputs]
 
-    def _fma(self, kind: str, a: Sequence[str]) -> str:
+    def fma(self, kind: str, a: Sequence[str]) -> str:
+        """a b + c of three values."""
         if has_fused_multiply_add():
             three = ", ".join(f"{kind} {value}" for value in a)
             return self.value(f"call {kind} @llvm.fma.{_suffix(kind)}({three})")

@@ -27,6 +27,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from hygrokf.engine.discretisation import congruence, step
+from hygrokf.engine.timeline import Timeline
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -60,6 +61,9 @@ class Recursion:
     κ → ∞ (exact diffuse start, Durbin & Koopman 2012, section 5.2).
     """
 
+    wide = False
+    """Whether the loops take the matrices of whole steps of any length (`wide_recursion`)."""
+
     def __init__(self, model: Model, diffuse: bool = False) -> None:
         self.model = model
         self.diffuse = diffuse
@@ -90,6 +94,15 @@ class Recursion:
         self.reading = g.symbol("y")
 
         self.noise = [[_lifted(g, v) for v in row] for row in model.noise(self.p)]
+        self._trace()
+        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
+        self.constants = np.array(g.given, dtype=float)
+        self.structure = self._digest()
+
+    # -- tracing ---------------------------------------------------------------------------------------------
+    def _trace(self) -> None:
+        """The blocks of a step: `predict`, `updates` and `transition`, and the rates with their Jacobian."""
+        g, model, diffuse = self.graph, self.model, self.diffuse
         made = step(
             g,
             lambda x, u: model.traced(x, u, self.p).rates,
@@ -108,11 +121,7 @@ class Recursion:
         self.jacobian = jacobian(self.rates, self.mean)
         self.updates = [self._trace_update(*at.outputs[name]) for name in model.outputs]
         self.transition = [g.lift(v) for row in made.transition for v in row]
-        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
-        self.constants = np.array(g.given, dtype=float)
-        self.structure = self._digest()
 
-    # -- tracing ---------------------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
         return [self.graph.lift(matrix[i][j]) for i in range(self.n) for j in range(i + 1)]
 
@@ -229,6 +238,10 @@ class Recursion:
         """Whether the rates depend only on parameters and regimes, so that steps of any length are exact."""
         varying = [f"m{i}" for i in range(self.n)] + [f"b:{name}" for name in self.varying]
         return not any(depends_on(self.graph, v, varying) for row in self.jacobian for v in row)
+
+    def cuts(self, timeline: Timeline) -> Iterable[int]:
+        """Instants at which a run is cut, so that its loops do not need too much memory."""
+        return ()
 
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""

@@ -23,6 +23,7 @@ from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.engine.wide_recursion import recursion_of
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
 from hygrokf.physics.parameters import expect_values
@@ -117,9 +118,9 @@ class Likelihood:
     def _diffuse(self) -> bool:
         return self.initial == "diffuse"
 
-    @property
+    @cached_property
     def recursion(self) -> Recursion:
-        return traced(self.model, self._diffuse)
+        return recursion_of(self.model, self._diffuse)
 
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
@@ -186,8 +187,8 @@ class Likelihood:
         rate = self.rate(values)
         if not math.isfinite(rate):
             raise RatesFault(self._not_finite(values))
-        if steps[:, 0].max() * rate <= limit:
-            return SubSteps(steps, self._single, tuple(self._gaps))
+        if self.recursion.wide or steps[:, 0].max() * rate <= limit:
+            return SubSteps(steps, self._single, (*self._gaps, *self.recursion.cuts(self.timeline)))
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         far = parts > MOST
@@ -407,9 +408,10 @@ class Likelihood:
         columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
-        code = filter_loop(self.recursion, "controlled", False, tuple(controls))
-        steps = self._steps(values)
-        for part in self._parts(steps):
+        vars(own)["recursion"] = traced(self.model, self._diffuse)  # controllers act in straight-line code
+        code = filter_loop(own.recursion, "controlled", False, tuple(controls))
+        steps = own._steps(values)
+        for part in own._parts(steps):
             if part.start in steps.long:
                 own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
             own._enter(values, steps, part, state)
@@ -570,10 +572,8 @@ class Likelihood:
         """
         r = self.recursion
         n, outputs = r.n, len(r.updates)
-        if start is None:
-            state = self._start(values)
-        else:
-            state = np.concatenate([start.mean, pack(start.covariance)])
+        first = None if start is None else np.concatenate([start.mean, pack(start.covariance)])
+        state = self._start(values) if first is None else first
         rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
         width = len(state)
         q = n * (n + 1) // 2
