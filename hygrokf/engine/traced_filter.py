@@ -312,11 +312,6 @@ class Recursion:
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
-def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
-    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
-
-
 def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:
     """h P h'; a row with a single entry squares it first, which shortens the dependency chain between
     steps."""

@@ -19,10 +19,11 @@ import numpy as np
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.filter_loops import Control, filter_loop
+from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.engine.traced_filter import Recursion, pack, trace_width, traced, unpack
 from hygrokf.engine.wide_recursion import recursion_of
 from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model, fields_alone
@@ -462,7 +463,7 @@ class Likelihood:
         return self._loglik(out), theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
-    @np.errstate(invalid="ignore", divide="ignore", over="ignore")
+    @np.errstate(invalid="ignore")
     def sensitivities(
         self, values: Mapping[str, float], directions: np.ndarray, each: bool = False
     ) -> Sensitivities:
@@ -478,16 +479,12 @@ class Likelihood:
         steps = self._steps(values)
         for part in self._chunks:
             e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
-            weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
-            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            by_instant, added = summed(e, s, de, ds, self.recursion.square)
             loglik += value
-            score += share.sum(axis=(0, 1))
+            score += by_instant.sum(axis=0)[:count]
             if each:
-                scores[part] = share.sum(axis=1)
-            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
-            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
-            information += a.T @ a + b.T @ b
+                scores[part] = by_instant[:, :count]
+            information += added[:count, :count]
         return Sensitivities(loglik, score, information, scores)
 
     def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> Blocks:
@@ -518,7 +515,8 @@ class Likelihood:
         blocks, steps = self._tangent_start(values, directions), self._steps(values)
         found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
         e, _, de, _, _ = zip(*found, strict=True)
-        return np.concatenate(e), np.concatenate(de)[..., : directions.shape[1]]
+        slopes = np.concatenate(list(np.concatenate(de, axis=1)), axis=-1)
+        return np.concatenate(e), slopes[..., : directions.shape[1]]
 
     def _parts(self, steps: SubSteps) -> Iterator[slice]:
         """The pieces of a run, a chunk at a time."""
@@ -537,13 +535,12 @@ class Likelihood:
         blocks: Blocks,
         gain: bool,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Innovations and variances (t, k), the derivatives of both (t, k, r), and ln L, of some instants."""
+        """Innovations, variances (t, k), derivatives of both (blocks, t, k, `LANES`), ln L of instants."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
-        derivatives: list[tuple[np.ndarray, np.ndarray]] = []
-        for state, dot, seed in zip(*blocks, strict=True):
+        de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
+        for block, (state, dot, seed) in enumerate(zip(*blocks, strict=True)):
             e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
-            de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
             key_dot = np.empty(max(1, min(len(steps.keys), count) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in steps.long:
@@ -552,17 +549,10 @@ class Likelihood:
                 self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
-                rows = (e[own], s[own], de[own], ds[own])
+                rows = (e[own], s[own], de[block, own], ds[block, own])
                 filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
                 loglik += self._loglik(out)
-            derivatives.append((de, ds))
-        return (
-            e,
-            s,
-            np.concatenate([d[0] for d in derivatives], axis=2),
-            np.concatenate([d[1] for d in derivatives], axis=2),
-            loglik,
-        )
+        return e, s, de, ds, loglik
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
         """Run the filter and keep all moments; without `gain`, readings enter ln L but do not correct the
