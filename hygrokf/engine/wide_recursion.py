@@ -23,7 +23,7 @@ from hygrokf.engine.filter_codegen import seed
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
 from hygrokf.engine.wide_products import ROWS, padded
-from hygrokf.engine.wide_steps import Powers, powers
+from hygrokf.engine.wide_steps import Powers, Series, powers, series
 from hygrokf.physics.expression import Expression, Value, dot, forward, is_zero, jacobian, reverse
 from hygrokf.physics.model import Model, Values
 
@@ -40,8 +40,8 @@ class WideRecursion(Recursion):
     `predict`: entries b of the drive, so that m⁺ = F m + Σ_e w_e b_e, with the columns w_e by `columns`
     (state, share of ∫e^{Aσ}, share of ∫(h−σ)e^{Aσ}/h).  `updates`: prediction, variance and non-zero
     derivatives (`reads`: of these states) of every reading.  `heads`: innovation, its variance, e²/S, the
-    factor g of P⁺ = P − g c c' and that of m⁺ = m + c g e, with c = P H', as functions of the `symbols_of`
-    a reading.
+    factor g of P⁺ = P − g c c' and p of m⁺ = m + p c, with c = P H', as functions of symbols, the `leaves`, for
+    prediction, variance, H's entries and c's.
     """
 
     wide = True
@@ -184,21 +184,28 @@ class WideRecursion(Recursion):
 
     def numbers(self, values: Values, keys: np.ndarray) -> Numbers:
         """What the loops and their derivatives start from, for some keys (K, 1 + regimes)."""
-        found = self.graph.evaluate(self._later, self._known(values, keys))
-        nodes, (a, q) = self._split(found, (len(keys),))
-        steps = list(powers(a, q, np.eye(self.n)[:, self._driven], keys[:, 0]))
-        return Numbers(self, values, keys, np.ascontiguousarray(nodes), steps)
+        first, which = np.zeros(1, dtype=int), np.zeros(len(keys), dtype=int)
+        if self.regimes:
+            _, first, which = np.unique(keys[:, 1:], axis=0, return_index=True, return_inverse=True)
+        found = self.graph.evaluate(self._later, self._known(values, keys[first]))
+        nodes, (a, q) = self._split(found, (len(first),))
+        coefficients = series(a, q, np.eye(self.n)[:, self._driven])
+        steps = list(powers(coefficients, which.reshape(-1), keys[:, 0]))
+        nodes = np.ascontiguousarray(nodes)
+        return Numbers(self, values, keys, keys[first], nodes, coefficients, steps)
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The parameters' and keys' numbers of one pass: `nodes` those of the parameter stage, `steps` the
-    matrices of the keys, by their places among them."""
+    """The parameters' and keys' numbers of one pass: `distinct` (U, 1 + regimes) keys with all regimes,
+    `nodes` the numbers of the parameter stage, `steps` the keys' matrices by their places among them."""
 
     recursion: WideRecursion
     values: Values
     keys: np.ndarray
+    distinct: np.ndarray
     nodes: np.ndarray
+    series: Series
     steps: Sequence[tuple[np.ndarray, Powers]]
 
     @cached_property
@@ -220,13 +227,14 @@ class Numbers:
         """Derivatives along the directions `seeds` (d, L): of the nodes (nodes, L); of F', N and the columns
         as rows (K, 2 rows + e, rows, L)."""
         r, n, rows = self.recursion, self.recursion.n, self.recursion.rows
-        known = r._known(self.values, self.keys[:, :, None])
+        known = r._known(self.values, self.distinct[:, :, None])
         known |= {f"dot:{e.index}": dot for e, dot in zip(r.p.values(), seeds, strict=True)}
-        shape = (len(self.keys), seeds.shape[1])
+        shape = (len(self.distinct), seeds.shape[1])
         nodes, (da, dq) = r._split(r.graph.evaluate(r._tangents, known), shape)
+        coefficients = self.series.tangents(da, dq)
         dots = aligned(len(self.keys), 2 * rows + len(r.columns), rows, seeds.shape[1])
         for places, p in self.steps:
-            change, gained = p.tangents(da[places], dq[places])
+            change, gained = p.tangents(*coefficients)
             found = np.zeros((len(places), *dots.shape[1:]))
             found[:, :n, :n] = np.moveaxis(change[..., :n], (1, 2, 3), (3, 2, 1))
             found[:, rows : rows + n, :n] = np.moveaxis(gained, 1, -1)
@@ -239,17 +247,18 @@ class Numbers:
         """Adjoints (d,) of the parameters from those of the nodes and of the table: half of F's, all of N's
         and of the columns'."""
         r, n, w = self.recursion, self.recursion.n, self.recursion.width
-        entries = np.empty((len(self.keys), 2, n, n))
+        entries = np.zeros((len(self.distinct), 2, n, n))
         for places, p in self.steps:
             here = bars[places, :, :n]
             driven = r._weights(self.keys[places, 0]) @ here[:, 3 * w :]
             bar = np.concatenate([2.0 * here[:, :n], np.swapaxes(driven, 1, 2)], axis=2)
-            entries[places] = np.stack(p.adjoints(bar, here[:, 2 * w : 2 * w + n]), axis=1)
+            coefficients = p.adjoints(bar, here[:, 2 * w : 2 * w + n])
+            entries += np.stack(self.series.adjoints(*coefficients), axis=1)
         # a node of the parameter stage is one number for all keys: the first of them takes its adjoint
-        first = np.zeros((len(node_bars), len(self.keys)))
+        first = np.zeros((len(node_bars), len(entries)))
         first[:, :1] = node_bars[:, None]
-        found = [*first, *entries.reshape(len(self.keys), -1).T[r._entries[0]]]
-        known = r._known(self.values, self.keys) | {f"bar:{i}": bar for i, bar in enumerate(found)}
+        found = [*first, *entries.reshape(len(entries), -1).T[r._entries[0]]]
+        known = r._known(self.values, self.distinct) | {f"bar:{i}": bar for i, bar in enumerate(found)}
         slopes = dict(zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), known), strict=True))
         return np.array([float(np.sum(slopes.get(e.index, 0.0))) for e in r.p.values()])
 

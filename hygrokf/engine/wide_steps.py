@@ -4,7 +4,8 @@ For dx = (A x + B (u₀ + t u₁)) dt + L dW, Q = L L', a step of length h has
 
     T = (e^{Ah} − I,  ∫₀ʰ e^{Aσ} B dσ,  ∫₀ʰ (h−σ) e^{Aσ} B dσ),     N = ∫₀ʰ e^{Aσ} Q e^{A'σ} dσ.
 
-Both are power series of a share h/2^s of the step, doubled s times: with E the left part of T, G its middle,
+Both are power series in the length.  A share h/2^s of the step takes them, whose coefficients all steps with
+the same A and Q have in common, and is doubled s times: with E the left part of T, G its middle,
 
     T ← 2 T + E T + (0, 0, h G),     N ← N + (I + E) N (I + E)'.
 
@@ -13,7 +14,7 @@ differentiate these recursions.
 
 Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003,
 doi:10.1137/S00361445024180 (scaling and squaring).
-Shapes: K steps, n states, c columns of B, r directions, w = n + 2 c.
+Shapes: K steps, U distinct pairs of A and Q, n states, c columns of B, r directions, w = n + 2 c.
 """
 
 from __future__ import annotations
@@ -23,41 +24,81 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SHORT = 0.25
+SHORT = 1.0
 """Largest product of the bound of the rates and the share of a step that the series take."""
-ORDER = 13
-"""Degree of the series: remainder 4e-20."""
+ORDER = 20
+"""Degree of the series: remainder 2e-20."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Coefficients of T (U, n, w) and N (U, n, n), for powers of the length in 1/`rate` (U, 1, 1)."""
+
+    a: np.ndarray
+    rate: np.ndarray
+    rows: list[np.ndarray]
+    spreads: list[np.ndarray]
+
+    def tangents(self, da: np.ndarray, dq: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Derivatives of the coefficients along those of A and Q, (U, r, n, n) each."""
+        a, n = self.a[:, None], self.a.shape[-1]
+        da, ds = da / self.rate[:, None], dq / self.rate[:, None]
+        dr = np.zeros((*da.shape[:-1], self.rows[0].shape[-1]))
+        dr[..., :n] = da
+        rows, spreads = [dr], [ds]
+        for k, (row, spread) in enumerate(zip(self.rows[:-1], self.spreads[:-1], strict=True), 2):
+            dr = (da @ row[:, None] + a @ dr) / k
+            ds = _both(da @ spread[:, None] + a @ ds) / k
+            rows.append(dr)
+            spreads.append(ds)
+        return rows, spreads
+
+    def adjoints(
+        self, row_bars: list[np.ndarray], spread_bars: list[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Adjoints (U, n, n) of A and Q from those of the coefficients."""
+        a, a_bar = self.a, np.zeros_like(self.a)
+        row_bar, spread_bar = row_bars[-1], spread_bars[-1]
+        for k in range(len(self.rows), 1, -1):
+            a_bar += (row_bar @ _t(self.rows[k - 2]) + 2.0 * spread_bar @ self.spreads[k - 2]) / k
+            row_bar = row_bars[k - 2] + _t(a) @ row_bar / k
+            spread_bar = spread_bars[k - 2] + _both(_t(a) @ spread_bar) / k
+        return (a_bar + row_bar[..., : a.shape[-1]]) / self.rate, spread_bar / self.rate
+
+
+def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> Series:
+    """The coefficients for A, Q (U, n, n) [1/h] and a constant B (n, c)."""
+    (n, c), rate = b.shape, bound(a)[:, None, None]
+    rate = np.where(rate > 0.0, rate, 1.0)
+    a, drive = a / rate, b / rate
+    row = np.concatenate([a, drive, np.zeros_like(drive)], axis=2)
+    rows, spreads = [row], [q / rate]
+    for k in range(2, ORDER + 1):
+        row = a @ row
+        if k == 2:
+            row[..., n + c :] = drive / rate
+        row = row / k
+        rows.append(row)
+        spreads.append(_both(a @ spreads[-1]) / k)
+    return Series(a, rate, rows, spreads)
 
 
 @dataclass(frozen=True)
 class Powers:
-    """T (K, n, w) and N (K, n, n) of steps that are doubled equally often, with all that led to them.
+    """T (K, n, w) and N (K, n, n) of steps that are doubled equally often; `which` (K,) of the series they
+    take at `share` (K, 1, 1), in units of 1/rate; `stages` T, N and the length before each doubling."""
 
-    `x` A times the shares, `rows` and `spreads` the terms of both series, `stages` T, N and the length before
-    each doubling.
-    """
-
-    x: np.ndarray
-    rows: list[np.ndarray]
-    spreads: list[np.ndarray]
-    stages: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    series: Series
+    which: np.ndarray
     share: np.ndarray
+    stages: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
     whole: np.ndarray
     noise: np.ndarray
 
-    def tangents(self, da: np.ndarray, dq: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives (K, r, n, w) and (K, r, n, n) of T and N along those of A and Q, (K, r, n, n) each."""
-        n = self.x.shape[-1]
-        short = self.share[:, None]
-        dx, ds = da * short, dq * short
-        dr = np.zeros((*dx.shape[:-1], self.whole.shape[-1]))
-        dr[..., :n] = dx
-        change, gained = dr, ds
-        x = self.x[:, None]
-        for k, (row, spread) in enumerate(zip(self.rows[:-1], self.spreads[:-1], strict=True), 2):
-            dr = (dx @ row[:, None] + x @ dr) / k
-            ds = _both(dx @ spread[:, None] + x @ ds) / k
-            change, gained = change + dr, gained + ds
+    def tangents(self, rows: list[np.ndarray], spreads: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (K, r, n, w) and (K, r, n, n) of T and N from those of the coefficients."""
+        n = self.whole.shape[-2]
+        change, gained = (_at(one, self.which, self.share[:, None]) for one in (rows, spreads))
         for whole, noise, hours in self.stages:
             e, de = whole[:, None, :, :n], change[..., :n]
             moved = np.eye(n) + e
@@ -65,9 +106,9 @@ class Powers:
             change = 2.0 * change + de @ whole[:, None] + e @ change + _ramp(change, n, hours[:, None])
         return change, gained
 
-    def adjoints(self, bar: np.ndarray, noise_bar: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Adjoints (K, n, n) of A and Q from those of T (K, n, w) and N (K, n, n), the latter symmetric."""
-        n = self.x.shape[-1]
+    def adjoints(self, bar: np.ndarray, noise_bar: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Adjoints of the coefficients from those of T (K, n, w) and N (K, n, n), the latter symmetric."""
+        n = self.whole.shape[-2]
         c = (bar.shape[-1] - n) // 2
         for whole, noise, hours in reversed(self.stages):
             e = whole[..., :n]
@@ -76,50 +117,40 @@ class Powers:
             before[..., n : n + c] += hours * bar[..., n + c :]
             before[..., :n] += bar @ _t(whole) + 2.0 * noise_bar @ moved @ noise
             bar, noise_bar = before, noise_bar + _t(moved) @ noise_bar @ moved
-        x, x_bar = self.x, np.zeros_like(self.x)
-        row_bar, spread_bar = bar, noise_bar
-        for k in range(len(self.rows), 1, -1):
-            x_bar += (row_bar @ _t(self.rows[k - 2]) + 2.0 * spread_bar @ self.spreads[k - 2]) / k
-            row_bar = bar + _t(x) @ row_bar / k
-            spread_bar = noise_bar + _both(_t(x) @ spread_bar) / k
-        return (x_bar + row_bar[..., :n]) * self.share, spread_bar * self.share
+        chosen = np.arange(len(self.series.a))[:, None] == self.which
+        factors = [chosen * self.share[:, 0, 0] ** k for k in range(1, ORDER + 1)]
+        rows, spreads = ([np.tensordot(f, one, 1) for f in factors] for one in (bar, noise_bar))
+        return rows, spreads
 
 
-def powers(
-    a: np.ndarray, q: np.ndarray, b: np.ndarray, hours: np.ndarray
-) -> Iterator[tuple[np.ndarray, Powers]]:
+def powers(found: Series, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
     """Steps of equally many doublings at a time: their places among the K, and their matrices.
 
-    a, q: (K, n, n) [1/h]; b: (n, c) constant; hours: (K,) [h].
+    which: (K,) of the pairs of A and Q that a step has; hours: (K,) [h].
     """
-    doublings = np.ceil(np.log2(np.maximum(bound(a) * hours / SHORT, 1.0))).astype(int)
+    reach = found.rate[which, 0, 0] * hours
+    doublings = np.ceil(np.log2(np.maximum(reach / SHORT, 1.0))).astype(int)
     for count in np.unique(doublings).tolist():
         places = np.flatnonzero(doublings == count)
-        yield places, _powers(a[places], q[places], b, hours[places, None, None], count)
+        shrink = 2.0**-count
+        share, length = reach[places, None, None] * shrink, hours[places, None, None] * shrink
+        whole, noise = (_at(one, which[places], share) for one in (found.rows, found.spreads))
+        n, stages = noise.shape[-1], []
+        for i in range(count):
+            stages.append((whole, noise, length * 2.0**i))
+            e = whole[..., :n]
+            moved = np.eye(n) + e
+            noise = noise + moved @ noise @ _t(moved)
+            whole = 2.0 * whole + e @ whole + _ramp(whole, n, length * 2.0**i)
+        yield places, Powers(found, which[places], share, stages, whole, noise)
 
 
-def _powers(a: np.ndarray, q: np.ndarray, b: np.ndarray, hours: np.ndarray, doublings: int) -> Powers:
-    (n, c), share = b.shape, hours / 2.0**doublings
-    x = a * share
-    row = np.concatenate([x, np.broadcast_to(b, (len(x), n, c)) * share, np.zeros((len(x), n, c))], axis=2)
-    rows, spreads = [row], [q * share]
-    whole, noise = row, spreads[0]
-    for k in range(2, ORDER + 1):
-        row = x @ row
-        if k == 2:
-            row[..., n + c :] = b * share**2
-        row, spread = row / k, _both(x @ spreads[-1]) / k
-        rows.append(row)
-        spreads.append(spread)
-        whole, noise = whole + row, noise + spread
-    stages = []
-    for i in range(doublings):
-        stages.append((whole, noise, share * 2.0**i))
-        e = whole[..., :n]
-        moved = np.eye(n) + e
-        noise = noise + moved @ noise @ _t(moved)
-        whole = 2.0 * whole + e @ whole + _ramp(whole, n, share * 2.0**i)
-    return Powers(x, rows, spreads, stages, share, whole, noise)
+def _at(coefficients: list[np.ndarray], which: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Σ_k share^k c_k, the smallest terms first."""
+    total = np.zeros(())
+    for one in reversed(coefficients):
+        total = (total + one[which]) * share
+    return total
 
 
 def bound(a: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from hygrokf.engine.wide_steps import bound, powers
+from hygrokf.engine.wide_steps import bound, powers, series
 
 N, HOURS = 5, np.array([0.0, 0.01, 0.3, 1.0, 2.0, 50.0])
 DRIVEN = np.eye(N)[:, [0, 3]]
@@ -26,7 +26,7 @@ def systems(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 def together(a: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T (K, n, w) and N (K, n, n) of all steps."""
     whole, noise = np.empty((len(a), N, N + 4)), np.empty_like(q)
-    for places, found in powers(a, q, DRIVEN, HOURS):
+    for places, found in powers(series(a, q, DRIVEN), np.arange(len(a)), HOURS):
         whole[places], noise[places] = found.whole, found.noise
     return whole, noise
 
@@ -52,15 +52,17 @@ def test_tangents_are_differences_and_adjoints_are_tangents_turned() -> None:
     random = np.random.default_rng(2)
     da, dq = a * random.normal(size=a.shape), q * random.normal(size=q.shape)
     up, down = (together(a + step * da, q + step * dq) for step in (1e-6, -1e-6))
+    common = series(a, q, DRIVEN)
+    tangents = common.tangents(da[:, None], dq[:, None])
     seen = 0
-    for places, found in powers(a, q, DRIVEN, HOURS):
-        change, gained = (one[:, 0] for one in found.tangents(da[places, None], dq[places, None]))
+    for places, found in powers(common, np.arange(len(a)), HOURS):
+        change, gained = (one[:, 0] for one in found.tangents(*tangents))
         for i, derivative in enumerate((change, gained)):
             difference = (up[i][places] - down[i][places]) / 2e-6
             assert_allclose(derivative, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
         bar, noise_bar = random.normal(size=change.shape), random.normal(size=gained.shape)
         noise_bar = noise_bar + np.swapaxes(noise_bar, 1, 2)
-        back, noise_back = found.adjoints(bar, noise_bar)
+        back, noise_back = (one[places] for one in common.adjoints(*found.adjoints(bar, noise_bar)))
         ahead = (bar * change).sum((1, 2)) + (noise_bar * gained).sum((1, 2))
         behind = (back * da[places]).sum((1, 2)) + (noise_back * dq[places]).sum((1, 2))
         size = np.abs(bar * change).sum((1, 2)) + np.abs(noise_bar * gained).sum((1, 2))
