@@ -40,8 +40,8 @@ class WideRecursion(Recursion):
     `predict`: entries b of the drive, so that m⁺ = F m + Σ_e w_e b_e, with the columns w_e by `columns`
     (state, share of ∫e^{Aσ}, share of ∫(h−σ)e^{Aσ}/h).  `updates`: prediction, variance and non-zero
     derivatives (`reads`: of these states) of every reading.  `heads`: innovation, its variance, e²/S, the
-    factor g of P⁺ = P − g c c' and p of m⁺ = m + p c, with c = P H', as functions of symbols, the `leaves`, for
-    prediction, variance, H's entries and c's.
+    factor g of P⁺ = P − g c c' and p of m⁺ = m + p c, with c = P H', as functions of the `leaves`: symbols of
+    prediction, variance, and the entries of H and c.
     """
 
     wide = True
