@@ -24,7 +24,8 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
 from hygrokf.engine.wide_products import ROWS, padded
 from hygrokf.engine.wide_steps import Powers, Series, powers, series
-from hygrokf.physics.expression import Expression, Value, dot, forward, is_zero, jacobian, reverse
+from hygrokf.physics.expression import Expression, Value, depends_on, dot, forward, is_zero, jacobian, reverse
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Model, Values
 
 FEW = 8
@@ -56,7 +57,7 @@ class WideRecursion(Recursion):
         self.reads: list[list[int]] = []
         self.leaves: list[Block] = []
         self.heads: list[Block] = []
-        if not self.exact:
+        if not self.applies:
             return
         self.predict, self.columns = self._drive()
         for name in model.outputs:
@@ -65,6 +66,14 @@ class WideRecursion(Recursion):
             self.reads.append([i for i, v in enumerate(row) if not is_zero(v)])
             self.updates.append([prediction, variance, *(g.lift(row[i]) for i in self.reads[-1])])
             self._trace_head()
+
+    @cached_property
+    def applies(self) -> bool:
+        """Whether the loops are exact: rates are constant within a step, and the drive is a straight line."""
+        lines = [name for name in self.varying if self.holds[name] == LINEAR]
+        slopes = jacobian(self.rates, [self.now[name] for name in lines]) if lines else []
+        moving = [f"b:{name}" for name in lines]
+        return self.exact and not any(depends_on(self.graph, v, moving) for row in slopes for v in row)
 
     def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
         """The rates at x = 0 at both Gauss nodes of a step; one that is the same at both enters once."""
@@ -272,12 +281,12 @@ def aligned(*shape: int) -> np.ndarray:
 
 
 def recursion_of(model: Model, diffuse: bool = False) -> Recursion:
-    """The filter of a model: with matrices where it has more than `FEW` states, constant rates within a step
-    and a proper start, else straight-line code."""
+    """The filter of a model: with matrices where it has more than `FEW` states and a proper start and they
+    apply, else straight-line code."""
     if len(model.states) <= FEW or diffuse:
         return traced(model, diffuse)
     # kept with the model, as in `traced`
     kept: list[WideRecursion] = vars(model).setdefault("_wide", [])
     if not kept:
         kept.append(WideRecursion(model))
-    return kept[0] if kept[0].exact else traced(model)
+    return kept[0] if kept[0].applies else traced(model)

@@ -18,7 +18,7 @@ from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
 from hygrokf.engine import wide_recursion
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.engine.traced_filter import traced
-from hygrokf.engine.wide_recursion import WideRecursion
+from hygrokf.engine.wide_recursion import WideRecursion, recursion_of
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.estimation.smoother import smooth, to_filterpy
 from hygrokf.physics.expression import exp
@@ -160,6 +160,22 @@ def test_a_piece_of_a_run_gives_the_numbers_of_the_whole() -> None:
     found = both_ways(model, after)[0].trace(values, start=start)
     assert found.mean.tolist() == whole.mean[31:].tolist()
     assert found.covariance.tolist() == whole.covariance[31:].tolist()
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "hold", "wide"),
+    [(small(), "mean", True), (small(), "linear", False), (small(curved=True), "mean", True)],
+)
+def test_matrices_are_taken_where_they_are_exact(
+    mechanism: Mechanism, hold: str, wide: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not where two straight lines are multiplied, nor for a diffuse start, nor for few states."""
+    monkeypatch.setattr(wide_recursion, "FEW", 1)
+    model = compose([mechanism], HOLDS | {"w": hold})
+    assert recursion_of(model).wide == wide
+    assert not recursion_of(model, diffuse=True).wide
+    monkeypatch.setattr(wide_recursion, "FEW", 8)
+    assert not recursion_of(model).wide
 
 
 # -- chains and full networks --------------------------------------------------------------------------------
