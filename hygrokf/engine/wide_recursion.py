@@ -23,7 +23,7 @@ from hygrokf.engine.filter_codegen import seed
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
 from hygrokf.engine.wide_products import ROWS, padded
-from hygrokf.engine.wide_steps import Powers, Series, powers, series
+from hygrokf.engine.wide_steps import Powers, StepSeries, powers, series
 from hygrokf.physics.expression import Expression, Value, depends_on, dot, forward, is_zero, jacobian, reverse
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Model, Values
@@ -214,7 +214,7 @@ class Numbers:
     keys: np.ndarray
     distinct: np.ndarray
     nodes: np.ndarray
-    series: Series
+    series: StepSeries
     steps: Sequence[tuple[np.ndarray, Powers]]
 
     @cached_property

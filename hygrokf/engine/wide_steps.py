@@ -31,7 +31,7 @@ ORDER = 20
 
 
 @dataclass(frozen=True)
-class Series:
+class StepSeries:
     """Coefficients of T (U, n, w) and N (U, n, n), for powers of the length in 1/`rate` (U, 1, 1)."""
 
     a: np.ndarray
@@ -66,7 +66,7 @@ class Series:
         return (a_bar + row_bar[..., : a.shape[-1]]) / self.rate, spread_bar / self.rate
 
 
-def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> Series:
+def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> StepSeries:
     """The coefficients for A, Q (U, n, n) [1/h] and a constant B (n, c)."""
     (n, c), rate = b.shape, bound(a)[:, None, None]
     rate = np.where(rate > 0.0, rate, 1.0)
@@ -80,7 +80,7 @@ def series(a: np.ndarray, q: np.ndarray, b: np.ndarray) -> Series:
         row = row / k
         rows.append(row)
         spreads.append(_both(a @ spreads[-1]) / k)
-    return Series(a, rate, rows, spreads)
+    return StepSeries(a, rate, rows, spreads)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Powers:
     """T (K, n, w) and N (K, n, n) of steps that are doubled equally often; `which` (K,) of the series they
     take at `share` (K, 1, 1), in units of 1/rate; `stages` T, N and the length before each doubling."""
 
-    series: Series
+    series: StepSeries
     which: np.ndarray
     share: np.ndarray
     stages: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -123,7 +123,7 @@ class Powers:
         return rows, spreads
 
 
-def powers(found: Series, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
+def powers(found: StepSeries, which: np.ndarray, hours: np.ndarray) -> Iterator[tuple[np.ndarray, Powers]]:
     """Steps of equally many doublings at a time: their places among the K, and their matrices.
 
     which: (K,) of the pairs of A and Q that a step has; hours: (K,) [h].
