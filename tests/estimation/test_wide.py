@@ -12,10 +12,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
 
 from hygrokf.engine import wide_recursion
+from hygrokf.engine.discretisation import RATE_STEP
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.engine.traced_filter import traced
 from hygrokf.engine.wide_recursion import WideRecursion, recursion_of
@@ -176,6 +178,51 @@ def test_matrices_are_taken_where_they_are_exact(
     assert not recursion_of(model, unknown=2).wide
     monkeypatch.setattr(wide_recursion, "FEW", 8)
     assert not recursion_of(model).wide
+
+
+@pytest.mark.parametrize("few", [1, 8])
+def test_a_product_of_two_rising_inputs_is_divided_into_sub_steps(
+    few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A parabola in time drives the states: free runs against an ODE solver, at steps of up to 15 h."""
+    monkeypatch.setattr(wide_recursion, "FEW", few)
+    model, values = compose([small()], HOLDS | {"w": "linear"}), dict(a=0.7, b=0.4, s=0.3, r=0.2)
+    random, time_h = np.random.default_rng(4), np.array([0.0, 1.0, 16.0, 18.0])
+    inputs = {name: random.normal(size=4) for name in ("u", "v", "w")} | {"wind": np.full(4, 0.5)}
+    run = timeline(model, time_h, inputs, {name: np.full(4, np.nan) for name in model.outputs})
+    start = Gaussian(np.array([0.3, -0.2]), np.eye(2), 0.0)
+
+    def rates(t: float, x: np.ndarray, k: int) -> list[float]:
+        v, w = (np.interp(t, time_h, inputs[name]) for name in "vw")
+        u = inputs["u"][k - 1]
+        return [0.7 * (x[1] - x[0]) + 0.4 * u + w * v, 0.3 * x[0] - (0.4 + 0.5) * (x[1] - v)]
+
+    expected = [start.mean]
+    for k in range(1, 4):
+        span = (time_h[k - 1], time_h[k])
+        expected.append(solve_ivp(rates, span, expected[-1], args=(k,), rtol=1e-11, atol=1e-12).y[:, -1])
+    errors = []
+    for rate_step in (RATE_STEP, 0.5 * RATE_STEP):
+        free = Likelihood(model, run, start, rate_step=rate_step).trace(values, gain=False)
+        errors.append(np.abs(free.mean - expected).max())
+    # a straight line through both nodes leaves h⁵ |A² b''| / 720 a sub-step: 5e-5 where b'' = 2, h = 1/4
+    assert errors[0] < 5e-5
+    assert 12.0 < errors[0] / errors[1] < 20.0
+
+
+def test_lost_digits_are_seen_and_the_run_is_repeated_in_factors() -> None:
+    """Two precise readings of one state with a wide start: their variances say what is lost."""
+    model, values = averaging()
+    line = a_run(model)
+    start = Gaussian(np.zeros(3), np.diag([1e14, 1e14, 1.0]), float(line.time[0]))
+    one, other = both_ways(model, line, start)
+    sums = []
+    for way in (one, other):
+        state, steps = way.first_state(values), way._steps(values)
+        sums.append(way._run(values, steps, slice(0, len(line)), state))
+    # digits are lost in both, at different rounding: those that are left agree
+    assert_allclose(sums[0][3:], sums[1][3:], rtol=1e-3)
+    assert one.value(values) == other.value(values) == replace(other, square_root=True).value(values)
 
 
 # -- chains and full networks --------------------------------------------------------------------------------
