@@ -478,7 +478,7 @@ class Recursion:
 
     @cached_property
     def _blocks(self) -> list[Block]:
-        return [self.predict, *self.updates]
+        return [self.predict, *self.updates, self.gathered[1]]
 
     @cached_property
     def key_nodes(self) -> list[int]:
