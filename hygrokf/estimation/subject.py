@@ -17,7 +17,7 @@ from hygrokf.estimation.confidence import Uncertainty, uncertainty
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, JointLikelihood
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
-from hygrokf.physics.parameters import Parameter, expect_values
+from hygrokf.physics.parameters import Parameter, expect_values, within_limits
 
 IDENTIFICATION, WHOLE = "identification", "whole"
 """Parts of a record: its identification period, and all of it."""
@@ -149,7 +149,8 @@ def estimated(verb: str, source: Source, given: object) -> tuple[AnyLikelihood, 
             f"{verb}: expected the Estimate of this likelihood, found values, which need not be its maximum: "
             "fit_mle(likelihood, values, count=1) makes one"
         )
-    return found.likelihood, fit_mle(found.likelihood, found.values, found.fit.fixed, count=1)
+    start = within_limits(found.likelihood.parameters, found.values)
+    return found.likelihood, fit_mle(found.likelihood, start, found.fit.fixed, count=1)
 
 
 def covariances(source: Source, given: Given | None = None) -> Uncertainty:
