@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import NODES, constant_rates
+from hygrokf.engine.discretisation import constant_rates
 from hygrokf.engine.step_codegen import seed
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
@@ -75,21 +75,19 @@ class WideRecursion(Recursion):
         return constant_rates(self.graph, rows, self._changing, self.rates, rising)
 
     def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
-        """The rates at x = 0 at both Gauss nodes of a step; one that is the same at both enters once."""
-        g, gap = self.graph, NODES[1] - NODES[0]
+        """The rates at x = 0 at the start and the end of a step; one that is the same at both enters once."""
+        g = self.graph
         origin = {m.index: g.constant(0.0) for m in self.mean}
         found = []
-        for share in NODES:
-            inputs = {
-                self.now[n].index: self.start[n] + share * (self.end[n] - self.start[n]) for n in self.varying
-            }
-            found.append(g.substitute(self.rates, origin | inputs))
+        for inputs in (self.start, self.end):
+            at = {self.now[n].index: inputs[n] for n in self.varying}
+            found.append(g.substitute(self.rates, origin | at))
         block, columns = [], []
         for i, (early, late) in enumerate(zip(*found, strict=True)):
             if early.index == late.index:
                 entries = [(early, 1.0, 0.0)]
             else:
-                entries = [(early, NODES[1] / gap, -1.0 / gap), (late, -NODES[0] / gap, 1.0 / gap)]
+                entries = [(early, 1.0, -1.0), (late, 0.0, 1.0)]
             for e, whole, ramp in entries:
                 if not is_zero(e):
                     block.append(e)
@@ -110,6 +108,10 @@ class WideRecursion(Recursion):
         gain = self._weight(quadratic) * inverse
         self.leaves.append([*made, *slopes, *cross])
         self.heads.append([error, spread, quadratic, g.lift(gain), g.lift(gain * error)])
+
+    @cached_property
+    def _blocks(self) -> list[Block]:
+        return [self.predict, *self.updates]
 
     @cached_property
     def stage(self) -> list[int]:

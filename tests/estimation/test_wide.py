@@ -42,8 +42,8 @@ HOLDS = {"u": "previous", "v": "linear", "w": "mean", "wind": REGIME}
 
 
 def small(curved: bool = False) -> Mechanism:
-    """Two states with inputs of every hold, and a loss that depends on a regime; readings of a sum and of a
-    state beyond the inputs, or of an exponential."""
+    """Two states with inputs of every hold, a loss and a noise that depend on a regime; readings of a sum and
+    of a state beyond the inputs, or of an exponential."""
     names = [("a", 0.7), ("b", 0.4), ("s", 0.3), ("r", 0.2)]
 
     def rates(p, x, u):
@@ -65,7 +65,7 @@ def small(curved: bool = False) -> Mechanism:
         list(HOLDS),
         rates,
         outputs,
-        lambda p: {"x1": p.s**2, "x2": 0.1 * p.s * p.a},
+        lambda p, u: {"x1": p.s**2, "x2": 0.1 * p.s * p.a * (1.0 + u.wind)},
         lambda p, u: {"x1": (p.b, p.r), "x2": (u.u, 2.0 + p.s)},
     )
 
@@ -166,16 +166,23 @@ def test_a_piece_of_a_run_gives_the_numbers_of_the_whole() -> None:
 
 @pytest.mark.parametrize(
     ("mechanism", "hold", "wide"),
-    [(small(), "mean", True), (small(), "linear", False), (small(curved=True), "mean", True)],
+    [
+        (small(), "mean", True),
+        (small(), "linear", False),
+        (small(curved=True), "mean", True),
+        (replace(small(), diffusion=lambda p, u: {"x1": p.s**2 * u.u**2}), "mean", False),
+    ],
 )
 def test_matrices_are_taken_where_they_are_exact(
     mechanism: Mechanism, hold: str, wide: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not where two straight lines are multiplied, nor for a diffuse start, nor for few states."""
+    """Not where two straight lines are multiplied or the noise follows an input, nor for a diffuse start or
+    factors, nor for few states."""
     monkeypatch.setattr(wide_recursion, "FEW", 1)
     model = compose([mechanism], HOLDS | {"w": hold})
     assert recursion_of(model).wide == wide
     assert not recursion_of(model, unknown=2).wide
+    assert not recursion_of(model, factored=True).wide
     monkeypatch.setattr(wide_recursion, "FEW", 8)
     assert not recursion_of(model).wide
 
