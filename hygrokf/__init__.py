@@ -39,10 +39,12 @@ _WHERE = {
     "Model": "physics.model",
     "timeline": "engine.timeline",
     "Likelihood": "estimation.likelihood",
-    "Gaussian": "estimation.likelihood",
+    "JointLikelihood": "estimation.joint_likelihood",
+    "Gaussian": "estimation.gaussian",
     "fit_mle": "estimation.optimiser",
     "confidence_intervals": "estimation.inference",
     "covariances": "estimation.subject",
+    "parameter_table": "estimation.inference",
     "modal_time_constants": "estimation.inference",
     "smooth": "evaluation.prediction",
     "innovations": "evaluation.prediction",
@@ -77,9 +79,11 @@ if TYPE_CHECKING:
     from hygrokf.discovery.procedure import discover as discover
     from hygrokf.engine.timeline import timeline as timeline
     from hygrokf.errors import HygrokfError as HygrokfError
+    from hygrokf.estimation.gaussian import Gaussian as Gaussian
     from hygrokf.estimation.inference import confidence_intervals as confidence_intervals
     from hygrokf.estimation.inference import modal_time_constants as modal_time_constants
-    from hygrokf.estimation.likelihood import Gaussian as Gaussian
+    from hygrokf.estimation.inference import parameter_table as parameter_table
+    from hygrokf.estimation.joint_likelihood import JointLikelihood as JointLikelihood
     from hygrokf.estimation.likelihood import Likelihood as Likelihood
     from hygrokf.estimation.optimiser import fit_mle as fit_mle
     from hygrokf.estimation.smoother import to_filterpy as to_filterpy

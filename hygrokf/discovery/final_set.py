@@ -38,6 +38,7 @@ from hygrokf.discovery.estimate import (
 from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
+from hygrokf.estimation.moments import DigitsFault
 from hygrokf.estimation.optimiser import Estimate as FilterEstimate
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
@@ -189,7 +190,7 @@ def fit_of(
     """
     try:
         return _fit_of(record, final, say, against)
-    except RatesFault as fault:
+    except (RatesFault, DigitsFault) as fault:
         raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
 
 

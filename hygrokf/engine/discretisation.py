@@ -107,7 +107,7 @@ def step(
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
     and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
     end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
-    from step to step, of which the Jacobian and the noise of a constant-rate step have none.
+    from step to step (`constant_rates`).
     """
     n = len(state)
     field = _Field(graph, drift, n, start)
@@ -116,9 +116,8 @@ def step(
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
     intensity = noise(inputs[0])
-    constant = not _any(difference) and not any(
-        depends_on(graph, v, changing) for row in (*a1, *intensity) for v in row
-    )
+    rising = [field.u[name] for name in start if start[name].index != end[name].index]
+    constant = constant_rates(graph, [*a1, *intensity], changing, field.f, rising)
     origin = state if _any(difference) else [0.0] * n
     b1, b2 = (field.rest_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
@@ -155,6 +154,20 @@ def step(
         noise=accumulated,
         doubling=doubling,
     )
+
+
+def constant_rates(
+    graph: Graph, rows: Matrix, changing: Sequence[str], rates: Sequence[Expression], rising: list[Expression]
+) -> bool:
+    """Whether a step of any length is one exact step.
+
+    The `rows` of the Jacobian and the noise must have none of the symbols `changing`, and `rates` must be
+    straight lines in the inputs `rising` within a step: the product of two such inputs is not, in time.
+    """
+    if any(depends_on(graph, v, changing) for row in rows for v in row):
+        return False
+    names = [graph.nodes[e.index][1] for e in rising]
+    return not any(depends_on(graph, v, names) for u in rising for (v,) in jacobian(rates, [u]))
 
 
 class _Field:

@@ -14,6 +14,8 @@ from hygrokf.engine.filter_codegen import Emission, loop_text
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
 from hygrokf.engine.traced_filter import Recursion
+from hygrokf.engine.wide_loops import WideLoop, wide_loop
+from hygrokf.engine.wide_recursion import WideRecursion
 from hygrokf.physics.expression import Expression
 
 
@@ -92,14 +94,14 @@ def _position(w: Writer, control: Control, c: int, value: str, idle: str) -> str
     return w.value(f"select i1 {idle}, double {found}, double {zero}") if control.idle else found
 
 
-_codes: dict[tuple[str, str, bool, tuple[Control, ...]], Code] = {}
+_codes: dict[tuple[str, str, bool, tuple[Control, ...]], Code | WideLoop] = {}
 """Loops by structure of the recursion, kind, gain and controls."""
 _compiling = Lock()
 
 
 def filter_loop(
     recursion: Recursion, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()
-) -> Code:
+) -> Code | WideLoop:
     """The compiled function of a kind, and of that name: value, trace, adjoint or tangent.
 
     Without `gain` the filter runs free.  The kind "controlled" is a free run in which the `controls` follow
@@ -109,9 +111,10 @@ def filter_loop(
     if key not in _codes:
         with _compiling:
             if key not in _codes:
-                controlled = kind == "controlled"
-                text = (
-                    controlled_text(recursion, controls) if controlled else loop_text(recursion, kind, gain)
-                )
-                _codes[key] = Code(text, [kind])
+                if isinstance(recursion, WideRecursion):
+                    _codes[key] = wide_loop(recursion, kind, gain)
+                elif kind == "controlled":
+                    _codes[key] = Code(controlled_text(recursion, controls), [kind])
+                else:
+                    _codes[key] = Code(loop_text(recursion, kind, gain), [kind])
     return _codes[key]

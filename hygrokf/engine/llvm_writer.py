@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from hygrokf.engine.jit import has_fused_multiply_add
+from hygrokf.engine.jit import has_fused_multiply_add, without_subnormals
 from hygrokf.physics.expression import Expression, Graph
 
 LANES = 8
@@ -28,7 +28,7 @@ _OPERATION = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 
 def declarations() -> str:
     """Declarations that every module needs."""
-    lines = []
+    lines = [without_subnormals()[0]]
     for kind in (SCALAR, VECTOR, vector(RUNS)):
         lines.append(f"declare {kind} @llvm.fma.{_suffix(kind)}({kind}, {kind}, {kind})")
         lines += [f"declare {kind} @llvm.{name}.{_suffix(kind)}({kind})" for name in ("exp", "log", "sqrt")]
@@ -67,12 +67,21 @@ class Writer:
         self._lines: list[str] = []
         self._count = 0
 
+    def inner_text(self) -> str:
+        """The text of a function that is called within its module only, and never copied into its callers."""
+        return self._text("internal void", "noinline ", "", "")
+
     def text(self) -> str:
+        _, enter, leave = without_subnormals()
+        return self._text("void", "", enter, leave)
+
+    def _text(self, kind: str, attribute: str, enter: str, leave: str) -> str:
         # `noalias` holds by construction: callers pass separate arrays
         kinds = {"ptr": "ptr noalias nocapture"}
         arguments = ", ".join(f"{kinds.get(kind, kind)} %{name}" for kind, name in self._arguments)
         body = "\n".join([*self._slots, *self._lines])
-        return f"define void @{self._name}({arguments}) {{\nentry:\n{body}\n  ret void\n}}\n"
+        head = f"define {kind} @{self._name}({arguments}) {attribute}{{"
+        return f"{head}\nentry:\n{enter}{body}\n{leave}  ret void\n}}\n"
 
     # -- plain instructions ----------------------------------------------------------------------------------
     def line(self, text: str) -> None:
@@ -190,7 +199,7 @@ class Writer:
                 case "neg":
                     names[i] = self.value(f"fneg {kind} {a[0]}")
                 case "fma":
-                    names[i] = self._fma(kind, a)
+                    names[i] = self.fma(kind, a)
                 case "lt":
                     names[i] = self.value(f"fcmp olt {kind} {a[0]}, {a[1]}")
                     kinds[i] = TRUTH if kind == SCALAR else self.truths
@@ -204,7 +213,8 @@ class Writer:
                     names[i] = self.value(f"call {kind} @{called}({kind} {a[0]})")
         return [(kinds[e.index], names[e.index]) for e in outputs]
 
-    def _fma(self, kind: str, a: Sequence[str]) -> str:
+    def fma(self, kind: str, a: Sequence[str]) -> str:
+        """a b + c of three values."""
         if has_fused_multiply_add():
             three = ", ".join(f"{kind} {value}" for value in a)
             return self.value(f"call {kind} @llvm.fma.{_suffix(kind)}({three})")

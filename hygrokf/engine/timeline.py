@@ -157,7 +157,7 @@ def timeline(
     readings: output → (T,), NaN or masked where there is none; an output without readings may be omitted.
     resets: output that is read as an interval mean → (T,) True where an interval ends.
     origin_s: [s since 1970, UTC] of time 0; dates bring it with them.
-    ends: (T,) as in `Timeline`.
+    ends: [1] (T,) as in `Timeline`.
     unit: of `time`: "s", "min", "h", "d" or "a" (365.25 d).  The model's own unit of time stays the hour.
 
     Returns the timeline.  Raises ValueError that lists what is missing, misspelt, of another shape,

@@ -21,14 +21,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import Step, closure, congruence, step
+from hygrokf.engine.discretisation import Doubling, Step, closure, congruence, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
+from hygrokf.engine.timeline import Timeline
+from hygrokf.engine.variances import Variances, variances_of
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -45,7 +47,6 @@ from hygrokf.physics.expression import (
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
 from hygrokf.physics.matrices import dot, product
 from hygrokf.physics.model import Model, Values
-from hygrokf.physics.signs import never_negative
 
 UNSEEN = 1e-10
 """A reading's loading on an unknown start counts from this share of the products that make it: what rounding
@@ -71,6 +72,10 @@ class Recursion:
     `factored` moments hold the covariance as factors (`engine.square_root`), and the diagonal of L for the
     running means.
     """
+
+    wide = False
+    """Whether the loops take the matrices of whole steps (`wide_recursion`)."""
+    doubling: Doubling | None = None
 
     def __init__(self, model: Model, unknown: int = 0, factored: bool = False) -> None:
         self.model = model
@@ -106,23 +111,37 @@ class Recursion:
             table.update(regime)
         self.reading = g.symbol("y")
 
-        def noise(u: Values) -> Matrix:
-            return [[_lifted(g, v) for v in row] for row in model.noise(self.p, u)]
+        self.noise = self._noise(self.now)
+        self._trace()
+        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
+        self.constants = np.array(g.given, dtype=float)
+        self.structure = self._digest()
 
-        self.noise = noise(self.now)
+    # -- tracing ---------------------------------------------------------------------------------------------
+    @property
+    def _changing(self) -> list[str]:
+        """Names of the symbols that change from step to step."""
+        return [f"m{i}" for i in range(self.n)] + [f"{end}:{name}" for end in "ab" for name in self.varying]
+
+    def _noise(self, u: Values) -> Matrix:
+        return [[_lifted(self.graph, v) for v in row] for row in self.model.noise(self.p, u)]
+
+    def _trace(self) -> None:
+        """The blocks of a step: `predict`, `updates` and `transition`, and the rates with their Jacobian."""
+        g, model, d = self.graph, self.model, self.unknown
         made = step(
             g,
             lambda x, u: model.traced(x, u, self.p).rates,
-            noise,
+            self._noise,
             self.mean,
             self.covariance,
             self.start,
             self.end,
             self.h,
-            [f"m{i}" for i in range(n)] + [f"{end}:{name}" for end in "ab" for name in self.varying],
+            self._changing,
         )
         self.doubling = made.doubling
-        packed = self._predicted(made) if factored else self._lower(made.covariance)
+        packed = self._predicted(made) if self.factored else self._lower(made.covariance)
         self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
         if d:
             moved = product(made.transition, self.loadings)
@@ -138,9 +157,6 @@ class Recursion:
         self.spreads = [spread for _, spread in traced]
         self.transition = [g.lift(v) for row in made.transition for v in row]
         self._gained = made.noise
-        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
-        self.constants = np.array(g.given, dtype=float)
-        self.structure = self._digest()
 
     @cached_property
     def gathered(self) -> tuple[list[Expression], Block]:
@@ -198,7 +214,7 @@ class Recursion:
         found = loadings @ directions
         return np.where(np.abs(found) > UNSEEN * (np.abs(loadings) @ np.abs(directions)), found, 0.0)
 
-    # -- tracing ---------------------------------------------------------------------------------------------
+    # -- pieces of the trace ---------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
         return [self.graph.lift(matrix[i][j]) for i in range(self.n) for j in range(i + 1)]
 
@@ -423,6 +439,10 @@ class Recursion:
         """The entries of the noise that are not zero, by row and column."""
         return _entries(self.noise)
 
+    def cuts(self, timeline: Timeline) -> Iterable[int]:
+        """Instants at which a run is cut, so that its loops do not need too much memory."""
+        return ()
+
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
@@ -447,33 +467,8 @@ class Recursion:
         return found
 
     @cached_property
-    def _variances(self) -> list[tuple[str, Expression]]:
-        """Noise intensities, and variances of readings that do not depend on the state."""
-        g, model = self.graph, self.model
-        found = [
-            (f"noise intensity of the state {state}", g.lift(spread))
-            for state, spread in model.noise_spreads(self.p, self.now)
-            if not isinstance(spread, Mapping)
-        ]
-        outputs = model.traced(self.mean, self.now, self.p).outputs
-        found += [(f"variance of the reading {name}", g.lift(pair[1])) for name, pair in outputs.items()]
-        states = [f"m{i}" for i in range(self.n)]
-        return [(what, e) for what, e in found if not depends_on(g, e, states)]
-
-    @cached_property
-    def nonnegative(self) -> list[int]:
-        """Places of the parameters that are at least 0 by their limits, on which `doubtful` relies."""
-        read = {i for _, e in self._variances for i in self.graph.needed([e])}
-        return [
-            i for i, p in enumerate(self.model.parameters) if p.lower >= 0.0 and self.p[p.name].index in read
-        ]
-
-    @cached_property
-    def doubtful(self) -> list[tuple[str, Expression]]:
-        """Noise intensities and variances of readings whose form leaves open whether they are negative."""
-        positive = [f"c:{i}" for i, number in enumerate(self.graph.given) if number >= 0.0]
-        positive += [f"p:{self.model.parameters[i].name}" for i in self.nonnegative]
-        return [(what, e) for what, e in self._variances if not never_negative(self.graph, e, positive)]
+    def variances(self) -> Variances:
+        return variances_of(self.graph, self.model, self.p, self.now, self.mean)
 
     @cached_property
     def rising_noise(self) -> bool:
@@ -483,7 +478,7 @@ class Recursion:
 
     @cached_property
     def _blocks(self) -> list[Block]:
-        return [self.predict, *self.updates]
+        return [self.predict, *self.updates, self.gathered[1]]
 
     @cached_property
     def key_nodes(self) -> list[int]:
@@ -528,11 +523,6 @@ class Recursion:
             [] if doubling is None else [e.index for e in (*doubling.first, *doubling.now, *doubling.twice)],
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
-
-
-def bounded_weight(quadratic: np.ndarray, bound: float) -> np.ndarray:
-    """Square root min(1, b √S/|e|) of a reading's weight in the score; `quadratic` e²/S, `bound` b."""
-    return np.ones_like(quadratic) if math.isinf(bound) else bound / np.sqrt(np.maximum(quadratic, bound**2))
 
 
 def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:

@@ -126,7 +126,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     width = natural_units(estimate.coordinates)
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12 / width**2))
     curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7 * width, 0.05 * width))
-    return uncertainty_by(objective, estimate, expected, curvature)
+    return uncertainty_by(objective, estimate, expected, _curved(curvature, expected.information))
 
 
 def uncertainty_by(
@@ -234,6 +234,17 @@ def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> n
         values, vectors = np.linalg.eigh(basis.T @ (matrix / scale[:, None] / scale[None, :]) @ basis)
     vectors = basis @ vectors / scale[:, None]
     return (vectors / np.maximum(values, LEAST)) @ vectors.T
+
+
+def _curved(observed: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """The observed information (d, d), with the expected one along directions without positive curvature, as
+    the readings tell nothing there or the likelihood has edges."""
+    scale, values, vectors = scaled_spectrum(observed)
+    if values.min(initial=1.0) > LEAST:
+        return observed
+    instead = np.einsum("ij,ik,kj->j", vectors, expected / np.outer(scale, scale), vectors)
+    values = np.where(values > LEAST, values, np.maximum(instead, LEAST))
+    return (vectors * values) @ vectors.T * np.outer(scale, scale)
 
 
 def positive(matrix: np.ndarray) -> np.ndarray:

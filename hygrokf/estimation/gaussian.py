@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.engine.traced_filter import Recursion
 from hygrokf.errors import suggestion, unknown_names
-from hygrokf.physics.model import Model, VarianceFault
+from hygrokf.physics.model import Model
 
 INITIAL = ("prior", "stationary", "diffuse")
 ROUNDING = 1e-9
@@ -21,8 +20,8 @@ class Gaussian:
     """A state as a normal distribution x ~ N(mean, covariance), such as a filter's checkpoint.
 
     mean: (n,) in the order and the units of `Model.states`.
-    covariance: (n, n), symmetric, without negative eigenvalues; its off-diagonal entries correlate the
-    states. time_h: [h] the instant.
+    covariance: (n, n) in products of these units, symmetric, without negative eigenvalues.
+    time_h: [h] the instant.
 
     A likelihood that starts from it raises ValueError for other shapes and for what is no covariance.
     """
@@ -64,26 +63,3 @@ def _no_gaussian(initial: Gaussian, n: int) -> list[str]:
     if np.diag(covariance).min() < 0.0 or np.linalg.eigvalsh(covariance / scale).min() < -ROUNDING:
         return ["initial: expected a covariance without negative eigenvalues, found one that has some"]
     return []
-
-
-def expect_variances(
-    recursion: Recursion, values: Mapping[str, float], theta: np.ndarray, inputs: Mapping[str, np.ndarray]
-) -> None:
-    """Check that noise intensities and the variances of readings are at least 0 with these parameters; raises
-    VarianceFault.  `theta` holds the values (d, …) in the model's order, `inputs` those of the whole run."""
-    for i in recursion.nonnegative:
-        if theta[i] < 0.0:
-            p = recursion.model.parameters[i]
-            raise VarianceFault(
-                f"{p.name}: expected at least 0 {p.unit}, as its limits say, found {theta[i]:g}"
-            )
-    if not recursion.doubtful:
-        return
-    known = recursion.symbols(values, (), inputs)
-    found = recursion.graph.evaluate([e for _, e in recursion.doubtful], known)
-    for (what, _), value in zip(recursion.doubtful, found, strict=True):
-        if np.any(np.asarray(value) < 0.0):
-            raise VarianceFault(
-                f"expected variances and noise intensities of at least 0, found {np.min(value):g} for the "
-                f"{what}; square a standard deviation, or bound its parameters below by 0"
-            )

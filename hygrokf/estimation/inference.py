@@ -308,6 +308,9 @@ def parameter_table(source: Source, given: Given | None = None, level: float = 0
     Groups of parameters that trade against each other are the eigenvectors with small eigenvalues of the
     observed information scaled to a diagonal of ones; the combinations are the eigenvectors of the
     correlation of such a group.
+
+    Returns the table, in the parameters' units.  Raises ValueError for a level outside 0 … 1, and as
+    `confidence_intervals` does.
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")

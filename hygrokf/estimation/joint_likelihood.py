@@ -46,9 +46,8 @@ class JointLikelihood:
     """The likelihood of several independent records of one model.
 
     parts: the likelihood of each record; their models have the same parameters, states and outputs.
-    own: parameters of which every record has its own value, such as a sensor's offset; the k-th record's
-    (from
-        1) is named `name_k`.
+    own: parameters of which every record has its own value, such as a sensor's offset; that of the k-th
+        record (from 1) is named `name_k`.
 
     `fit_mle`, `confidence_intervals` and `modal_time_constants` (linearised with the first record's own
     parameters) take it as they take a `Likelihood`.  What concerns one record takes `parts[k]` with

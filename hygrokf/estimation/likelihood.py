@@ -19,14 +19,16 @@ import numpy as np
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
+from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.rates import rate_bound, sizes
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Place, Recursion, bounded_weight, traced
+from hygrokf.engine.traced_filter import Place, Recursion, traced
+from hygrokf.engine.wide_recursion import recursion_of
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
-from hygrokf.estimation.gaussian import expect_initial, expect_variances
+from hygrokf.estimation.gaussian import expect_initial
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
@@ -84,7 +86,7 @@ class Likelihood:
 
     @cached_property
     def recursion(self) -> Recursion:
-        return traced(self.model, len(self._unknown), self.square_root)
+        return recursion_of(self.model, len(self._unknown), self.square_root)
 
     @cached_property
     def _unknown(self) -> list[int]:
@@ -103,7 +105,8 @@ class Likelihood:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         theta = np.array([*known, *self.recursion.constants], dtype=float)
-        expect_variances(self.recursion, values, theta, self.timeline.whole)
+        found, r = self.recursion.variances, self.recursion
+        found.check(theta, r.symbols(values, (), self.timeline.whole) if found.doubtful else {})
         return theta
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
@@ -126,11 +129,14 @@ class Likelihood:
         rate = self.rate(values)
         if not rate * float(steps[:, 0].max()) < FASTEST:
             raise RatesFault(self._not_finite(values))
+        cuts = (*self._gaps, *self.recursion.cuts(self.timeline))
+        if self.recursion.wide:
+            return SubSteps(steps, self._single, cuts)
         if self.recursion.exact:
-            return SubSteps(steps, doublings(steps[:, 0] * rate).astype(np.int32), tuple(self._gaps))
+            return SubSteps(steps, doublings(steps[:, 0] * rate).astype(np.int32), cuts)
         limit = self.rate_step or RATE_STEP
         if steps[:, 0].max() * rate <= limit:
-            return SubSteps(steps, self._single, tuple(self._gaps))
+            return SubSteps(steps, self._single, cuts)
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         far = parts > MOST
@@ -328,9 +334,10 @@ class Likelihood:
         columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
-        code = filter_loop(self.recursion, "controlled", False, tuple(controls))
-        steps = self._steps(values)
-        for part in self._parts(steps):
+        vars(own)["recursion"] = traced(self.model, len(self._unknown))  # not by matrices
+        code = filter_loop(own.recursion, "controlled", False, tuple(controls))
+        steps = own._steps(values)
+        for part in own._parts(steps):
             if part.start in steps.long:
                 own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
             own._enter(values, steps, part, state)
@@ -389,7 +396,7 @@ class Likelihood:
         return out, theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
-    @np.errstate(invalid="ignore", divide="ignore", over="ignore")
+    @np.errstate(invalid="ignore")
     def sensitivities(
         self, values: Mapping[str, float], directions: np.ndarray, each: bool = False
     ) -> Sensitivities:
@@ -406,20 +413,14 @@ class Likelihood:
         for part in self._chunks:
             e, s, de, ds, found = self._tangent_part(values, steps, part, blocks, gain=True)
             sums.extend(found)
-            read = np.isfinite(self.timeline.y[part])  # few instants have a reading
-            e, s = e[read], s[read]
-            de, ds = (np.concatenate(one[:, read], axis=1)[:, :count] for one in (de, ds))
-            weight = bounded_weight(e * e / s, self.model.bound)
-            e, de = weight * e, weight[:, None] * de
-            share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
-            score += share.sum(axis=0)
+            # few instants may have a reading
+            read = np.flatnonzero(np.isfinite(self.timeline.y[part]).any(axis=1))
+            de, ds = (np.take(one, read, axis=1) for one in (de, ds))
+            by_instant, added = summed(e[read], s[read], de, ds, self.recursion.square)
+            score += by_instant.sum(axis=0)[:count]
             if each:
-                by_output = np.zeros((*read.shape, count))
-                by_output[read] = share
-                scores[part] = by_output.sum(axis=1)
-            a = de / np.sqrt(s)[:, None]
-            b = ds / (math.sqrt(2.0) * s)[:, None]
-            information += a.T @ a + b.T @ b
+                scores[part.start + read] = by_instant[:, :count]
+            information += added[:count, :count]
         loglik = self._loglik(sums)
         if math.isnan(loglik):
             return self._in_factors.sensitivities(values, directions, each)
@@ -548,7 +549,7 @@ class Likelihood:
             loglik=self._loglik(sums) if gain else loglik_of(sums),
             last=Gaussian(state[:n].copy(), covariances(r, state), float(self.timeline.time[-1])),
         )
-        if not self.square_root and (math.isnan(found.loglik) or found.negative):
+        if not self.square_root and (math.isnan(found.loglik) or found.lost):
             return self._in_factors._traced(values, gain, start)
         if r.unknown:
             found.variance[np.isnan(found.variance)] = math.inf

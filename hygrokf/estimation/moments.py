@@ -56,10 +56,12 @@ class Trace:
     last: Gaussian
 
     @property
-    def negative(self) -> bool:
-        """Whether a variance lies below zero."""
-        both = self.prior_covariance, self.covariance
-        return any(np.einsum("tii->ti", p).min(initial=0.0) < 0.0 for p in both)
+    def lost(self) -> bool:
+        """Whether a variance lies below zero, or readings of an instant took so much of it that digits of the
+        rest are lost."""
+        before, after = (np.einsum("tii->ti", p) for p in (self.prior_covariance, self.covariance))
+        floor = np.where(np.isfinite(before), before, 0.0) / DIGITS
+        return bool((before < 0.0).any() or (after < floor).any())
 
 
 def loglik_of(sums: Sequence[np.ndarray]) -> float:

@@ -240,10 +240,11 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
             if gain > 0.05 * promised > 0.0:
                 damping = max(damping / (10.0 if gain > 0.5 * promised else 2.0), 1e-9)
                 break
+            if settled:  # at rounding; the curvature has learnt from the step
+                new, slope, step = value, gradient, np.zeros_like(z)
+                break
             damping = max(damping, 1e-6) * 6.0
         else:
-            if fresh and settled:
-                return Optimum(z, value, True, "converged to rounding")
             if fresh:
                 return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero")
             curvature, fresh, damping = objective.information(z).information, True, 1e-3

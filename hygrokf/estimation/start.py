@@ -131,10 +131,13 @@ def packed_slopes(
     recursion: Recursion, first: Moments, slopes: Moments, unknown: Sequence[int]
 ) -> np.ndarray:
     """Derivatives (d, w) of `packed`."""
-    mean, covariance = (
-        a + 1j * STEP * b for a, b in zip(vars(first).values(), vars(slopes).values(), strict=True)
-    )
-    return np.imag(packed(recursion, Moments(mean, covariance), unknown, False)) / STEP
+    if recursion.factored:
+        parts = (first.mean, slopes.mean), (first.covariance, slopes.covariance)
+        moved = Moments(*(at + 1j * STEP * slope for at, slope in parts))
+        return np.imag(packed(recursion, moved, unknown, False)) / STEP
+    found = packed(recursion, slopes, unknown, False)
+    found[:, recursion.loaded :] = 0.0
+    return found
 
 
 def lyapunov(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

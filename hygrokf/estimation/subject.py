@@ -17,7 +17,7 @@ from hygrokf.estimation.confidence import Uncertainty, uncertainty
 from hygrokf.estimation.joint_likelihood import AnyLikelihood, JointLikelihood
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
-from hygrokf.physics.parameters import Parameter, expect_values
+from hygrokf.physics.parameters import Parameter, expect_values, within_limits
 
 IDENTIFICATION, WHOLE = "identification", "whole"
 """Parts of a record: its identification period, and all of it."""
@@ -75,15 +75,6 @@ class Spread:
         matrix = covariance[1][np.ix_(there, there)] * np.outer(scale, scale)
         return cls(tuple(parameters), values, names, matrix)
 
-    def directions(self) -> np.ndarray:
-        """Derivatives (d, r) of the parameters by the uncertain coordinates."""
-        place = {p.name: (i, p) for i, p in enumerate(self.parameters)}
-        found = np.zeros((len(place), len(self.names)))
-        for j, name in enumerate(self.names):
-            i, p = place[name]
-            found[i, j] = p.slope(self.values[name])
-        return found
-
     def drawn(self, draws: np.ndarray) -> dict[str, Any]:
         """Values of all parameters for standard normal draws (N, r): arrays (N,) of the uncertain ones, which
         stay within their search limits."""
@@ -93,8 +84,8 @@ class Spread:
         own = {p.name: p for p in self.parameters}
         for name, move in zip(self.names, moves.T, strict=True):
             p = own[name]
-            z = p.to_coordinate(self.values[name]) + move
-            z = np.clip(z, p.to_coordinate(p.lower), p.to_coordinate(p.upper))
+            ends = p.to_coordinate(p.lower), p.to_coordinate(p.upper)
+            z = np.clip(p.to_coordinate(self.values[name]) + move, *ends)
             found[name] = np.exp(z) if p.positive else z
         return found
 
@@ -158,7 +149,8 @@ def estimated(verb: str, source: Source, given: object) -> tuple[AnyLikelihood, 
             f"{verb}: expected the Estimate of this likelihood, found values, which need not be its maximum: "
             "fit_mle(likelihood, values, count=1) makes one"
         )
-    return found.likelihood, fit_mle(found.likelihood, found.values, found.fit.fixed, count=1)
+    start = within_limits(found.likelihood.parameters, found.values)
+    return found.likelihood, fit_mle(found.likelihood, start, found.fit.fixed, count=1)
 
 
 def covariances(source: Source, given: Given | None = None) -> Uncertainty:
@@ -166,8 +158,9 @@ def covariances(source: Source, given: Given | None = None) -> Uncertainty:
 
     source, given: a `Fit` and its `Record`, or a `Likelihood` and the `Estimate` that `fit_mle` made of it.
 
-    Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the logarithm
-    of a positive parameter), `wider` of both, `flat` directions and strongly correlated `trade_offs`.
+    Returns `names` (f,) with the covariances `wald` and `sandwich` (f, f) of their coordinates (the
+    parameter in its unit, or the logarithm of a positive one), `wider` of both, `flat` directions and
+    strongly correlated `trade_offs`.
     Raises ValueError for anything else, with the call that makes what is missing.
     """
     likelihood, estimate = estimated("covariances", source, given)

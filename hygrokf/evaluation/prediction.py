@@ -27,9 +27,7 @@ from hygrokf.evaluation.simulation import (
     expected_readings,
     free_run,
     measured,
-    reading_slopes,
     run_on,
-    widened,
 )
 from hygrokf.modelling.inputs import Run
 
@@ -64,11 +62,11 @@ def simulate(source: Source, given: Given | None = None) -> Course:
             "such as Gaussian(smoothed.mean[0], smoothed.covariance[0]) of `smooth`"
         )
     blind = replace(likelihood, timeline=t.with_readings(np.full_like(t.y, np.nan)))
-    pairs = expected_readings(blind.model, t, found.values, blind.trace(found.values))
-    if len(found.spread.names):
-        slopes = reading_slopes(likelihood, found.values, found.spread.directions())
-        matrix = found.spread.covariance
-        pairs = {name: widened(pair, slopes[name], matrix) or pair for name, pair in pairs.items()}
+
+    def predicted_with(values: Mapping[str, float]) -> Pairs:
+        return expected_readings(blind.model, t, values, blind.trace(values))
+
+    pairs = _with_parameters(predicted_with(found.values), found.spread, predicted_with)
     return _course(t, pairs, _readings_in(t))
 
 
@@ -117,7 +115,7 @@ def forecast(
 
     known = _readings_in(t) if likelihood is found.likelihood else _readings_of(run)
     made = list(pieces(found.values))
-    if leads_h is None and len(found.spread.names):
+    if leads_h is None:
         made = [_with_parameters(made[0], found.spread, lambda values: next(pieces(values)))]
     last = int(np.flatnonzero(read)[-1])
     rows, parts = [], []
@@ -301,7 +299,7 @@ def _windows(
 
 
 SHIFT = 0.1
-"""[standard errors] by which parameters move for the slopes of a forecast: the quotient's error is of the
+"""[standard errors] by which parameters move for the slopes of a prediction: the quotient's error is of the
 order of its square, that of the filter's steps is divided by it."""
 
 
@@ -310,20 +308,14 @@ def _with_parameters(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """A prediction with the variance of its parameters added, by central differences along the axes of their
     covariance."""
-    axes = SHIFT * np.eye(len(spread.names))
-    moved = spread.drawn(np.concatenate([axes, -axes]))
-    values = [
-        {name: float(np.broadcast_to(value, 2 * len(axes))[i]) for name, value in moved.items()}
-        for i in range(2 * len(axes))
-    ]
-    ends = [predict(one) for one in values]
-    found = {}
-    for name, (value, sd) in pairs.items():
-        slopes = np.array(
-            [up[name][0] - down[name][0] for up, down in zip(ends, ends[len(axes) :], strict=False)]
+    extra: dict[str, np.ndarray | float] = dict.fromkeys(pairs, 0.0)
+    for axis in SHIFT * np.eye(len(spread.names)):
+        up, down = (
+            predict({name: float(np.squeeze(value)) for name, value in spread.drawn(move[None, :]).items()})
+            for move in (axis, -axis)
         )
-        found[name] = (value, np.sqrt(sd**2 + np.sum((slopes / (2.0 * SHIFT)) ** 2, axis=0)))
-    return found
+        extra = {n: v + ((up[n][0] - down[n][0]) / (2.0 * SHIFT)) ** 2 for n, v in extra.items()}
+    return {name: (value, np.sqrt(sd**2 + extra[name])) for name, (value, sd) in pairs.items()}
 
 
 def _nearest(time: np.ndarray, there: np.ndarray, wanted: np.ndarray) -> np.ndarray:

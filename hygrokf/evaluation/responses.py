@@ -25,7 +25,6 @@ from hygrokf.physics.linearisation import LinearSystem, linearised
 if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
-    from pandas import DataFrame
 
 DRAWS = 4096
 POINTS = 121
@@ -65,11 +64,6 @@ class FrequencyResponse(Response):
     magnitude: Mapping[tuple[str, str], Answer]
     phase_deg: Mapping[tuple[str, str], Answer]
 
-    def to_frame(self) -> DataFrame:
-        """A pandas frame over ω [rad/h]; its columns are output, input and value."""
-        told = {"magnitude": self.magnitude, "phase_deg": self.phase_deg}
-        return _frame("omega", self.omega, told)
-
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """The Bode diagram with its bands, magnitude over phase; one column for each input.
 
@@ -85,10 +79,6 @@ class StepResponse(Response):
 
     time_h: np.ndarray
     value: Mapping[tuple[str, str], Answer]
-
-    def to_frame(self) -> DataFrame:
-        """A pandas frame over the time [h]; its columns are output, input and value."""
-        return _frame("time_h", self.time_h, {"value": self.value})
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """The step responses with their bands, one panel for each output and input.
@@ -139,17 +129,17 @@ def bode(
 ) -> FrequencyResponse:
     """Magnitude and phase of the outputs over frequency, with the uncertainty of the parameters.
 
-    source, given, state, inputs: as `to_statespace` takes them.
+    source, given, state, inputs: as `to_statespace` takes them, in the model's units.
     omega: (F,) [rad/h] above 0; default: a decade beyond the slowest and the fastest mode.
     level: [1] of the bands.
 
     Returns `magnitude` and `phase_deg` by (output, input), each as (value, lower, upper); the bounds are NaN
-    for plain values, whose uncertainty is not known.  `plot()` draws the diagram, `to_frame()` makes a frame.
+    for plain values, whose uncertainty is not known.  `plot()` draws the diagram.
     Raises ValueError as `to_statespace` does.
     """
     made, spread = _linear("bode", source, given, state, inputs)
     system = made(spread.values)
-    rates = np.abs(_modes(system)[0])
+    rates = np.abs(_modes(system))
     if omega is None:
         low, high = (rates.min() / 10.0, rates.max() * 10.0) if len(rates) else (0.01, 100.0)
         omega = np.geomspace(low, high, POINTS)
@@ -181,18 +171,18 @@ def step_response(
 ) -> StepResponse:
     """Answer of the outputs to a step by one unit of every input, with the uncertainty of the parameters.
 
-    source, given, state, inputs: as `to_statespace` takes them.
+    source, given, state, inputs: as `to_statespace` takes them, in the model's units.
     time_h: (T,) [h] from 0 on, evenly spaced; default: five times the slowest time constant of the answers.
     level: [1] of the bands.
 
     Returns `value` by (output, input) as (value, lower, upper); the bounds are NaN for plain values, whose
-    uncertainty is not known.  `plot()` draws the answers, `to_frame()` makes a frame.
+    uncertainty is not known.  `plot()` draws the answers.
     Raises ValueError as `to_statespace` does, and for times that are not evenly spaced from 0 on.
     """
     made, spread = _linear("step_response", source, given, state, inputs)
     system = made(spread.values)
     if time_h is None:
-        decays = -1.0 / _modes(system)[0].real
+        decays = -1.0 / _modes(system).real
         decays = decays[decays > 0.0]
         time_h = np.linspace(0.0, 5.0 * float(decays.max(initial=1e-12)) if len(decays) else 10.0, POINTS)
     grid = np.asarray(time_h, dtype=float)
@@ -235,14 +225,12 @@ def _linear(
     return (lambda values: linearised(model, values, point[: len(model.own_states)], at)), found.spread
 
 
-def _modes(system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues [1/h] of the modes by which an input reaches an output, and their residues."""
+def _modes(system: LinearSystem) -> np.ndarray:
+    """Eigenvalues [1/h] of the modes by which an input reaches an output."""
     values, vectors = np.linalg.eig(system.A)
-    left = np.linalg.pinv(vectors)
-    shown, driven = np.abs(system.C @ vectors).max(axis=0), np.abs(left @ system.B).max(axis=1, initial=0.0)
-    residues = shown * driven
-    kept = (residues > REACHED * residues.max(initial=0.0)) & (np.abs(values) > 0.0)
-    return values[kept], residues[kept]
+    driven = np.abs(np.linalg.pinv(vectors) @ system.B).max(axis=1, initial=0.0)
+    residues = np.abs(system.C @ vectors).max(axis=0) * driven
+    return values[(residues > REACHED * residues.max(initial=0.0)) & (np.abs(values) > 0.0)]
 
 
 def _places(system: LinearSystem) -> dict[tuple[str, str], tuple[Any, int, int]]:
@@ -294,17 +282,3 @@ def _banded(value: np.ndarray, draws: np.ndarray | None, level: float) -> Answer
         return value, nothing, nothing
     lower, upper = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
     return value, lower, upper
-
-
-def _frame(name: str, index: np.ndarray, told: Mapping[str, Mapping[tuple[str, str], Answer]]) -> DataFrame:
-    from pandas import DataFrame, Index
-
-    columns = {
-        (output, source, f"{kind}{end}"): answer
-        for kind, answers in told.items()
-        for (output, source), three in answers.items()
-        for end, answer in zip(("", "_lower", "_upper"), three, strict=True)
-    }
-    frame = DataFrame(columns, index=Index(index, name=name))
-    frame.columns.names = ["output", "input", "value"]
-    return frame

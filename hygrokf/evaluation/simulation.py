@@ -207,17 +207,6 @@ def _noise(model: Model, t: Timeline, values: Mapping[str, float], output: str) 
     return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
 
 
-def reading_slopes(
-    likelihood: Likelihood, values: Mapping[str, float], directions: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Slopes (T, r) of the free run's outputs along directions (d, r) of the parameters."""
-    t = likelihood.timeline
-    # with readings of zero, the residuals of the free run are minus the predictions at every instant
-    zero = replace(likelihood, timeline=t.with_readings(np.zeros_like(t.y)))
-    _, slopes = zero.residuals(values, directions)
-    return {name: -slopes[:, j] for j, name in enumerate(t.outputs)}
-
-
 def free_run(
     design: Design,
     values: Mapping[str, float],
@@ -247,7 +236,11 @@ def free_run(
     place = {p.name: i for i, p in enumerate(design.model.parameters)}
     directions = np.zeros((len(place), len(names)))
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
-    rows = reading_slopes(likelihood, values, directions)
+    # with readings of zero, the residuals of the free run are minus the predictions at every instant
+    zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
+    zero = Likelihood(design.model, zeros, rate_step=rate_step)
+    _, slopes = zero.residuals(values, directions)
+    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
     vapour = rows.get("cabinet_absolute_humidity")
@@ -258,13 +251,13 @@ def free_run(
             slope = 1e3 * absolute_humidity_slope_temperature(relative[0], prediction.temperature[0])
             vapour = vapour + slope[:, None] * warm
     return Prediction(
-        widened(prediction.temperature, warm, matrix),
-        widened(relative, moist, matrix),
-        widened(absolute, vapour, matrix),
+        _wider(prediction.temperature, warm, matrix),
+        _wider(relative, moist, matrix),
+        _wider(absolute, vapour, matrix),
     )
 
 
-def widened(
+def _wider(
     pair: tuple[np.ndarray, np.ndarray] | None, jacobian: np.ndarray | None, matrix: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """A prediction with the variance J V J' of its parameters added."""

@@ -30,6 +30,7 @@ from hygrokf.data.structured import Cell
 from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.likelihood import RatesFault
+from hygrokf.estimation.moments import DigitsFault
 from hygrokf.identification.wording import one_line
 from hygrokf.version import __version__
 
@@ -214,7 +215,7 @@ def reason_of(fault: Exception) -> str:
     text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
     if isinstance(fault, FormFault) and not isinstance(fault, CaseFault):  # the row itself names the turbine
         text = f"{fault.file}: {text}"
-    if isinstance(fault, HygrokfError | RatesFault) or type(fault) in (ValueError, OSError):
+    if isinstance(fault, HygrokfError | RatesFault | DigitsFault) or type(fault) in (ValueError, OSError):
         return text or type(fault).__name__
     where = traceback.extract_tb(fault.__traceback__)
     place = f" ({Path(where[-1].filename).name}, line {where[-1].lineno})" if where else ""

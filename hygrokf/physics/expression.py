@@ -401,7 +401,8 @@ def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Val
     function.__name__ = name
     function.__doc__ = (
         f"{name} for the equations of a model: of a number, an array or a traced expression.\n\n"
-        "Returns what it was given.  Raises what numpy raises for other arguments."
+        "value: in any unit, as the equation has it.\n\n"
+        "Returns what it was given.  Raises TypeError for what is no number."
     )
     return function
 
@@ -414,9 +415,9 @@ sqrt = _unary("sqrt", np.sqrt)
 def where(condition: Value, yes: Value, no: Value) -> Value:
     """`yes` where `condition` holds, else `no`: a choice in the equations of a model.
 
-    condition, yes, no: numbers, arrays or traced expressions; both branches are always computed.
+    condition, yes, no: numbers, arrays or traced expressions in any unit; both branches are always computed.
 
-    Returns a value of the same kind.  Raises what numpy raises for other arguments.
+    Returns a value of the same kind.  Raises ValueError for arrays whose shapes do not fit together.
     """
     for value in (condition, yes, no):
         if isinstance(value, Expression):

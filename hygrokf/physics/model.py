@@ -133,7 +133,7 @@ class Mechanism:
     parameters, states, inputs: what its functions read; states and inputs by name.
     corrections, conductance, quantities, contributions, drift, diffusion, initial, outputs: the functions
         above.
-    noise_exponents: γ of the states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
+    noise_exponents: [1] γ of states whose white noise grows with them, dx = f dt + x^γ L dW with L L' from
         `diffusion` and 0 ≤ γ ≤ 1 (`Model.natural`).
     amounts: states that cannot be negative; simulations enforce this, the filter does not.
     features: those inputs that no signal gives and that this mechanism brings with it, by name.
@@ -232,6 +232,10 @@ class Model:
         return tuple(name in names for name in self.states)
 
     @cached_property
+    def _own(self) -> frozenset[str]:
+        return frozenset(self.own_states)
+
+    @cached_property
     def exponents(self) -> dict[str, float]:
         """γ of the states whose noise grows with them.  Raises ValueError for unknown states and other γ."""
         found: dict[str, float] = {}
@@ -250,6 +254,8 @@ class Model:
     ) -> Mapping[str, Any]:
         """What a function of a mechanism gave, checked to be of states of the model that no other mechanism
         has `taken`."""
+        if isinstance(found, dict) and found.keys() <= self._own and found.keys().isdisjoint(taken):
+            return found
         where = f'{kind} of the mechanism "{m.name}"'
         if not isinstance(found, Mapping):
             raise ValueError(f'{where}: expected a mapping {{"state": value, …}}, found {found!r}')
@@ -417,7 +423,9 @@ class Model:
                 for name, loading in spread.items():
                     row = sources.setdefault(name, {})
                     row[i] = row.get(i, 0.0) + loading
-            elif not isinstance(spread, Expression) and np.any(np.real(spread) < 0.0):
+            elif not isinstance(spread, Expression) and (
+                spread < 0.0 if isinstance(spread, float) else np.any(np.real(spread) < 0.0)
+            ):
                 raise VarianceFault(
                     "expected variances and noise intensities of at least 0, found "
                     f"{np.min(np.real(spread)):g} for the state {state}; square a standard deviation, "
@@ -443,10 +451,11 @@ class Model:
         """
         means: dict[str, Value] = {f"mean_{name}": 0.0 for name in self.averaged}
         given: list[tuple[str, Spread]] = []
+        spaces = _Parameters(**p), _Inputs(**u)
         for m in self.mechanisms:
             if m.initial is None:
                 continue
-            found = self._of_states(m, "initial", m.initial(_Parameters(**p), _Inputs(**u)), means)
+            found = self._of_states(m, "initial", m.initial(*spaces), means)
             for name, pair in found.items():
                 mean, spread = _pair(f'initial of the state "{name}"', pair)
                 if name in self.exponents:

@@ -17,7 +17,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow, expect_matplotlib, styled
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
-from hygrokf.report.figures.responses import bode_figure, step_figure
+from hygrokf.report.figures.responses import bode, step_response
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,13 +52,13 @@ def plot_climate(study: Study, axes: Axes | Sequence[Axes] | None = None) -> tup
 def plot_bode(found: FrequencyResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """Magnitude and phase over frequency, see `FrequencyResponse.plot`."""
     expect_matplotlib()
-    return _plotted(lambda: bode_figure(found), "bode", axes)
+    return _plotted(lambda: Figure("bode", "", "", lambda: bode(found)), "bode", axes)
 
 
 def plot_step_response(found: StepResponse, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """The answers to steps of the inputs, see `StepResponse.plot`."""
     expect_matplotlib()
-    return _plotted(lambda: step_figure(found), "step_response", axes)
+    return _plotted(lambda: Figure("step", "", "", lambda: step_response(found)), "step_response", axes)
 
 
 def _plotted(made: Callable[[], Figure], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:

@@ -14,6 +14,7 @@ ORDER = (
     "own_mechanism.py",
     "own_cause.py",
     "charger_network.py",
+    "noise_of_own_models.py",
     "transfer_to_a_sister.py",
     "climate_of_three_sites.py",
     "forecast_and_restart.py",

@@ -142,6 +142,15 @@ def test_a_fused_node_rounds_once() -> None:
     assert out[0] == -(tiny**2)  # rounding the product first would leave zero
 
 
+def test_numbers_that_decay_out_of_range_are_zero_inside_compiled_code_alone(fresh: Path) -> None:
+    """Below 2.2e-308 a product is 0, which keeps decaying variances fast; outside it keeps its digits."""
+    x, out = np.array([1e-300, 1e-310]), np.full(2, np.nan)
+    Code(doubling(1e-9), ["f"])("f", 2, x, out)
+    flushed = bool(jit.without_subnormals()[1])
+    assert bool(out[0] == 0.0) is flushed and bool(out[1] == 0.0) is flushed
+    assert 0.0 < x[0] * 1e-9 < 1e-308
+
+
 def test_code_is_kept_on_disk_and_taken_from_there(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(run_doubling(doubling()), 2.0 * np.arange(5))
     files = list(fresh.rglob("*.o"))

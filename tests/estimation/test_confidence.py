@@ -489,7 +489,9 @@ def test_a_cabinet_faster_than_its_logger_is_at_most_x() -> None:
     bounds = one.profile("thermal_time_constant")
     assert bounds.lower == 0.0 and truth.tau_h < bounds.upper < 0.2
     assert bounds.statement == f"≤ {bounds.upper:.3g} h"
-    assert "thermal_diffusion" in {*one.known.flat, *one.estimate.at_bounds}
+    # with a reading an hour, white noise of the air and of the sensor act alike: one of them is open
+    alike = {"thermal_diffusion", "cabinet_temperature_noise"}
+    assert alike & {*one.known.flat, *one.estimate.at_bounds}
     white = one.profile("thermal_diffusion")
     assert white.lower == 0.0 and math.isfinite(white.upper)
 

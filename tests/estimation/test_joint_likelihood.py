@@ -12,7 +12,7 @@ from hygrokf.estimation.inference import confidence_intervals, modal_time_consta
 from hygrokf.estimation.joint_likelihood import JointLikelihood
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import fit_mle
-from hygrokf.estimation.smoother import smooth
+from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
 from hygrokf.physics.parameters import Parameter
@@ -123,11 +123,9 @@ def test_records_are_fitted_together():
 def test_what_needs_one_record_and_what_does_not_fit_is_refused():
     model = level()
     joint = JointLikelihood([record(model, 1, 5), record(model, 2, 5)])
-    with pytest.raises(
-        AttributeError, match=r"trace: expected the likelihood of one record, found that of 2; take"
-    ):
-        smooth(joint, VALUES)
-    assert smooth(joint.parts[1], joint.values_of(VALUES, 1))[0].shape == (5, 1)
+    with pytest.raises(AttributeError, match=r"expected the likelihood of one record, found that of 2; take"):
+        smoothed_states(joint, VALUES)
+    assert smoothed_states(joint.parts[1], joint.values_of(VALUES, 1))[0].shape == (5, 1)
     with pytest.raises(ValueError, match='found "ofset"; did you mean "offset"'):
         JointLikelihood(joint.parts, own=["ofset"])
     with pytest.raises(ValueError, match="at least one record"):

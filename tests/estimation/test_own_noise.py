@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
-from hygrokf.estimation.smoother import smooth
+from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, VarianceFault, compose
 from hygrokf.physics.parameters import Parameter
@@ -104,7 +104,7 @@ def test_shared_noises_correlated_first_state_and_repeated_instants_are_exact():
     assert_allclose(slopes, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     along = likelihood.sensitivities(VALUES, np.eye(len(theta)))
     assert_allclose(along.score, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    for found, wanted in zip(smooth(likelihood, VALUES), smoothed(course, y), strict=True):
+    for found, wanted in zip(smoothed_states(likelihood, VALUES), smoothed(course, y), strict=True):
         assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
     assert model.noise(VALUES)[0][1] == pytest.approx(2.0 * 0.5 * -0.3)
     mean, variance = model.initial(VALUES, {})

@@ -25,7 +25,7 @@ from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
 from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
-from hygrokf.physics.parameters import Coordinates, Parameter
+from hygrokf.physics.parameters import Coordinates, Parameter, within_limits
 
 REFERENCE = Path(__file__).resolve().parents[2] / "../shared/data/reference"
 
@@ -441,7 +441,8 @@ def test_flexhouse_from_the_parent_alone_is_a_lower_maximum(flexhouse: tuple) ->
     """Why starts over the physical parameters stay beside the parent's."""
     found, _ = flexhouse
     likelihood, best = found["TiTeTh"]
-    alone = fit_mle(likelihood, found["TiTh"][1].values, count=1)
+    start = within_limits(likelihood.parameters, found["TiTh"][1].values)
+    alone = fit_mle(likelihood, start, count=1)
     assert alone.converged and alone.objective < best.objective - 50.0
 
 

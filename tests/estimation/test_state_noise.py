@@ -15,7 +15,7 @@ from hygrokf.estimation.inference import confidence_intervals
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import fit_mle
 from hygrokf.estimation.reference_filter import reference_filter
-from hygrokf.estimation.smoother import smooth
+from hygrokf.estimation.smoother import smoothed_states
 from hygrokf.physics.expression import log, sqrt
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import Model, compose
@@ -96,7 +96,7 @@ def test_geometric_brownian_motion_has_its_exact_transition_density():
     total, states = reference_filter(likelihood, values)
     assert total == pytest.approx(exact, rel=1e-7)
     assert states[-1].mean[0] == pytest.approx(math.log(x[-1]))
-    mean, spread = smooth(likelihood, values)
+    mean, spread = smoothed_states(likelihood, values)
     np.testing.assert_allclose(mean[1:, 0], x[1:], rtol=1e-6)  # in the state's unit
     assert spread[-1, 0, 0] == pytest.approx(1e-12 * x[-1] ** 2, rel=1e-3)
 

@@ -101,7 +101,6 @@ def test_a_covariance_in_units_is_one_of_the_coordinates() -> None:
     assert set(found) == set(masses.VALUES) and found["warmth"] == masses.VALUES["warmth"]
     # 100,000 draws know a variance to 0.45 %
     np.testing.assert_allclose(np.cov(found["outer"], found["share"]), matrix, rtol=0.03)
-    np.testing.assert_allclose(spread.directions()[1], [masses.VALUES["outer"], 0.0])
 
 
 @pytest.mark.parametrize("given", ["case.toml", None, {"a": pd.DataFrame({"x": [1.0]})}, 3.0])

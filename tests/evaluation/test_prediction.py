@@ -59,7 +59,7 @@ def test_the_free_run_is_the_law_of_the_readings_without_any(short: tuple) -> No
 
 
 def test_the_free_run_of_an_estimate_adds_the_uncertainty_of_its_parameters(long: tuple) -> None:
-    """J V J' with slopes by differences of the matrix exponentials, whose error is of the order of 1e-6."""
+    """J V J' with slopes by differences of the matrix exponentials."""
     likelihood, estimate = long
     t = likelihood.timeline
     driven = {name: t.input(name) for name in ("ambient", "heater")}
@@ -89,7 +89,8 @@ def test_the_free_run_of_an_estimate_adds_the_uncertainty_of_its_parameters(long
     wide = hygrokf.simulate(likelihood, estimate)["read"]
     assert_allclose(wide[0], plain[0])
     assert np.median(extra) > 0.01 * np.median(plain[1][rows] ** 2)  # else this would test nothing
-    assert_allclose((wide[1] ** 2 - plain[1] ** 2)[rows], extra, rtol=1e-5, atol=1e-9)
+    # a move by a tenth of a standard error leaves an error of some 0.1 % in the slopes
+    assert_allclose((wide[1] ** 2 - plain[1] ** 2)[rows], extra, rtol=0.01, atol=1e-7)
 
 
 def test_a_forecast_is_the_law_of_what_follows_given_what_was_read(short: tuple) -> None:

@@ -412,7 +412,7 @@ def test_an_evaluation_without_readings_gives_the_reasons(fit, record, change):
     shown = " ".join(shown.split())
     for words in ("no temperature or absolute humidity of the cabinet", "needs the power", "`hygrokf check`"):
         assert words in shown
-    assert simulation_csv(fit, other).count("\n") > 1000
+    assert csv_of(fit, other).count("\n") > 1000
 
 
 # --- the public verbs of a fit --------------------------------------------------------------------------

@@ -18,7 +18,13 @@ from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, part_shifts, uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
-from hygrokf.identification.clock_offsets import ONE_SYSTEM_S, TWO_SYSTEMS_S, clock_offsets, prior_s
+from hygrokf.identification.clock_offsets import (
+    ONE_SYSTEM_S,
+    TWO_SYSTEMS_S,
+    _solved,
+    clock_offsets,
+    prior_s,
+)
 from hygrokf.identification.composition import (
     Alternative,
     Source,
@@ -286,6 +292,35 @@ def test_clocks_of_an_estimate_whose_parameters_are_all_open_move_none_of_them(t
     open_ = Uncertainty((), nothing, nothing, np.empty(0), (), (), nothing)
     free = clock_offsets(record, found.base, found.run, found.estimate, open_)
     assert len(free.sources) == len(offsets(record, found).sources) and free.shift == {}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_offsets_are_the_posterior_of_one_linear_model_and_no_wider_than_their_prior(seed):
+    """Readings linear in parameters and offsets, against the dense posterior; an offset that acts as a
+    parameter does (last seeds) learns nothing."""
+    random = np.random.default_rng(seed)
+    slopes, moved = random.normal(size=(40, 1, 3)), random.normal(size=(40, 1, 2))
+    if seed >= 4:
+        moved[..., 0] = slopes @ np.array([1.0, -2.0, 10.0])
+    weights, prior = random.uniform(0.5, 2.0, (40, 1)), np.array([30.0, 60.0])
+    # at the maximum of the parameters their score is zero
+    x, root = slopes.reshape(40, 3), np.sqrt(weights)
+    errors = random.normal(size=(40, 1))
+    errors -= x @ np.linalg.lstsq(root * x, root * errors, rcond=None)[0]
+    known = np.linalg.inv(x.T @ (weights * x))
+    found = _solved(("a", "b", "c"), known, ["one", "two"], prior, weights, errors, slopes, moved)
+    both = np.concatenate([x, moved.reshape(40, 2)], axis=1)
+    scale = np.linalg.norm(both, axis=0)
+    joint = both.T @ (weights * both) + np.diag([0.0, 0.0, 0.0, *prior**-2.0])
+    dense = np.linalg.inv(joint / np.outer(scale, scale)) / np.outer(scale, scale)
+    step = -dense @ both.T @ (weights * errors)[:, 0]
+    for place, one in enumerate(found.sources):
+        assert one.sd_s <= prior[place] * (1.0 + 1e-12)
+        assert one.sd_s == pytest.approx(math.sqrt(dense[3 + place, 3 + place]), rel=1e-4)
+        assert one.offset_s == pytest.approx(step[3 + place], rel=1e-4, abs=1e-4)
+    for place, name in enumerate("abc"):
+        added = dense[place, place] - known[place, place]
+        assert found.variance[name] == pytest.approx(added, rel=1e-3, abs=1e-6)
 
 
 def test_a_source_whose_clock_is_known_exactly_has_no_offset(thermal_part):

@@ -17,7 +17,6 @@ from hygrokf import discover, identify, read_frames
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.record import Record
 from hygrokf.errors import HygrokfError
-from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.identification.clock_offsets import _solved
 from hygrokf.identification.composition import Resolved
 
@@ -159,8 +158,7 @@ def test_no_clock_is_less_certain_than_its_prior():
     moved += 3.0 * slopes[..., :1]
     hessian = 1e-3 * np.einsum("tki,tkj->ij", slopes, slopes)
     wald = np.linalg.inv(hessian)
-    spread = Uncertainty(("a", "b"), wald, wald, np.ones(2), (), (), hessian)
     weights, errors = np.ones((500, 1)), draw.normal(size=(500, 1))
-    found = _solved(spread, ["mast"], np.array([30.0]), weights, errors, slopes, moved)
+    found = _solved(("a", "b"), wald, ["mast"], np.array([30.0]), weights, errors, slopes, moved)
     assert 0.0 < found.sources[0].sd_s <= 30.0
     assert all(value >= 0.0 for value in found.variance.values())

@@ -164,9 +164,8 @@ def linear_network(
     initial: (p, u) → {state: (mean, variance)} at the first instant; in place of a variance {source:
     loading},
         likewise.
-    noise_exponents: state → γ from 0 to 1 where its noise is x^γ times that of `intensities`: 1 in a
-    geometric
-        Brownian motion, ½ in a Cox–Ingersoll–Ross process (`Model` says how the filter carries it).
+    noise_exponents: [1] state → γ from 0 to 1 where its noise is x^γ times that of `intensities`: 1 in a
+        geometric Brownian motion, ½ in a Cox–Ingersoll–Ross process (`Model` says how the filter carries it).
 
     Returns the mechanism for `compose`.  For functions that are linear in x and u the filter is exact.
     Raises ValueError at first use of the model where a function names what the model does not have.

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.evaluation.responses import Answer, FrequencyResponse, Response, StepResponse
-from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import MEASURED, Panels, area_handle, line_handle, logarithmic
 
 if TYPE_CHECKING:
@@ -18,30 +17,21 @@ if TYPE_CHECKING:
 
 BAND = 0.22
 """[1] opacity of a band."""
-TURN_DEG = 45.0
-"""[°] smallest step between two marks of a phase axis."""
+QUARTERS = (1.0, 1.5, 3.0, 4.5, 9.0, 10.0)
+"""Steps between the marks of a phase axis, times a power of ten: 15°, 30°, 45°, 90°."""
 
 
-def bode_figure(found: FrequencyResponse) -> Figure:
+def bode(found: FrequencyResponse) -> Panels:
     """Magnitude over phase, a column for each input and two rows for each output."""
-    return Figure("bode", "Frequency response", "", partial(_bode, found))
-
-
-def step_figure(found: StepResponse) -> Figure:
-    """A panel for each output and input."""
-    return Figure("step-response", "Step response", "", partial(_step, found))
-
-
-def _bode(found: FrequencyResponse) -> Panels:
     draw: list[Callable[[Axes], None]] = []
     for output in found.system.outputs:
-        draw += [partial(_magnitude, found, (output, name)) for name in found.system.inputs]
-        draw += [partial(_phase, found, (output, name)) for name in found.system.inputs]
-    rows = 2 * len(found.system.outputs)
-    return _panels(found, draw, 0.4 + 1.7 * rows)
+        for kind in (_magnitude, _phase):
+            draw += [partial(kind, found, (output, name)) for name in found.system.inputs]
+    return _panels(found, draw, 0.4 + 3.4 * len(found.system.outputs))
 
 
-def _step(found: StepResponse) -> Panels:
+def step_response(found: StepResponse) -> Panels:
+    """A panel for each output and input."""
     draw: list[Callable[[Axes], None]] = [partial(_course, found, pair) for pair in found.pairs]
     return _panels(found, draw, 0.5 + 2.1 * len(found.system.outputs))
 
@@ -83,12 +73,7 @@ def _phase(found: FrequencyResponse, pair: tuple[str, str], axes: Axes) -> None:
     _drawn(axes, found.omega, found.phase_deg[pair])
     axes.set_xlim(found.omega[0], found.omega[-1])
     logarithmic(axes, "x")
-    low, high = axes.get_ylim()
-    if high - low > 2.0 * TURN_DEG:
-        step = TURN_DEG * max(np.ceil((high - low) / (5.0 * TURN_DEG)), 1.0)
-        axes.set_yticks(np.arange(np.ceil(low / step), np.floor(high / step) + 1.0) * step)
-    else:
-        axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(6, steps=QUARTERS))
     axes.set_ylabel("phase [°]")
     axes.set_xlabel("angular frequency [rad/h]")
 

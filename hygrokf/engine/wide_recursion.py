@@ -1,0 +1,293 @@
+"""The filter of a linear model with many states: what its compiled loops take from the model, as expressions.
+
+Straight-line code of a whole step grows with the cube of the number of states, and its compilation faster.
+Where rates are constant within a step, the loops of `wide_codegen` therefore take the matrices of every
+distinct step as numbers (`wide_steps`), and from the model only the expressions that are short: the rates at
+x = 0 that drive the mean, and prediction, variance and derivative of every reading.
+
+Shapes: K distinct steps, n states, c driven states, d parameters, e entries of the drive, w = `width`,
+L directions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hygrokf.engine.discretisation import constant_rates
+from hygrokf.engine.step_codegen import seed
+from hygrokf.engine.timeline import Timeline
+from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
+from hygrokf.engine.wide_products import ROWS, padded
+from hygrokf.engine.wide_steps import Powers, StepSeries, powers, series
+from hygrokf.physics.expression import Expression, Value, forward, is_zero, jacobian, reverse
+from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.matrices import dot
+from hygrokf.physics.model import Model, Values
+
+FEW = 8
+"""States up to which straight-line code compiles quickly and runs faster than loops."""
+
+KEYS = 512
+"""Distinct steps whose matrices and derivatives are in memory at a time."""
+
+
+class WideRecursion(Recursion):
+    """A filter whose loops take matrices.
+
+    `predict`: entries b of the drive, so that m⁺ = F m + Σ_e w_e b_e, with the columns w_e by `columns`
+    (state, share of ∫e^{Aσ}, share of ∫(h−σ)e^{Aσ}/h).  `updates`: prediction, variance and non-zero
+    derivatives (`reads`: of these states) of every reading.  `heads`: innovation, its variance, e²/S, the
+    factor g of P⁺ = P − g c c' and p of m⁺ = m + p c, with c = P H', as functions of the `leaves`: symbols of
+    prediction, variance, and the entries of H and c.
+    """
+
+    wide = True
+
+    def _trace(self) -> None:
+        g, model = self.graph, self.model
+        at = model.traced(self.mean, self.now, self.p)
+        self.rates = [g.lift(v) for v in at.rates]
+        self.jacobian = jacobian(self.rates, self.mean)
+        self.predict, self.updates, self.transition = [], [], []
+        self.columns: list[tuple[int, float, float]] = []
+        self.reads: list[list[int]] = []
+        self.leaves: list[Block] = []
+        self.heads: list[Block] = []
+        if not self.exact:
+            return
+        self.predict, self.columns = self._drive()
+        for name in model.outputs:
+            prediction, variance = (g.lift(v) for v in at.outputs[name])
+            row = jacobian([prediction], self.mean)[0]
+            self.reads.append([i for i, v in enumerate(row) if not is_zero(v)])
+            self.updates.append([prediction, variance, *(g.lift(row[i]) for i in self.reads[-1])])
+            self._trace_head()
+
+    @cached_property
+    def exact(self) -> bool:
+        rising = [self.now[name] for name in self.varying if self.holds[name] == LINEAR]
+        rows = [*self.jacobian, *self.noise]
+        return constant_rates(self.graph, rows, self._changing, self.rates, rising)
+
+    def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
+        """The rates at x = 0 at the start and the end of a step; one that is the same at both enters once."""
+        g = self.graph
+        origin = {m.index: g.constant(0.0) for m in self.mean}
+        found = []
+        for inputs in (self.start, self.end):
+            at = {self.now[n].index: inputs[n] for n in self.varying}
+            found.append(g.substitute(self.rates, origin | at))
+        block, columns = [], []
+        for i, (early, late) in enumerate(zip(*found, strict=True)):
+            if early.index == late.index:
+                entries = [(early, 1.0, 0.0)]
+            else:
+                entries = [(early, 1.0, -1.0), (late, 0.0, 1.0)]
+            for e, whole, ramp in entries:
+                if not is_zero(e):
+                    block.append(e)
+                    columns.append((i, whole, ramp))
+        return block, columns
+
+    def _trace_head(self) -> None:
+        """The scalars of an update, of symbols in place of what the loops compute with matrices."""
+        g, c = self.graph, len(self.heads)
+        row = self.updates[c][2:]
+        made = [g.symbol(f"{word}:{c}") for word in ("prediction", "variance")]
+        cross = [g.symbol(f"cross:{c}:{i}") for i in range(len(row))]
+        slopes = [g.symbol(f"row:{c}:{i}") for i in range(len(row))]
+        spread = g.lift(dot(slopes, cross) + made[1])
+        inverse = 1.0 / spread
+        error = self.reading - made[0]
+        quadratic = error * error * inverse
+        gain = self._weight(quadratic) * inverse
+        self.leaves.append([*made, *slopes, *cross])
+        self.heads.append([error, spread, quadratic, g.lift(gain), g.lift(gain * error)])
+
+    @cached_property
+    def _blocks(self) -> list[Block]:
+        return [self.predict, *self.updates]
+
+    @cached_property
+    def stage(self) -> list[int]:
+        """Regimes count with the inputs: the table of keys holds matrices alone."""
+        return [INSTANT if stage == KEY else stage for stage in super().stage]
+
+    # -- sizes -----------------------------------------------------------------------------------------------
+    @property
+    def width(self) -> int:
+        """Numbers in a row of a matrix."""
+        return padded(self.n)
+
+    @property
+    def rows(self) -> int:
+        """Rows of a matrix that tiles reach; columns of a matrix of vectors."""
+        return padded(self.n, ROWS)
+
+    @property
+    def held(self) -> int:
+        """Rows of the moments: those of P, and m' behind them."""
+        return padded(self.n + 1, ROWS)
+
+    def cuts(self, timeline: Timeline) -> Iterable[int]:
+        """Instants between which a run of many distinct steps has at most `KEYS` of them."""
+        return range(KEYS, len(timeline), KEYS) if len(timeline.steps) > KEYS else ()
+
+    # -- numbers ---------------------------------------------------------------------------------------------
+    @cached_property
+    def _entries(self) -> tuple[list[int], Block]:
+        """Places of the non-zero entries of A and Q in (2, n, n), and their expressions."""
+        both = [v for matrix in (self.jacobian, self.noise) for row in matrix for v in row]
+        there = [(i, self.graph.lift(v)) for i, v in enumerate(both) if not is_zero(v)]
+        return [i for i, _ in there], [v for _, v in there]
+
+    @cached_property
+    def _later(self) -> Block:
+        """Nodes of the parameter stage that the loops read, and the entries of A and Q."""
+        return [*(Expression(self.graph, i) for i in self.parameter_nodes), *self._entries[1]]
+
+    @cached_property
+    def _tangents(self) -> Block:
+        """Their derivatives along directions with the symbols `dot:`."""
+        dots = {e.index: self.graph.symbol(f"dot:{e.index}") for e in self.p.values()}
+        return forward(self.graph, self._later, dots)
+
+    @cached_property
+    def _adjoints(self) -> dict[int, Expression]:
+        """Adjoints of the parameters, given those of `_later` with the symbols `bar:`."""
+        seeds: dict[int, Expression] = {}
+        for i, e in enumerate(self._later):
+            seed(seeds, e, self.graph.symbol(f"bar:{i}"))
+        return reverse(self.graph, seeds, [e.index for e in self.p.values()])
+
+    @cached_property
+    def _driven(self) -> list[int]:
+        return sorted({i for i, _, _ in self.columns})
+
+    def _known(self, values: Values, keys: np.ndarray) -> dict[str, Value]:
+        regimes = {f"g:{name}": keys[:, 1 + i] for i, name in enumerate(self.regimes)}
+        return self.symbols(values) | regimes
+
+    def _split(self, found: Sequence[Value], shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of `_later`: of the nodes (…, nodes) without the keys' axis, and A and Q (2, …, n, n)."""
+        count = len(self.parameter_nodes)
+        nodes = [np.broadcast_to(v, shape[:0:-1])[..., None] for v in found[:count]]
+        matrices = np.zeros((2 * self.n**2, *shape))
+        for place, value in zip(self._entries[0], found[count:], strict=True):
+            matrices[place] = value
+        known = np.concatenate(nodes, axis=-1) if nodes else np.zeros((*shape[:0:-1], 0))
+        return known, np.moveaxis(matrices.reshape(2, self.n, self.n, *shape), (1, 2), (-2, -1))
+
+    def _weights(self, hours: np.ndarray) -> np.ndarray:
+        """(K, 2 c, e) by which the columns w_e follow from the middle and the right part of T."""
+        found = np.zeros((len(hours), 2 * len(self._driven), len(self.columns)))
+        for e, (i, whole, ramp) in enumerate(self.columns):
+            c = self._driven.index(i)
+            found[:, c, e] = whole
+            found[:, len(self._driven) + c, e] = ramp / np.where(hours > 0, hours, 1.0)
+        return found
+
+    def numbers(self, values: Values, keys: np.ndarray) -> Numbers:
+        """What the loops and their derivatives start from, for some keys (K, 1 + regimes)."""
+        first, which = np.zeros(1, dtype=int), np.zeros(len(keys), dtype=int)
+        if self.regimes:
+            _, first, which = np.unique(keys[:, 1:], axis=0, return_index=True, return_inverse=True)
+        found = self.graph.evaluate(self._later, self._known(values, keys[first]))
+        nodes, (a, q) = self._split(found, (len(first),))
+        coefficients = series(a, q, np.eye(self.n)[:, self._driven])
+        steps = list(powers(coefficients, which.reshape(-1), keys[:, 0]))
+        nodes = np.ascontiguousarray(nodes)
+        return Numbers(self, values, keys, keys[first], nodes, coefficients, steps)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The parameters' and keys' numbers of one pass: `distinct` (U, 1 + regimes) keys with all regimes,
+    `nodes` the numbers of the parameter stage, `steps` the keys' matrices by their places among them."""
+
+    recursion: WideRecursion
+    values: Values
+    keys: np.ndarray
+    distinct: np.ndarray
+    nodes: np.ndarray
+    series: StepSeries
+    steps: Sequence[tuple[np.ndarray, Powers]]
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """F, F', N and the columns w_e as rows, (K, 3 w + e, w)."""
+        r, n, w = self.recursion, self.recursion.n, self.recursion.width
+        table = aligned(len(self.keys), 3 * w + len(r.columns), w)
+        for places, p in self.steps:
+            found = np.zeros((len(places), *table.shape[1:]))
+            found[:, :n, :n] = np.eye(n) + p.whole[..., :n]
+            found[:, w : w + n, :n] = np.swapaxes(found[:, :n, :n], 1, 2)
+            found[:, 2 * w : 2 * w + n, :n] = p.noise
+            columns = p.whole[..., n:] @ r._weights(self.keys[places, 0])
+            found[:, 3 * w :, :n] = np.swapaxes(columns, 1, 2)
+            table[places] = found
+        return table
+
+    def tangents(self, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives along the directions `seeds` (d, L): of the nodes (nodes, L); of F', N and the columns
+        as rows (K, 2 rows + e, rows, L)."""
+        r, n, rows = self.recursion, self.recursion.n, self.recursion.rows
+        known = r._known(self.values, self.distinct[:, :, None])
+        known |= {f"dot:{e.index}": dot for e, dot in zip(r.p.values(), seeds, strict=True)}
+        shape = (len(self.distinct), seeds.shape[1])
+        nodes, (da, dq) = r._split(r.graph.evaluate(r._tangents, known), shape)
+        coefficients = self.series.tangents(da, dq)
+        dots = aligned(len(self.keys), 2 * rows + len(r.columns), rows, seeds.shape[1])
+        for places, p in self.steps:
+            change, gained = p.tangents(*coefficients)
+            found = np.zeros((len(places), *dots.shape[1:]))
+            found[:, :n, :n] = np.moveaxis(change[..., :n], (1, 2, 3), (3, 2, 1))
+            found[:, rows : rows + n, :n] = np.moveaxis(gained, 1, -1)
+            columns = change[..., n:] @ r._weights(self.keys[places, 0])[:, None]
+            found[:, 2 * rows :, :n] = np.moveaxis(columns, (1, 2, 3), (3, 2, 1))
+            dots[places] = found
+        return np.ascontiguousarray(nodes.T), dots
+
+    def adjoints(self, node_bars: np.ndarray, bars: np.ndarray) -> np.ndarray:
+        """Adjoints (d,) of the parameters from those of the nodes and of the table: half of F's, all of N's
+        and of the columns'."""
+        r, n, w = self.recursion, self.recursion.n, self.recursion.width
+        entries = np.zeros((len(self.distinct), 2, n, n))
+        for places, p in self.steps:
+            here = bars[places, :, :n]
+            driven = r._weights(self.keys[places, 0]) @ here[:, 3 * w :]
+            bar = np.concatenate([2.0 * here[:, :n], np.swapaxes(driven, 1, 2)], axis=2)
+            coefficients = p.adjoints(bar, here[:, 2 * w : 2 * w + n])
+            entries += np.stack(self.series.adjoints(*coefficients), axis=1)
+        # a node of the parameter stage is one number for all keys: the first of them takes its adjoint
+        first = np.zeros((len(node_bars), len(entries)))
+        first[:, :1] = node_bars[:, None]
+        found = [*first, *entries.reshape(len(entries), -1).T[r._entries[0]]]
+        known = r._known(self.values, self.distinct) | {f"bar:{i}": bar for i, bar in enumerate(found)}
+        slopes = dict(zip(r._adjoints, r.graph.evaluate(list(r._adjoints.values()), known), strict=True))
+        return np.array([float(np.sum(slopes.get(e.index, 0.0))) for e in r.p.values()])
+
+
+def aligned(*shape: int) -> np.ndarray:
+    """Zeros from a multiple of 64 bytes on, so that vectors do not cross a cache line."""
+    count = math.prod(shape)
+    raw = np.zeros(count + 8)
+    first = -raw.ctypes.data % 64 // 8
+    return raw[first : first + count].reshape(shape)
+
+
+def recursion_of(model: Model, unknown: int = 0, factored: bool = False) -> Recursion:
+    """The filter of a model: with matrices where it has more than `FEW` states, a proper start, plain
+    covariances and exact steps of any length, else straight-line code."""
+    if len(model.states) <= FEW or unknown or factored:
+        return traced(model, unknown, factored)
+    # kept with the model, as in `traced`
+    kept: list[WideRecursion] = vars(model).setdefault("_wide", [])
+    if not kept:
+        kept.append(WideRecursion(model))
+    return kept[0] if kept[0].exact else traced(model)
