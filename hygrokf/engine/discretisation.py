@@ -46,7 +46,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.physics.expression import Expression, Graph, Matrix, Value, depends_on, is_zero, jacobian
+from hygrokf.physics.expression import Expression, Graph, Matrix, Value, depends_on, is_zero, jacobian, where
 from hygrokf.physics.matrices import add, dot, identity, product, scale, transpose
 from hygrokf.physics.model import Values
 
@@ -54,6 +54,8 @@ SHARE = 0.25
 """[1] largest product of the rates and the share of a constant-rate step, as its polynomials take it."""
 ORDER = 11
 """Degree of these polynomials: the remainder of D is below SHARE^11 / 12! = 5e-16 of D."""
+FAINT = 2.0**-40
+"""[1] square of an entry of e^Ω from which on I + D has fewer of its digits than repeated squares."""
 RATE_STEP, DEGREE, NOISE_DEGREE = 0.35, 8, 9
 """Largest product of rates that vary within a step and a sub-step, for which splitting a step changes ln L by
 < 1e-6, and the degrees of its polynomials: remainders (0.35/2)^9 / 9! = 4e-13 and 0.35^10 / 10! = 8e-12."""
@@ -84,6 +86,8 @@ class Step:
     transition: Matrix
     noise: Matrix
     doubling: Doubling | None
+    decay: Matrix
+    """The transition, with the relative digits also of entries that have decayed far below 1."""
 
 
 def doublings(reach: np.ndarray) -> np.ndarray:
@@ -101,13 +105,14 @@ def step(
     end: Inputs,
     h: Expression,
     changing: Sequence[str],
+    decays: bool = False,
 ) -> Step:
     """Trace one sub-step.
 
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
     and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
     end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
-    from step to step (`constant_rates`).
+    from step to step (`constant_rates`); `decays` asks for the relative digits of `Step.decay`.
     """
     n = len(state)
     field = _Field(graph, drift, n, start)
@@ -130,12 +135,15 @@ def step(
     )
     carried: Sequence[Value] = state
     if constant:
-        doubling, exponential, weights, slopes, accumulated = _doubled(graph, h, omega, intensity, b1, b2)
+        doubling, (exponential, weights, slopes, accumulated, decay) = _doubled(
+            graph, h, omega, intensity, b1, b2, decays
+        )
         carried = [dot(row, state) for row in exponential]
         weights, slopes = scale(h, weights), scale(h, slopes)
     else:
         doubling = None
         exponential, *phi = _exponentials(omega)
+        decay = exponential
         weights, slopes = (_corrected(h, m, correction, difference) for m in phi)
         if not _any(difference):
             carried = [dot(row, state) for row in exponential]
@@ -153,6 +161,7 @@ def step(
         transition=exponential,
         noise=accumulated,
         doubling=doubling,
+        decay=decay,
     )
 
 
@@ -209,9 +218,19 @@ class _Field:
 
 
 def _doubled(
-    graph: Graph, h: Expression, omega: Matrix, noise: Matrix, b1: Sequence[Value], b2: Sequence[Value]
-) -> tuple[Doubling, Matrix, Matrix, Matrix, Matrix]:
-    """How the matrices of a constant-rate step are doubled, and e^Ω, φ₁, φ₂ and the noise as results."""
+    graph: Graph,
+    h: Expression,
+    omega: Matrix,
+    noise: Matrix,
+    b1: Sequence[Value],
+    b2: Sequence[Value],
+    decays: bool,
+) -> tuple[Doubling, tuple[Matrix, Matrix, Matrix, Matrix, Matrix]]:
+    """How the matrices of a constant-rate step are doubled, and e^Ω, φ₁, φ₂, the noise and the decay.
+
+    I + D has lost the relative digits of entries far below 1; where it `decays`, E = e^Ω is squared beside it
+    for them, and elsewhere I + D is better, as squaring doubles a relative error.
+    """
     n, share = len(omega), graph.symbol("share")
     reach = closure(omega)
     driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
@@ -226,12 +245,13 @@ def _doubled(
         "G": [(i, j) for j in driven for i in range(n) if i == j or reach[i][j]],
         "W": [(i, j) for j in rising for i in range(n) if i == j or reach[i][j]],
         "N": sorted(spread),
+        "E": [(i, j) for i in range(n) for j in range(n) if decays and (i == j or reach[i][j])],
     }
     matrices = {name: _zeros(n, n) for name in parts}
     for name, places in parts.items():
         for i, j in places:
             matrices[name][i][j] = graph.symbol(f"{name}{i}.{j}")
-    d, g, w = (matrices[name] for name in "DGW")
+    d, g, w, e = (matrices[name] for name in "DGWE")
     q = matrices["N"] = _symmetric(matrices["N"])
 
     x, inverse = scale(share, omega), [1.0 / f for f in _factorials(ORDER + 3)]
@@ -246,18 +266,27 @@ def _doubled(
         half = product(x, term)
         term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
         first["N"] = add(first["N"], scale(inverse[k + 1], term))
+    first["E"] = add(first["D"], identity(n))
     gained = product(d, q)
     twice = {
         "D": add(scale(2.0, d), product(d, d)),
         "G": add(scale(2.0, g), product(d, g)),
         "W": add(w, scale(0.5, add(product(d, w), g))),
         "N": add(add(scale(2.0, q), add(gained, transpose(gained))), product(gained, transpose(d))),
+        "E": product(e, e),
     }
 
     def listed(rows: Mapping[str, Matrix]) -> list[Expression]:
         return [graph.lift(rows[name][i][j]) for name, places in parts.items() for i, j in places]
 
-    return Doubling(share, listed(first), listed(matrices), listed(twice)), add(d, identity(n)), g, w, q
+    whole = add(d, identity(n))
+    decay = whole
+    if decays:
+        decay = [
+            [v if is_zero(v) else where(v * v < FAINT, x, v) for v, x in zip(r, t, strict=True)]
+            for r, t in zip(whole, e, strict=True)
+        ]
+    return Doubling(share, listed(first), listed(matrices), listed(twice)), (whole, g, w, q, decay)
 
 
 def closure(a: Matrix) -> list[list[bool]]:

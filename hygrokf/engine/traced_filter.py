@@ -139,12 +139,13 @@ class Recursion:
             self.end,
             self.h,
             self._changing,
+            decays=d > 0,
         )
         self.doubling = made.doubling
         packed = self._predicted(made) if self.factored else self._lower(made.covariance)
         self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
         if d:
-            moved = product(made.transition, self.loadings)
+            moved = product(made.decay, self.loadings)
             begun = self.begun[0] > 0.5
             for row, old in zip(moved, self.loadings, strict=True):
                 self.predict.extend(where(begun, v, o) for v, o in zip(row, old, strict=True))
