@@ -191,7 +191,8 @@ def weigh_forms(
         gain = found.objective - estimate.objective
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
         adoptable = one.adoptable and not ended_at_limits(found, estimate)
-        form = Form(one.name, one.design, found, gain, 0.0, at.names, at.wider, adoptable)
+        spread = _within_ranges(found, at, further)
+        form = Form(one.name, one.design, found, gain, 0.0, at.names, spread, adoptable)
         return form, gain / temper + _occam(found, at, score, further, temper)
 
     for tried in mapped(try_form, candidates(base, early, run, estimate.values)):
@@ -244,12 +245,27 @@ def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty,
     return uncertainty_by(objective, estimate, at), score
 
 
+def _within_ranges(estimate: Estimate, found: Uncertainty, further: Sequence[str]) -> np.ndarray:
+    """The covariance (f, f) with the ranges of the further parameters as priors, flat ones taken as normal
+    with their variance: where a form hardly acts, nothing else bounds what its parameters could imitate."""
+    width = _ranges(estimate)
+    places = [found.names.index(name) for name in further if name in found.names]
+    known = np.diag([width[found.names[i]] ** 2 / 12.0 for i in places])
+    column, block = found.wider[:, places], found.wider[np.ix_(places, places)]
+    return found.wider - column @ np.linalg.solve(block + known, column.T)
+
+
+def _ranges(estimate: Estimate) -> dict[str, float]:
+    """Width of every parameter's range, in its coordinate."""
+    coordinates = estimate.coordinates
+    return dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
+
+
 def _occam(
     estimate: Estimate, found: Uncertainty, score: Mapping[str, float], further: Sequence[str], temper: float
 ) -> float:
     """Logarithm of the share of the further parameters' ranges that remains after the readings."""
-    coordinates = estimate.coordinates
-    width = dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
+    width = _ranges(estimate)
     inside = [name for name in further if name in found.names]
     total = 0.0
     if inside:

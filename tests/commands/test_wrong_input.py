@@ -144,7 +144,7 @@ WRONG: dict[str, tuple] = {
     "means of the power": (SIMULATE, put("design", "power_mean", value=[0.5]),
         DAMAGED, "power_mean: expected 3 numbers or none, found [0.5]"),
     "length of the means": (SIMULATE, put("design", "averaged", value={"cabinet_temperature": 0}),
-        DAMAGED, "averaged.cabinet_temperature: expected 1 number above 0, found 0"),
+        DAMAGED, "averaged: expected an interval above 0 h for cabinet_temperature, found 0"),
     "noise of the ambient": (SIMULATE, put("design", "ambient_noise", value={"ambient_temperature": [1.0]}),
         DAMAGED, "ambient_noise.ambient_temperature: expected 2 numbers above 0, found (1.0,)"),
     "a case as fit": ("evaluate case.toml result/fit.json", nothing,
