@@ -423,8 +423,9 @@ class Model:
                 for name, loading in spread.items():
                     row = sources.setdefault(name, {})
                     row[i] = row.get(i, 0.0) + loading
-            elif not isinstance(spread, Expression) and (
-                spread < 0.0 if isinstance(spread, float) else np.any(np.real(spread) < 0.0)
+            # a complex step of a root at 0 has a square below 0
+            elif not (isinstance(spread, Expression) or np.iscomplexobj(spread)) and (
+                spread < 0.0 if isinstance(spread, float) else np.any(np.asarray(spread) < 0.0)
             ):
                 raise VarianceFault(
                     "expected variances and noise intensities of at least 0, found "
