@@ -297,13 +297,10 @@ def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
     store.close()
 
 
-@pytest.mark.parametrize("key", ["parameter_shifts", "departures"])
-def test_shifts_are_resumed_also_under_the_key_of_older_stores(
-    tmp_path: Path, turbine: Turbine, key: str
-) -> None:
+def test_shifts_are_resumed(tmp_path: Path, turbine: Turbine) -> None:
     shift = ParameterShift("hygric_k", 1.6e9, True, 0.4)
     store = opened(tmp_path)
     Fleet.from_store({"T1": turbine}, store)
-    store.commit(Batch(memories={("T1", key): {"hygric_k": asdict(shift)}}))
+    store.commit(Batch(memories={("T1", "parameter_shifts"): {"hygric_k": asdict(shift)}}))
     assert Fleet.from_store({"T1": turbine}, store).shifts["T1"] == {"hygric_k": shift}
     store.close()
