@@ -26,7 +26,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import closure, congruence, step
+from hygrokf.engine.discretisation import congruence, operations, step
 from hygrokf.physics.expression import (
     Expression,
     Graph,
@@ -49,8 +49,6 @@ DIFFUSE_TOLERANCE = 1e-9
 
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
 """Stages: when a value first becomes known."""
-Place = tuple[int, int]
-"""Row and column of an entry of a matrix."""
 Block = list[Expression]
 """Outputs of traced straight-line code."""
 
@@ -103,7 +101,9 @@ class Recursion:
             self.h,
             [f"m{i}" for i in range(n)] + [f"{end}:{name}" for end in "ab" for name in self.varying],
         )
-        self.doubling = made.doubling
+        self.share, self.early, self.late = made.share, made.early, made.late
+        self.exact, self.reach = made.exact, made.reach
+        self.registers = {e.index: e for one in operations(self.late) for e in one.into}
         self.predict: Block = [*made.mean, *self._lower(made.covariance)]
         if diffuse:
             self.predict.extend(self._lower(congruence(made.transition, self._square(self.infinite))))
@@ -216,8 +216,7 @@ class Recursion:
     def stage(self) -> list[int]:
         """For every node, the earliest stage at which its value is known."""
         key = {e.index for e in self.key_leaves}
-        if self.doubling is not None:
-            key |= {e.index for e in (self.doubling.share, *self.doubling.now)}
+        key |= {self.share.index, *(e.index for one in operations(self.early) for e in one.into)}
         result: list[int] = []
         for i, node in enumerate(self.graph.nodes):
             if node[0] == "const":
@@ -229,30 +228,6 @@ class Recursion:
             else:
                 result.append(max(result[j] for j in arguments(node)))
         return result
-
-    @property
-    def exact(self) -> bool:
-        """Whether the rates depend only on parameters and regimes, so that a step of any length is one exact
-        step."""
-        return self.doubling is not None
-
-    @cached_property
-    def rate_entries(self) -> list[Place]:
-        """Entries of the Jacobian that its eigenvalues depend on: those on a cycle of its graph."""
-        reach = closure(self.jacobian)
-        return [
-            (i, j)
-            for i, row in enumerate(self.jacobian)
-            for j, value in enumerate(row)
-            if not is_zero(value) and (i == j or reach[j][i])
-        ]
-
-    @cached_property
-    def rates_move(self) -> bool:
-        """Whether these entries depend on anything besides the parameters."""
-        needed = self.graph.needed([self.graph.lift(self.jacobian[i][j]) for i, j in self.rate_entries])
-        symbols = [self.graph.nodes[i][1] for i in needed if self.graph.nodes[i][0] == "symbol"]
-        return not all(name.startswith(("p:", "c:")) for name in symbols)
 
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
@@ -279,7 +254,8 @@ class Recursion:
 
     @cached_property
     def _blocks(self) -> list[Block]:
-        return [self.predict, *self.updates]
+        late = [list(one.block) for one in operations(self.late)]
+        return [self.predict, *self.updates, *late, *([] if self.exact else [self.reach])]
 
     @cached_property
     def key_nodes(self) -> list[int]:
@@ -299,8 +275,8 @@ class Recursion:
         for block in self._blocks:
             found.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
-        if self.doubling is not None:
-            keys.extend(self.doubling.first)
+        keys.extend(e for one in operations(self.early) for e in one.block)
+        keys.extend(self.reach if self.exact else [])
         found.update(self.boundary(keys, KEY)[0])
         found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
         found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)
@@ -316,12 +292,12 @@ class Recursion:
         """Digest of everything that determines the compiled loops: recursions with the same digest share
         their code."""
         outputs = [[e.index for e in block] for block in self._blocks]
-        model, doubling = self.model, self.doubling
+        model = self.model
         content = (
             *(list(self.p), model.states, sorted(self.holds.items()), model.inputs),
             *(model.resets, self.diffuse, self.graph.nodes, outputs),
             [e.index for e in self.transition],
-            [] if doubling is None else [e.index for e in (*doubling.first, *doubling.now, *doubling.twice)],
+            repr((self.early, self.late)),
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
 

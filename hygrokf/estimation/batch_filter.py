@@ -12,22 +12,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
-from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.long_steps import MOST, TAIL, jump
+from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule_codegen import CHANGE, ROUNDING
 from hygrokf.engine.traced_filter import pack, traced, unpack
-from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.physics.holds import inputs_between
+from hygrokf.estimation.likelihood import Gaussian, RatesFault
 from hygrokf.physics.model import Model
+
+
+MOST = 65_536
+"""Most sub-steps of a step."""
 
 
 class SideBySide:
     """The states of N runs of one model as arrays; `step` advances all of them.
 
-    `values` are N sets of parameter values, `states` N Gaussians, `fastest` (N,) [1/h] the rates that
-    determine the sub-steps (see `Likelihood.rate`).  `mean` (N, n) and `covariance` (N, n, n) are the states
-    after the last step.
+    `values` are N sets of parameter values, `states` N Gaussians; `tolerance` [1] is the largest error of a step, as
+    in `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them needs.  `mean`
+    (N, n) and `covariance` (N, n, n) are the states after the last step.
     """
 
     def __init__(
@@ -35,24 +38,20 @@ class SideBySide:
         model: Model,
         values: Sequence[Mapping[str, float]],
         states: Sequence[Gaussian],
-        fastest: np.ndarray | Sequence[float],
+        tolerance: float = TOLERANCE,
     ) -> None:
         count = len(values)
-        if not (count == len(states) == len(np.atleast_1d(fastest))) or not count:
-            raise ValueError(
-                f"expected as many states and rates as sets of values, found {len(states)}, "
-                f"{len(np.atleast_1d(fastest))} and {count}"
-            )
+        if count != len(states) or not count:
+            raise ValueError(f"expected as many states as sets of values, found {len(states)} and {count}")
         recursion = traced(model)
         self.model = model
         self.varying = tuple(recursion.varying)
         self.regimes = tuple(recursion.regimes)
-        self._fastest = np.asarray(fastest, dtype=float)
+        self._tolerance, self._divided = tolerance, 1
         self._exact = recursion.exact
         self._count = count
         given = list(recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
-        self._values = {p.name: parameters[:, i] for i, p in enumerate(model.parameters)}
         moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
         self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
         blocks = len(self._state)
@@ -120,18 +119,54 @@ class SideBySide:
         self.begin(inputs)
         for place, name in enumerate(self.model.outputs):
             self._fill(self._y[place], (readings or {}).get(name, np.nan))
-        keys = self._keys.copy()
-        reach = np.multiply(hours, self._fastest)
         if self._exact:
-            self._fill(self._parts, doublings(reach))
-            self._fill(self._keys[0], hours)
-        else:
-            parts = np.maximum(np.ceil(reach / RATE_STEP - 1e-9), 1.0)
-            if (far := parts > MOST).any():
-                hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
-                hours[far], parts[far] = self._jump(far, hours[far], inputs), TAIL
-            self._fill(self._parts, parts)
-            self._fill(self._keys[0], hours / parts)
+            self._advance(hours, inputs, 1)
+            return
+        begun, y = self._state.copy(), self._y.copy()
+        self._y[:] = np.nan
+        parts = self._divided
+        once = self._moved(begun, hours, inputs, parts)
+        while True:
+            twice = self._moved(begun, hours, inputs, 2 * parts)
+            error = self._error(begun, once, twice)
+            if error <= self._tolerance:
+                break
+            if parts >= MOST:
+                raise RatesFault(
+                    f"expected rates that {MOST} sub-steps of a step resolve, found an error of {error:.1g} standard "
+                    "deviations: narrow the bounds of the parameters, or take shorter steps"
+                )
+            parts, once = 2 * parts, twice
+        # half as many do next time where their error, of at least third order, would be below the tolerance too
+        self._divided = max(1, parts // 2 if error < self._tolerance / 32.0 else parts)
+        self._y[:] = y
+        if not np.isnan(y).all():
+            self._advance(0.0, inputs, 1)
+
+    def _moved(
+        self, begun: np.ndarray, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int
+    ) -> np.ndarray:
+        """Moments (blocks, width, RUNS) after a step in equal parts."""
+        self._state[...] = begun
+        self._advance(hours, inputs, parts)
+        return self._state.copy()
+
+    def _error(self, begun: np.ndarray, once: np.ndarray, twice: np.ndarray) -> float:
+        """Largest error of a run, as of `schedule_codegen.Walk`; infinite where a moment is not finite."""
+        n = traced(self.model).n
+        first, one, two = (self._in_rows(part) for part in (begun, once, twice))
+        if not (np.isfinite(one).all() and np.isfinite(two).all()):
+            return math.inf
+        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0))
+        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + ROUNDING * abs(two[:, :n]) + 1e-300
+        spread = pack(sd[:, :, None] * sd[:, None, :]) + 1e-300
+        apart = abs(one - two)
+        return float(max((apart[:, :n] / scale).max(), (apart[:, n:] / spread).max()))
+
+    def _advance(self, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int) -> None:
+        keys = self._keys.copy()
+        self._fill(self._parts, float(parts))
+        self._fill(self._keys[0], np.asarray(hours) / parts)
         for place, name in enumerate(self.regimes):
             self._fill(self._keys[1 + place], inputs[name])
         # before the first step the keys are NaN, so that everything kept is computed then
@@ -141,36 +176,6 @@ class SideBySide:
             _of_blocks(changed),
             self._known, self._before, self._now, self._y, self._state,
         )  # fmt: skip
-
-    def _jump(
-        self, far: np.ndarray, hours: np.ndarray, inputs: Mapping[str, np.ndarray | float]
-    ) -> np.ndarray:
-        """Move the runs `far` (N,) to the tails of their long steps of `hours` [h]; returns the remaining
-        time [h] of each."""
-        rest_h = TAIL * RATE_STEP / self._fastest[far]
-        now = {name: np.broadcast_to(inputs[name], self._count)[far] for name in self.model.inputs}
-        before = {
-            name: row[: self._count][far] for name, row in zip(self.varying, self._before, strict=False)
-        }
-        tail = inputs_between(self.model.holds, before, now, 1.0 - rest_h / hours)
-        rows, n = self._in_rows(self._state).copy(), traced(self.model).n
-        mean, (covariance,), _ = jump(
-            traced(self.model),
-            {name: column[far] for name, column in self._values.items()},
-            before,
-            tail,
-            hours - rest_h,
-            rest_h,
-            rows[far, :n],
-            [unpack(rows[far, n:], n)],
-        )
-        rows[far] = np.concatenate([mean, pack(covariance)], axis=1)
-        self._state[...] = self._in_blocks(rows)
-        for name, row in zip(self.varying, self._before, strict=False):
-            at = row[: self._count].copy()
-            at[far] = tail[name]
-            self._fill(row, at)
-        return rest_h
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """Set the inputs at the current instants, from which linear inputs start."""

@@ -99,7 +99,7 @@ def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: fl
     design, values: the model and its parameters, in their units.  rate_step: [1] as in `Likelihood`.
 
     A gap is forgotten where what its end adds to the variance of every predicted reading (see
-    `engine.long_steps`) is at most what the reading has without it.
+    `engine.gaps`) is at most what the reading has without it.
     """
     ends = gap_ends(run.scored)
     if not ends.any():

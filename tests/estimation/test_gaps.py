@@ -11,7 +11,7 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.data.record import Record, Series
-from hygrokf.engine.long_steps import gap_variances
+from hygrokf.engine.gaps import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.evaluation.simulation import settled
