@@ -229,6 +229,16 @@ class Recursion:
                 result.append(max(result[j] for j in arguments(node)))
         return result
 
+    @cached_property
+    def jacobian_entries(self) -> dict[tuple[int, int], Value]:
+        """The entries of the Jacobian that are not zero, by row and column."""
+        return _entries(self.jacobian)
+
+    @cached_property
+    def noise_entries(self) -> dict[tuple[int, int], Value]:
+        """The entries of the noise that are not zero, by row and column."""
+        return _entries(self.noise)
+
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
@@ -315,6 +325,12 @@ def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Valu
         (i,) = nonzero
         return (row[i] * row[i]) * covariance[i][i]
     return dot(row, cross)
+
+
+def _entries(matrix: Matrix) -> dict[tuple[int, int], Value]:
+    return {
+        (i, j): entry for i, row in enumerate(matrix) for j, entry in enumerate(row) if not is_zero(entry)
+    }
 
 
 def _lifted(graph: Graph, value: Expression | float) -> Expression | float:

@@ -1,40 +1,41 @@
-"""Uncertainty of an estimate: observed information, a covariance robust to a wrong model, profile likelihood.
+"""Uncertainty of an estimate: observed information, and a covariance robust to a wrong model.
 
 Shapes: d free coordinates z (see `parameters`), T instants.
 
 - Wald: V_H = H⁻¹, where H is the observed information: minus the second derivative of ln L + ln prior, by
   central differences of the exact score.
-- Sandwich: V_S = H⁻¹ J H⁻¹, where J is the long-run variance of the score: scores summed over blocks longer
-  than a day and than the slowest disturbance, with Bartlett weights over neighbouring blocks (Newey & West
-  1987), plus the prior's information, which is not a sum over instants.
-- Profile: bounds of one parameter where twice the drop of the profile log-likelihood reaches c χ²₁, with the
-  factor c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).
-  Other parameters that reach a search limit on the way may pass it where it is a guard, and stay at it where
-  it is physical.
+- Sandwich: V_S = H⁻¹ J H⁻¹, where J is the long-run variance of the score (`serial_dependence`), plus the
+  prior's information, which is not a sum over instants.  A parameter whose scores depend on each other over a
+  large part of the record has none: its V_S is V_H.
+- Profiles and likelihood ratios: see `profile_likelihood`.
+
+Directions of the coordinates along which the expected information is rounding alone (a and b where only a·b
+acts) are open: they have no part in H⁻¹, and V is very large along them, so that it is finite for those
+combinations alone that the readings determine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.optimiser import AT_LIMIT, BETTER, Estimate, Objective, bounded_step
+from hygrokf.estimation.likelihood import Sensitivities
+from hygrokf.estimation.optimiser import Estimate, Objective
+from hygrokf.estimation.serial_dependence import long_run_covariance
 from hygrokf.physics.parameters import Coordinates, Parameter
 
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
 FLAT_SE = 3.0
 """[ln] a positive parameter whose logarithm has a larger standard error is called not identifiable."""
-WALK_STEPS = 40
-WALK_TOLERANCE = 2e-3
-"""Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
-MATERIAL = 0.05
-"""[1] share of a profile's threshold: a limit counts only if the score promises more than this for passing
-it."""
+LEAST = 1e-10
+"""[1] least eigenvalue of a scaled information."""
+OPEN = 1e8
+"""Variance along a direction that the readings do not determine, in the coordinates' natural units."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,9 @@ class Uncertainty:
     `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) ratios of their diagonals, at
     least 1; `flat` names of directions that the data hardly determine.  `curvature` (d, d) observed
     information of all coordinates, including those at a bound.  `parts` (PARTS, f) first-order shift of the
-    coordinates if estimated from each part of the readings alone.
+    coordinates if estimated from each part of the readings alone.  `open` (f, m) directions that the readings
+    do not determine at all.  `needed`: of coordinates whose sandwich is Wald's because the record is too
+    short for one, the length that a sufficient record has, in lengths of this one.
     """
 
     names: tuple[str, ...]
@@ -55,6 +58,8 @@ class Uncertainty:
     trade_offs: tuple[tuple[str, str, float], ...]
     curvature: np.ndarray
     parts: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    open: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    needed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def wider(self) -> np.ndarray:
@@ -118,34 +123,60 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
             + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in estimate.coordinates.names)
             + "; leave out the mechanism that diverges, or mask the readings that it cannot follow"
         )
-    steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12))
-    curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7, 0.05))
-    return uncertainty_by(objective, estimate, curvature, expected.scores)
+    width = widths(estimate.coordinates)
+    steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(expected.information), 1e-12 / width**2))
+    curvature = _curvature(objective, estimate.z, np.clip(steps, 1e-7 * width, 0.05 * width))
+    return uncertainty_by(objective, estimate, expected, curvature)
 
 
 def uncertainty_by(
-    objective: Objective, estimate: Estimate, curvature: np.ndarray, scores: np.ndarray
+    objective: Objective, estimate: Estimate, expected: Sensitivities, curvature: np.ndarray | None = None
 ) -> Uncertainty:
-    """The uncertainty of an estimate by an information `curvature` (d, d) and the `scores` (T, d) there."""
-    coordinates = estimate.coordinates
-    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
+    """The uncertainty of an estimate by its sensitivities with the score of each instant, and the observed
+    information `curvature` (d, d), by default the expected one."""
+    coordinates, timeline = estimate.coordinates, objective.likelihood.timeline
+    curvature = expected.information if curvature is None else curvature
+    inside = np.array([name not in estimate.at_bounds for name in coordinates.names], dtype=bool)
+    among = np.ix_(inside, inside)
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
-    wald = positive_inverse(curvature[np.ix_(inside, inside)])
+    undetermined = open_directions(expected.information[among], len(timeline), widths(coordinates)[inside])
+    known = positive_inverse(curvature[among], undetermined)
     prior = coordinates.log_prior(estimate.z)[2][inside]
-    scores = scores[:, inside]
-    variance = long_run_variance(scores, objective.likelihood.timeline.time, block_h(estimate.values))
-    sandwich = wald @ (variance + np.diag(prior)) @ wald
-    factor = np.maximum(1.0, np.diag(sandwich) / np.diag(wald))
+    scores = expected.scores[:, inside]
+    run = long_run_covariance(scores[np.isfinite(timeline.y).any(axis=1)] @ known)
+    short = run.needed > 1.0
+    sandwich = known if np.isnan(run.covariance).any() else run.covariance + (known * prior) @ known
+    own, robust = np.diag(known), np.diag(sandwich)
+    ratio = np.divide(robust, own, out=np.ones(len(names)), where=(own > 0.0) & (robust > 0.0))
+    shrink = np.where(short, 1.0 / np.sqrt(ratio), 1.0)
+    spread = OPEN * undetermined @ undetermined.T
+    wald = known + spread
     return Uncertainty(
         names,
         wald,
-        sandwich,
-        factor,
+        sandwich * np.outer(shrink, shrink) + spread,
+        np.where(short, 1.0, np.maximum(1.0, ratio)),
         _flat(coordinates, names, wald),
         _trade_offs(names, wald),
         curvature,
-        part_shifts(scores, objective.likelihood.timeline.y, wald),
+        part_shifts(scores, timeline.y, known),
+        undetermined,
+        {name: float(n) for name, n in zip(names, run.needed, strict=True) if n > 1.0},
     )
+
+
+def widths(coordinates: Coordinates) -> np.ndarray:
+    """Natural units (d,) of the coordinates: 1 of a logarithm, else the width of the search range."""
+    return np.array([1.0 if p.positive else p.upper - p.lower for p in coordinates.free])
+
+
+def open_directions(information: np.ndarray, count: int, width: np.ndarray) -> np.ndarray:
+    """Directions (f, m) of the coordinates along which an information (f, f), the sum over `count` instants,
+    is rounding alone; of unit length in the coordinates' natural units `width` (f,)."""
+    scale, values, vectors = scaled_spectrum(information)
+    rounding = max(count, len(values)) * np.finfo(float).eps * float(values.max(initial=0.0))
+    found = vectors[:, values <= rounding] / (scale * width)[:, None]
+    return width[:, None] * found / np.linalg.norm(found, axis=0)
 
 
 PARTS = 4
@@ -196,52 +227,42 @@ def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.nda
     return 0.5 * (found + found.T)
 
 
-def block_h(values: Mapping[str, float]) -> float:
-    """Blocks of the long-run variance: a day, or four correlation times of the slowest disturbance."""
-    times = [v for name, v in values.items() if name.endswith("_disturbance_time")]
-    return min(max([24.0, *(4.0 * t for t in times)]), 240.0)
-
-
-def positive_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric matrix; directions without positive curvature get a very large variance instead
-    of a negative one."""
-    scale, values, vectors = _scaled(matrix)
-    return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
+def positive_inverse(matrix: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
+    """Inverse of a symmetric matrix (f, f), on a complement of the directions `without` (f, m) if given;
+    directions without positive curvature get a very large variance instead of a negative one."""
+    basis = np.eye(len(matrix))
+    scale, values, vectors = scaled_spectrum(matrix)
+    if without is not None and without.size:
+        m = without.shape[1]
+        basis = np.linalg.qr(without * scale[:, None], mode="complete")[0][:, m:]
+        values, vectors = np.linalg.eigh(basis.T @ (matrix / scale[:, None] / scale[None, :]) @ basis)
+    vectors = basis @ vectors / scale[:, None]
+    return (vectors / np.maximum(values, LEAST)) @ vectors.T
 
 
 def positive(matrix: np.ndarray) -> np.ndarray:
     """A symmetric matrix made positive: directions without positive curvature get almost none."""
-    scale, values, vectors = _scaled(matrix)
-    return (vectors * values) @ vectors.T * scale[:, None] * scale[None, :]
+    scale, values, vectors = scaled_spectrum(matrix)
+    return (vectors * np.maximum(values, LEAST)) @ vectors.T * scale[:, None] * scale[None, :]
 
 
-def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Roots (d,) of a symmetric matrix's diagonal, and eigenvalues (at least 1e-10) and eigenvectors of the
-    matrix scaled by them."""
+def scaled_spectrum(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Roots (d,) of a symmetric matrix's diagonal, and eigenvalues and eigenvectors of the matrix scaled by
+    them."""
     size = np.abs(np.diag(matrix))
     scale = np.sqrt(np.where(size > 1e-150, size, 1.0))
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
-    return scale, np.maximum(values, 1e-10), vectors
-
-
-def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags: int = 2) -> np.ndarray:
-    """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h]."""
-    block = ((time - time[0]) / block_h).astype(int)
-    sums = np.zeros((block[-1] + 1, scores.shape[1]))
-    np.add.at(sums, block, scores)
-    sums = sums - sums.mean(axis=0)
-    result = sums.T @ sums
-    for lag in range(1, min(lags, len(sums) - 1) + 1):
-        weight = 1.0 - lag / (lags + 1.0)
-        cross = sums[lag:].T @ sums[:-lag]
-        result += weight * (cross + cross.T)
-    return result
+    return scale, values, vectors
 
 
 def _flat(coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
-    widths = [FLAT_SE if p.positive else 0.5 * (p.upper - p.lower) for p in map(coordinates.parameter, names)]
-    errors = np.sqrt(np.diag(covariance))
-    return tuple(name for name, se, width in zip(names, errors, widths, strict=True) if se > width)
+    found = map(coordinates.parameter, names)
+    return tuple(p.name for p, v in zip(found, np.diag(covariance), strict=True) if v > widest(p) ** 2)
+
+
+def widest(p: Parameter) -> float:
+    """The standard error of a parameter's coordinate above which it is called not identifiable."""
+    return FLAT_SE if p.positive else 0.5 * (p.upper - p.lower)
 
 
 def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
@@ -267,84 +288,51 @@ def wald_bounds(
     if place is None:
         return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed")
     p = estimate.coordinates.parameter(name)
+    if covariance == "sandwich" and name in found.needed:
+        return Bounds(value, *in_unit(p, (None, None)), level, "none", too_short(found, name))
     variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
     variances["wider"] = max(variances.values())
     se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
-    if p.positive and se > FLAT_SE:
-        return Bounds(value, 0.0, math.inf, level, method, "not identifiable")
-    ends = [p.from_coordinate(min(max(z + s * reach, -700.0), 700.0)) for s in (-1.0, 1.0)]
-    return Bounds(value, ends[0], ends[1], level, method)
+    low, high = (None, None) if se > widest(p) else (z - reach, z + reach)
+    ends = (
+        None if low is None or low < p.to_coordinate(p.lower) else low,
+        None if high is None or high > p.to_coordinate(p.upper) else high,
+    )
+    lower, upper = in_unit(p, ends)
+    return Bounds(value, lower, upper, level, method, describe(p.unit, lower, upper, ends))
+
+
+def too_short(found: Uncertainty, name: str) -> str:
+    """Why a parameter has no sandwich, and what it takes."""
+    return (
+        f"no sandwich: the scores of {name} depend on each other over too large a part of the record; it "
+        f"takes one {max(found.needed[name], 1.1):.2g} times as long"
+    )
+
+
+def in_unit(p: Parameter, ends: Sequence[float | None]) -> tuple[float, float]:
+    """Bounds in the parameter's unit of coordinates, None where they are open: 0 and infinity, or the limits
+    of the search where it is not positive."""
+    lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
+    upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
+    return lower, upper
 
 
 def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
     """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
 
-    NaN at a bound, and for a positive parameter that the data do not determine.
+    NaN at a bound, and for a parameter that the data do not determine.
     """
     place = found.place(name)
     if place is None:
         return math.nan
     p = estimate.coordinates.parameter(name)
     variance = max(found.wald[place, place], found.sandwich[place, place])
-    if p.positive and math.sqrt(variance) > FLAT_SE:
+    if math.sqrt(variance) > widest(p):
         return math.nan
     return abs(p.slope(estimate.values[name])) * math.sqrt(variance)
-
-
-def profile(
-    objective: Objective,
-    estimate: Estimate,
-    found: Uncertainty,
-    name: str,
-    level: float = 0.95,
-    progress: Callable[[str], None] | None = None,
-) -> Bounds:
-    """Profile-likelihood bounds of one free parameter [its unit]; all others are re-estimated along the way.
-
-    `objective` is the penalised likelihood with the maximum `estimate`, `found` its `uncertainty`.  The
-    bounds are the values at which
-        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter, at the
-        confidence `level`.
-    An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
-    identifiable; others: the parameter's own bound).
-
-    Another parameter that reaches a search limit on the way would turn the profile into a cliff.  A physical
-    limit (`Parameter.physical`) holds, because no model exists beyond it.  A guard is lifted
-    (`Parameter.beyond_guards`); if the parameter reaches the end of the lifted range before the profile
-    closes, the end is open.  `limited_by` lists these limits. A parameter that the estimate already has at a
-    limit stays there unless the score moves it back.
-    """
-    coordinates = estimate.coordinates
-    p = coordinates.parameter(name)
-    index = coordinates.names.index(name)
-    place = found.place(name)
-    factor = float(found.factor[place]) if place is not None else 1.0
-    threshold = factor * normal_quantile(level) ** 2
-    se = math.sqrt(found.wald[place, place]) if place is not None else 0.3
-    walk = _Walk(objective, estimate, found, index)
-    points = [(p.from_coordinate(estimate.z[index]), 0.0)]
-    ends: list[float | None] = []
-    limits: list[Limit] = []
-    for side, direction in (("lower", -1.0), ("upper", 1.0)):
-        if progress is not None:
-            progress(f"profile of {name}, {side} end")
-        first = min(max(se, 1e-4), 1.5) * math.sqrt(threshold)
-        end, more = _end(walk, p, index, direction, threshold, first)
-        points.extend(more)
-        if end is not None:
-            reached = walk.limits(side, end - estimate.z[index], threshold)
-            limits.extend(reached)
-            end = None if any(limit.effect == "open" for limit in reached) else end
-        ends.append(end)
-    curve = np.array(sorted(points))
-    lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
-    upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
-    statement = describe(p.unit, lower, upper, ends, limits)
-    return Bounds(
-        estimate.values[name], lower, upper, level, "profile", statement, curve, tuple(limits), walk.better()
-    )
 
 
 def describe(
@@ -355,182 +343,18 @@ def describe(
     open_ = [limit for limit in limits if limit.effect == "open"]
     because = "".join(
         f"; the {limit.end} end stays open: there {limit.parameter} is "
-        f"{_with_unit(limit.value, limit.unit)}, far beyond its limit {_with_unit(limit.limit, limit.unit)}"
+        f"{with_unit(limit.value, limit.unit)}, far beyond its limit {with_unit(limit.limit, limit.unit)}"
         for limit in open_
     )
     if ends[0] is None and ends[1] is None:
         return "not identifiable from this record" + because
     if ends[0] is None:
-        return f"≤ {_with_unit(upper, unit)}{because}"
-    return f"≥ {_with_unit(lower, unit)}{because}" if ends[1] is None else ""
+        return f"≤ {with_unit(upper, unit)}{because}"
+    return f"≥ {with_unit(lower, unit)}{because}" if ends[1] is None else ""
 
 
-def limit_remarks(name: str, bounds: Bounds) -> list[str]:
-    """One sentence for each limit of another parameter that closed ends of a profile met; `name` is the
-    profiled parameter."""
-    remarks = {"lifted": "beyond the limit {limit} of its search", "held": "its physical limit"}
-    return [
-        f"the {limit.end} bound of {name} has {limit.parameter} = {_with_unit(limit.value, limit.unit)}, "
-        + remarks[limit.effect].format(limit=_with_unit(limit.limit, limit.unit))
-        for limit in bounds.limited_by
-        if limit.effect in remarks
-    ]
-
-
-def _with_unit(value: float, unit: str) -> str:
+def with_unit(value: float, unit: str) -> str:
     return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
-
-
-class _Walk:
-    """Re-estimation of the other coordinates with one fixed: quasi-Newton steps starting from the observed
-    information.
-
-    Steps stay within the limits with guards lifted.  A coordinate that the score pushes against a limit is
-    held there, and the others are solved without it.
-    """
-
-    def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
-        self.objective, self.estimate, self.index = objective, estimate, index
-        self.free = estimate.coordinates.free
-        self.others = np.arange(len(self.free)) != index
-        bounds = np.array([p.beyond_guards() for p in self.free])
-        own = estimate.coordinates
-        self.lower = np.where(estimate.z <= own.lower + AT_LIMIT, own.lower, bounds[:, 0])
-        self.upper = np.where(estimate.z >= own.upper - AT_LIMIT, own.upper, bounds[:, 1])
-        self.curvature = positive(found.curvature)
-        self.path = np.zeros(len(self.free))
-        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
-        if found.place(own.names[index]) is not None and inside.any():
-            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
-            self.path[inside] = -block @ found.curvature[inside, index]
-        self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
-        self.best = (-BETTER, estimate.z)
-
-    def drop(self, offset: float) -> float:
-        """Twice the drop of the profile log-likelihood at this offset of the fixed coordinate."""
-        near = min(self.last, key=lambda known: abs(known - offset))
-        z = self.last[near][0] + self.path * (offset - near)
-        z = np.clip(z, self.lower, self.upper)
-        z[self.index] = self.estimate.z[self.index] + offset
-        curvature, informed = self.curvature, False
-        value, gradient = self._score(z)
-        for _ in range(WALK_STEPS):
-            outwards = ((z <= self.lower) & (gradient <= 0)) | ((z >= self.upper) & (gradient >= 0))
-            step, promised = bounded_step(
-                curvature, gradient, self.others & ~outwards, z, self.lower, self.upper, 1e-9
-            )
-            if promised < WALK_TOLERANCE:
-                break
-            for _ in range(8):
-                trial = z + step
-                new, new_gradient = self._score(trial)
-                if new > value:
-                    break
-                step = 0.3 * step
-            else:
-                if informed:
-                    break
-                # the curvature of the estimate is no use here: replace it by the expected information at this
-                # point
-                curvature, informed = self.objective.information(z).information, True
-                continue
-            curvature = _bfgs(curvature, step, gradient - new_gradient)
-            z, value, gradient = trial, new, new_gradient
-        self.last[offset] = z, gradient
-        self.best = min(self.best, (self.estimate.objective - value, z), key=lambda pair: pair[0])
-        return 2.0 * (self.estimate.objective - value)
-
-    def better(self) -> dict[str, float] | None:
-        """Parameter values more likely than the estimate, if the walk met any."""
-        drop, z = self.best
-        return None if drop >= -BETTER else self.objective.coordinates.values(z)
-
-    def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
-        """Limits of other coordinates that matter at this offset, except those that the estimate is already
-        at."""
-        z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
-        own = self.estimate.coordinates
-        found = []
-        for i, p in enumerate(self.free):
-            above = z[i] > own.upper[i] - AT_LIMIT
-            at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
-            same = abs(self.estimate.z[i] - at) <= AT_LIMIT
-            if i == self.index or same or not (above or z[i] < own.lower[i] + AT_LIMIT):
-                continue
-            unit = 1.0 if p.positive else p.upper - p.lower
-            pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
-            at_the_end = abs(z[i] - lifted) <= AT_LIMIT and pushed
-            physical = abs(p.from_coordinate(lifted) - p.physical[int(above)]) <= AT_LIMIT
-            if at_the_end:
-                effect = "held" if physical else "open"
-            elif abs(z[i] - at) > AT_LIMIT:
-                effect = "lifted"
-            else:
-                continue
-            value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
-            found.append(Limit(end, p.name, p.unit, value, limit, effect))
-        return found
-
-    def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
-        try:
-            value, gradient = self.objective.score(z)
-        except FloatingPointError:
-            return -math.inf, np.zeros_like(z)
-        return (value, gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(z))
-
-
-def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The curvature (d, d) updated by a step s that changed the score by −y (Broyden, Fletcher, Goldfarb,
-    Shanno)."""
-    along = curvature @ s
-    if float(s @ y) <= 1e-12 or float(s @ along) <= 0.0:
-        return curvature
-    return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
-
-
-def _end(
-    walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
-) -> tuple[float | None, list[tuple[float, float]]]:
-    """The coordinate where the profile crosses the threshold on one side; None if it does not cross within
-    the bound."""
-    z = walk.estimate.z[index]
-    limit = abs(p.to_coordinate(p.upper if direction > 0 else p.lower) - z)
-    points: list[tuple[float, float]] = []
-
-    def root(offset: float) -> float:
-        drop = walk.drop(direction * offset)
-        points.append((p.from_coordinate(z + direction * offset), drop))
-        return math.sqrt(max(drop, 0.0)) - math.sqrt(threshold)
-
-    if limit < 1e-9:
-        return None, points
-    inner, value_inner = 0.0, -math.sqrt(threshold)
-    outer = min(first, limit)
-    value_outer = root(outer)
-    for _ in range(12):
-        if value_outer >= 0 or outer >= limit:
-            break
-        slope = (value_outer - value_inner) / (outer - inner)
-        reach = outer - value_outer / slope * 1.05 if slope > 0 else 2.0 * outer
-        inner, value_inner = outer, value_outer
-        outer = min(max(reach, 1.1 * outer), 3.0 * outer, limit)
-        value_outer = root(outer)
-    if value_outer < 0:
-        return None, points
-    for _ in range(12):
-        if abs(value_outer) < 0.01 or outer - inner < 1e-3 * outer:
-            break
-        share = -value_inner / (value_outer - value_inner)
-        middle = inner + min(max(share, 0.05), 0.95) * (outer - inner)
-        value = root(middle)
-        if abs(value) < 0.01:
-            return z + direction * middle, points
-        if value < 0:
-            inner, value_inner = middle, value
-        else:
-            outer, value_outer = middle, value
-    share = -value_inner / (value_outer - value_inner)
-    return z + direction * (inner + share * (outer - inner)), points
 
 
 def normal_quantile(level: float) -> float:

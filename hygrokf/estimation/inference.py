@@ -1,4 +1,5 @@
-"""Bounds of any parameter and time constants of any model, from a likelihood and its estimate.
+"""Bounds of any parameter, time constants and a table of parameters of any model, from a likelihood and its
+estimate.
 
 `identify` uses these functions for a cabinet's two constants; here they are available for a user's own model.
 """
@@ -6,28 +7,48 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.estimation.confidence import (
+    FLAT_SE,
+    OPEN,
     Bounds,
     Uncertainty,
     normal_quantile,
-    profile,
+    positive_inverse,
+    scaled_spectrum,
+    standard_error,
     uncertainty,
     wald_bounds,
+    widest,
+    widths,
 )
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate, Objective
+from hygrokf.estimation.optimiser import Estimate, Objective, shortened
+from hygrokf.estimation.profile_likelihood import profile
+from hygrokf.physics.parameters import Coordinates, Parameter
 
-METHODS = ("profile", "wald", "sandwich")
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+METHODS = ("profile", "likelihood-ratio", "wald", "sandwich")
 COORDINATE_STEP = 1e-5
-"""Step of the coordinates in central differences of the Jacobian, whose error is of the order of its
-square."""
+"""Step of the coordinates, in their natural units, in central differences of the Jacobian, whose error is of
+the order of its square."""
 ALIKE = 1e-6
 """[1] product of the normalised left and right eigenvectors below which two eigenvalues count as equal."""
+POOR = 0.1
+"""[1] eigenvalue of the information scaled to a diagonal of ones, below which its parameters form a group:
+each alone is known three times worse than with the others given."""
+SHARE = 0.25
+"""[1] least share of such an eigenvector with which a parameter belongs to the group."""
+DROPPED = 0.5
+"""[1] share of its threshold by which the likelihood must have dropped at a bound by the delta method; where
+it has not, the bound is open."""
 
 
 def confidence_intervals(
@@ -36,18 +57,22 @@ def confidence_intervals(
     names: Sequence[str] | None = None,
     method: str = "profile",
     level: float = 0.95,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Bounds]:
     """Bounds of free parameters by one method, by default of all of them.
 
     likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
     names: of the parameters.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
-        sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
-        covariance that remains valid under a wrong model.  The last two are symmetric in the parameter's
-        coordinate, which is the logarithm of a positive parameter.
+        sandwich factor (`profile_likelihood.profile`); "likelihood-ratio" does so with the plain threshold;
+        "wald" uses the observed information; "sandwich" uses the covariance that remains valid under a wrong
+        model.  The last two are symmetric in the parameter's coordinate, which is the logarithm of a positive
+        parameter.
     level: [1] of confidence, between 0 and 1.
+    progress: called with a sentence about each end of a profile, which takes at most `WALK_PASSES` scores.
 
-    Returns `lower` and `upper` by name, in the parameters' units; NaN for an open end.
+    Returns `lower` and `upper` by name, in the parameters' units.  Where an end is open they are 0 and
+    infinity, or the limits of the search of a parameter that is not positive, and `statement` says why.
     Raises ValueError for an unknown method or level, and for names that are not free parameters.
     """
     free = estimate.coordinates.names
@@ -61,9 +86,15 @@ def confidence_intervals(
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
     objective = Objective(likelihood, estimate.coordinates)
     known = uncertainty(objective, estimate)
-    if method == "profile":
-        return {name: profile(objective, estimate, known, name, level) for name in wanted}
-    return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
+    if method in ("wald", "sandwich"):
+        return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
+
+    found = {}
+    for count, name in enumerate(wanted, 1):
+        place = f"{count} of {len(wanted)}: "
+        say = None if progress is None else lambda text, place=place: progress(place + text)
+        found[name] = profile(objective, estimate, known, name, level, say, method == "profile")
+    return found
 
 
 @dataclass(frozen=True)
@@ -71,9 +102,10 @@ class TimeConstant:
     """One time constant of a linear, or linearised, model [h], with bounds by the delta method.
 
     `value` τ = −1/Re λ of an eigenvalue λ of the Jacobian; infinite where Re λ ≥ 0 (no decay).  `lower` and
-    `upper` at the `level`, symmetric in ln τ; NaN where two eigenvalues coincide.  `period` 2π/|Im λ| of an
-    oscillation, else infinite. `states`: shares [1] of the states in the mode (participation factors),
-    largest first.
+    `upper` at the `level`, symmetric in ln τ; NaN where two eigenvalues coincide; 0 and infinity where they
+    are open, as the parameters of the mode are not determined, or the likelihood has not dropped there.
+    `period` 2π/|Im λ| of an oscillation, else infinite. `states`: shares [1] of the states in the mode
+    (participation factors), largest first.
     """
 
     value: float
@@ -115,15 +147,32 @@ def modal_time_constants(
 
     at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z
-    known = known or uncertainty(Objective(likelihood, coordinates), estimate)
+    objective = Objective(likelihood, coordinates)
+    known = known or uncertainty(objective, estimate)
+    inside = [coordinates.names.index(name) for name in known.names]
+    lifted = np.array([p.beyond_guards() for p in coordinates.free]).reshape(-1, 2)
 
     def matrix(point: np.ndarray) -> np.ndarray:
         return likelihood.jacobian(coordinates.values(point), at_state, at_inputs).astype(float)
 
+    def ends(value: float, slope: np.ndarray) -> list[float]:
+        """Bounds by the delta method of a value whose logarithm has this slope (f,)."""
+        along = known.wider @ slope if len(slope) else slope
+        sd = math.sqrt(max(float(slope @ along), 0.0))
+        if not 0.0 < sd <= FLAT_SE:
+            return [value, value] if sd == 0.0 else [0.0, math.inf]
+        found = []
+        for reach, open_ in ((-normal_quantile(level), 0.0), (normal_quantile(level), math.inf)):
+            there = z.copy()
+            there[inside] += reach / sd * along
+            drop = estimate.objective - objective.value(np.clip(there, lifted[:, 0], lifted[:, 1]))
+            found.append(value * math.exp(reach * sd) if 2.0 * drop >= DROPPED * reach**2 else open_)
+        return found
+
     slopes = []
-    for name in known.names:
-        step = np.where(np.array(coordinates.names) == name, COORDINATE_STEP, 0.0)
-        slopes.append((matrix(z + step) - matrix(z - step)) / (2.0 * COORDINATE_STEP))
+    for place, step in zip(inside, COORDINATE_STEP * widths(coordinates)[inside], strict=True):
+        there = step * (np.arange(len(z)) == place)
+        slopes.append((matrix(z + there) - matrix(z - there)) / (2.0 * step))
     values, left, right = eig(matrix(z), left=True, right=True)
     rounding = len(values) * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
     found = []
@@ -138,11 +187,9 @@ def modal_time_constants(
         if rate >= -rounding:
             found.append(TimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
             continue
-        value, reach = -1.0 / rate, math.nan
+        value, bounds = -1.0 / rate, [math.nan, math.nan]
         if abs(overlap) > ALIKE:
-            slope = np.array([-((w @ s @ v) / overlap).real / rate for s in slopes])
-            reach = normal_quantile(level) * math.sqrt(max(float(slope @ known.wider @ slope), 0.0))
-        bounds = [value * math.exp(min(sign * reach, 700.0)) for sign in (-1.0, 1.0)]
+            bounds = ends(value, np.array([-((w @ s @ v) / overlap).real / rate for s in slopes]))
         found.append(TimeConstant(value, bounds[0], bounds[1], level, period, ordered))
     return tuple(sorted(found, key=lambda one: -one.value))
 
@@ -160,3 +207,162 @@ def _point(
     point = np.array([state.get(name, float(m)) for name, m in zip(model.states, mean, strict=True)])
     known = {name: float(np.median(timeline.input(name))) for name in model.inputs}
     return point, {**known, **inputs}
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One parameter of a table: `value`, `standard_error`, `lower`, `upper` in its `unit`; `prior` (mean, sd)
+    in its unit, or None; `at`: "lower" or "upper" limit of its search, "fixed", or "" inside.
+
+    The standard error is NaN, and the bounds are open, where the readings do not determine it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    lower: float
+    upper: float
+    prior: tuple[float, float] | None
+    at: str
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination Σ c_j z_j of coordinates with `weights` c_j, the largest of which is 1, and its
+    `standard_error`; `determined`: whether the readings determine it.
+
+    Where all are positive, as `product` says, it is the logarithm of the product of powers that `text`
+    writes.
+    """
+
+    text: str
+    weights: Mapping[str, float]
+    standard_error: float
+    product: bool
+    determined: bool
+
+    def __str__(self) -> str:
+        if not self.determined:
+            return f"{self.text} is not determined"
+        size = f"{100.0 * self.standard_error:.2g} %" if self.product else f"± {self.standard_error:.2g}"
+        return f"{self.text} is known to {size}"
+
+
+@dataclass(frozen=True, repr=False)
+class ParameterTable:
+    """All parameters of a model at an estimate; `correlation` (f, f) of the coordinates of the `names` inside
+    their bounds; `combinations` of those that are known far better together than alone, best known first;
+    bounds at the `level`."""
+
+    rows: tuple[ParameterEstimate, ...]
+    names: tuple[str, ...]
+    correlation: np.ndarray
+    combinations: tuple[Combination, ...]
+    level: float
+
+    def to_frame(self) -> DataFrame:
+        """One row a parameter, by name."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self.rows]).set_index("name")
+
+    def __repr__(self) -> str:
+        head = ("parameter", "value", "± se", f"{100.0 * self.level:g} % bounds", "unit", "")
+        cells = [head, *(_cells(row) for row in self.rows)]
+        wide = [max(len(row[i]) for row in cells) for i in range(len(head))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, wide, strict=True)).rstrip() for row in cells]
+        return "\n".join(shortened(lines) + shortened([str(one) for one in self.combinations], 8))
+
+
+def _cells(row: ParameterEstimate) -> tuple[str, ...]:
+    prior = "" if row.prior is None else f"prior {row.prior[0]:.4g} ± {row.prior[1]:.2g}"
+    at = f"at its {row.at} limit" if row.at in ("lower", "upper") else row.at
+    known = math.isfinite(row.standard_error)
+    return (
+        row.name,
+        f"{row.value:.5g}",
+        f"{row.standard_error:.2g}" if known else "",
+        "" if row.at else f"{row.lower:.4g} … {row.upper:.4g}" if known else "not identifiable",
+        row.unit,
+        ", ".join(filter(None, (at, prior))),
+    )
+
+
+def parameter_table(likelihood: Likelihood, estimate: Estimate, level: float = 0.95) -> ParameterTable:
+    """Values, standard errors, bounds, correlations and identifiable combinations of a model's parameters.
+
+    likelihood, estimate: the estimate that `fit_mle` made from this likelihood.
+    level: [1] of confidence, between 0 and 1, of Wald's bounds with the wider of both covariances.
+
+    Groups of parameters that trade against each other are the eigenvectors with small eigenvalues of the
+    observed information scaled to a diagonal of ones; the combinations are the eigenvectors of the
+    correlation of such a group.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
+    coordinates = estimate.coordinates
+    known = uncertainty(Objective(likelihood, coordinates), estimate)
+    rows = []
+    for p in coordinates.parameters:
+        value = estimate.values[p.name]
+        prior = None if p.prior is None else p.prior.in_unit()
+        if p.name not in known.names:
+            free = p.name in coordinates.names
+            at = ("lower" if value - p.lower < p.upper - value else "upper") if free else "fixed"
+            rows.append(ParameterEstimate(p.name, p.unit, value, math.nan, math.nan, math.nan, prior, at))
+            continue
+        b = wald_bounds(estimate, known, p.name, level)
+        se = standard_error(estimate, known, p.name)
+        rows.append(ParameterEstimate(p.name, p.unit, value, se, b.lower, b.upper, prior, ""))
+    sd = np.sqrt(np.diag(known.wald))
+    correlation = known.wald / np.outer(sd, sd)
+    return ParameterTable(tuple(rows), known.names, correlation, _combinations(coordinates, known), level)
+
+
+def _combinations(coordinates: Coordinates, known: Uncertainty) -> tuple[Combination, ...]:
+    parameters = [coordinates.parameter(name) for name in known.names]
+    places = [coordinates.names.index(name) for name in known.names]
+    curvature = known.curvature[np.ix_(places, places)]
+    _, values, vectors = scaled_spectrum(curvature)
+    # beside the variances along open directions, those of what is determined would be lost to rounding
+    determined = positive_inverse(curvature, known.open)
+    groups: list[set[int]] = []
+    for vector in vectors.T[values < POOR]:
+        group = set(np.flatnonzero(np.abs(vector) >= SHARE).tolist())
+        groups = [one for one in groups if not one & group] + [group.union(*(g for g in groups if g & group))]
+    found = []
+    for group in groups:
+        among = sorted(group)
+        covariance = known.wald[np.ix_(among, among)]
+        sd = np.sqrt(np.diag(covariance))
+        for vector in np.linalg.eigh(covariance / np.outer(sd, sd))[1].T:
+            weights = vector / sd
+            weights = weights / weights[np.argmax(np.abs(weights))]
+            open_ = OPEN * float(np.sum((weights @ known.open[among]) ** 2)) if known.open.size else 0.0
+            error = math.sqrt(float(weights @ determined[np.ix_(among, among)] @ weights) + open_)
+            named = zip(among, weights.tolist(), vector, strict=True)
+            involved = [(parameters[i], c) for i, c, v in named if abs(v) > 0.1]
+            product = all(p.positive for p, _ in involved)
+            own = {parameters[i].name: float(c) for i, c in zip(among, weights, strict=True)}
+            enough = error <= max(widest(p) for p, _ in involved)
+            found.append(Combination(_text(involved, product), own, error, product, enough))
+    return tuple(sorted(found, key=lambda one: one.standard_error))
+
+
+def _text(involved: Sequence[tuple[Parameter, float]], product: bool) -> str:
+    """A product of powers such as a·b^0.5/c, or a sum."""
+    if product:
+        above = [_power(p.name, c) for p, c in involved if c > 0.0]
+        below = [_power(p.name, -c) for p, c in involved if c < 0.0]
+        return "·".join(above or ["1"]) + "".join(f"/{one}" for one in below)
+    names = [(f"ln {p.name}" if p.positive else p.name, c) for p, c in involved]
+    text = " ".join(
+        f"{'+' if c > 0.0 else '−'} {'' if abs(abs(c) - 1.0) < 0.05 else f'{abs(c):.1g} '}{name}"
+        for name, c in names
+    )
+    return text.removeprefix("+ ")
+
+
+def _power(name: str, exponent: float) -> str:
+    return name if abs(exponent - 1.0) < 0.05 else f"{name}^{exponent:.1g}"

@@ -36,6 +36,7 @@ from hygrokf.engine.schedule_codegen import table_room
 from hygrokf.engine.step_codegen import level_room
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
+from hygrokf.estimation.start import Moments, Slopes, prior, prior_slopes, stationary, stationary_slopes
 from hygrokf.physics.model import Model, fields_alone
 
 CHUNK = 4096
@@ -128,7 +129,7 @@ class Likelihood:
     def _diffuse(self) -> bool:
         return self.initial == "diffuse"
 
-    @property
+    @cached_property
     def recursion(self) -> Recursion:
         return traced(self.model, self._diffuse)
 
@@ -233,31 +234,35 @@ class Likelihood:
 
     def first_gaussian(self, values: Mapping[str, float]) -> Gaussian:
         """Moments of the state before the first reading (the finite part, for a diffuse start)."""
-        n = len(self.model.states)
-        state = np.asarray(self.first_state(values), dtype=float)
-        return Gaussian(state[:n], unpack(state[n : n + n * (n + 1) // 2], n), float(self.timeline.time[0]))
+        first = self._first_moments(values)
+        return Gaussian(first.mean, first.covariance, float(self.timeline.time[0]))
 
-    def first_state(self, values: Mapping[str, complex]) -> np.ndarray:
-        """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
+    def first_state(self, values: Mapping[str, float]) -> np.ndarray:
+        """Packed moments (w,) before the first reading."""
+        return self._packed(self._first_moments(values))
+
+    def _first_moments(self, values: Mapping[str, float]) -> Moments:
         if isinstance(self.initial, Gaussian):
-            return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
-        begun, variance = self.model.initial(values, self.first_inputs())
-        if self.initial == "prior":
-            n = len(begun)
-            places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
-            packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
-            packed[places] = variance
-            return np.concatenate([begun, packed])
-        mean = np.array(begun)
-        covariance = np.diag(np.array(variance))
+            return Moments(np.asarray(self.initial.mean), np.asarray(self.initial.covariance))
         if self.initial == "stationary":
-            mean, covariance = self._stationary(values, mean)
+            return stationary(self.model, self.recursion, values, self.first_inputs())[0]
+        return prior(self.model, values, self.first_inputs())
+
+    def _packed(self, first: Moments | Slopes) -> np.ndarray:
+        """Moments (w,), or their derivatives (d, w), as the loops take them."""
+        known = 1.0 - self._infinite
+        mean, covariance = first.mean * known, first.covariance * np.outer(known, known)
+        found = np.concatenate([mean, pack(covariance)], axis=-1)
         if not self._diffuse:
-            return np.concatenate([mean, pack(covariance)])
-        chosen = self.diffuse_states or self.model.states
-        infinite = np.array([float(name in chosen) for name in self.model.states])
-        covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
-        return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
+            return found
+        start = pack(np.diag(self._infinite)) * isinstance(first, Moments)
+        return np.concatenate([found, np.broadcast_to(start, (*found.shape[:-1], len(start)))], axis=-1)
+
+    @cached_property
+    def _infinite(self) -> np.ndarray:
+        """(n,) 1 for states of which nothing is known, 0 for the others."""
+        chosen = (self.diffuse_states or self.model.states) if self._diffuse else ()
+        return np.array([float(name in chosen) for name in self.model.states])
 
     def _start(self, values: Mapping[str, float], start: Gaussian | None = None) -> np.ndarray:
         """The packed moments that a loop starts from and moves."""
@@ -265,40 +270,24 @@ class Likelihood:
             return np.concatenate([start.mean, pack(start.covariance)])
         return np.ascontiguousarray(self.first_state(values), dtype=float)
 
-    def _stationary(self, values: Mapping[str, complex], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Steady state at the first inputs, and the covariance that solves A P + P A' + Q = 0."""
-        n = len(mean)
-        u = self.first_inputs()
-        for _ in range(5):  # a linear model needs one step
-            matrix = self.jacobian(values, mean, u)
-            rates = np.array(self.model.evaluate(list(mean), u, values).rates)
-            mean = mean - np.linalg.solve(matrix, rates)
-        noise: np.ndarray = np.array(self.model.noise(values))
-        matrix = self.jacobian(values, mean, u)
-        if np.linalg.eigvals(matrix).real.max() >= 0:
-            raise ValueError(
-                "initial: the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
-            )
-        eye = np.eye(n)
-        flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
-        return mean, flat.reshape(n, n)
+    def _start_with_slopes(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The packed moments that a loop starts from, and their derivatives (d, w)."""
+        inputs = self.first_inputs()
+        if self.initial == "stationary":
+            first, matrix = stationary(self.model, self.recursion, values, inputs)
+            found = stationary_slopes(self.model, self.recursion, values, inputs, first, matrix)
+        else:
+            first = self._first_moments(values)
+            found = prior_slopes(self.model, values, inputs)
+            if isinstance(self.initial, Gaussian):
+                found = Slopes(0.0 * found.mean, 0.0 * found.covariance)
+        return np.ascontiguousarray(self._packed(first), dtype=float), self._packed(found)
 
-    def jacobian(self, values: Mapping[str, complex], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
+    def jacobian(self, values: Mapping[str, float], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
         r = self.recursion
         known = r.symbols(values, mean, u)
         return np.array([r.graph.evaluate(row, known) for row in r.jacobian])
-
-    def _first_state_slopes(self, values: Mapping[str, float]) -> np.ndarray:
-        """Derivatives (d, w) of the first moments, by complex steps (exact to rounding)."""
-        width = len(self.first_state(values))
-        result = np.zeros((len(self.model.parameters), width))
-        if isinstance(self.initial, Gaussian):
-            return result
-        for i, p in enumerate(self.model.parameters):
-            moved = {**values, p.name: values[p.name] + 1e-30j}
-            result[i] = np.imag(self.first_state(moved)) * 1e30
-        return result
 
     def _loop(
         self,
@@ -384,7 +373,7 @@ class Likelihood:
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        state = self._start(values)
+        state, first_slopes = self._start_with_slopes(values)
         steps = self._steps(values)
         pieces = steps.pieces(self._whole)
         states = [state]
@@ -397,7 +386,7 @@ class Likelihood:
             entered = self._widened(part.start, state).copy()
             share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
             loglik, theta_bar = loglik + share, theta_bar + slopes
-        return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
+        return loglik, theta_bar + first_slopes @ state_bar
 
     def _pulled_back(
         self,
@@ -436,16 +425,20 @@ class Likelihood:
         scores = np.zeros((len(self.timeline) if each else 0, count))
         steps = self._steps(values)
         for part in self._chunks:
-            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            *found, value = self._tangent_part(values, steps, part, blocks, gain=True)
+            read = np.isfinite(self.timeline.y[part])  # few instants have a reading
+            e, s, de, ds = (one[read] for one in found)
             weight = bounded_weight(e * e / s, self.model.bound)
-            e, de, ds = weight * e, weight[..., None] * de[..., :count], ds[..., :count]
-            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            e, de, ds = weight * e, weight[:, None] * de[:, :count], ds[:, :count]
+            share = -(e / s)[:, None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[:, None] * ds
             loglik += value
-            score += share.sum(axis=(0, 1))
+            score += share.sum(axis=0)
             if each:
-                scores[part] = share.sum(axis=1)
-            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
-            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
+                by_output = np.zeros((*read.shape, count))
+                by_output[read] = share
+                scores[part] = by_output.sum(axis=1)
+            a = de / np.sqrt(s)[:, None]
+            b = ds / (math.sqrt(2.0) * s)[:, None]
             information += a.T @ a + b.T @ b
         return Sensitivities(loglik, score, information, scores)
 
@@ -454,8 +447,8 @@ class Likelihood:
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
         padded[:, :count] = directions
-        first = self._start(values)
-        slopes = self._first_state_slopes(values).T @ padded
+        first, first_slopes = self._start_with_slopes(values)
+        slopes = first_slopes.T @ padded
         states = [first.copy() for _ in blocks]
         dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
         seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.estimation.confidence import long_run_variance, normal_quantile, positive_inverse
+from hygrokf.estimation.confidence import normal_quantile, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import AT_LIMIT
 from hygrokf.physics.parameters import Coordinates
@@ -112,6 +112,21 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
     covariance = inverse @ spread @ inverse
     return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at, unseen)
+
+
+def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags: int) -> np.ndarray:
+    """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h]: sums over blocks, with
+    Bartlett weights over neighbouring ones (Newey & West 1987)."""
+    block = ((time - time[0]) / block_h).astype(int)
+    sums = np.zeros((block[-1] + 1, scores.shape[1]))
+    np.add.at(sums, block, scores)
+    sums = sums - sums.mean(axis=0)
+    result = sums.T @ sums
+    for lag in range(1, min(lags, len(sums) - 1) + 1):
+        weight = 1.0 - lag / (lags + 1.0)
+        cross = sums[lag:].T @ sums[:-lag]
+        result += weight * (cross + cross.T)
+    return result
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

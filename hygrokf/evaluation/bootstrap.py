@@ -18,6 +18,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.estimation.confidence import student
+from hygrokf.estimation.serial_dependence import autocovariance
 
 LEVEL = 0.95
 """[1] probability of the bounds."""
@@ -51,14 +52,6 @@ def bridged(values: np.ndarray) -> np.ndarray:
     last = np.maximum.accumulate(np.where(known, place, -len(values)))
     following = np.minimum.accumulate(np.where(known, place, 2 * len(values))[::-1])[::-1]
     return np.where(following - last <= SHORT_HOLE, line, np.where(known, centred, 0.0))
-
-
-def autocovariance(values: np.ndarray, lags: int) -> np.ndarray:
-    """Autocovariance (lags + 1,) of deviations (n,), divided by n, so that it is never indefinite."""
-    n = len(values)
-    size = 1 << (n + lags).bit_length()
-    spectrum = np.abs(np.fft.rfft(values, size)) ** 2
-    return np.fft.irfft(spectrum, size)[: lags + 1] / n
 
 
 def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:

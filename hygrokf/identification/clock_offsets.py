@@ -12,8 +12,8 @@ order (Gauss–Newton),
 
     V_δ = (M + 1/σ²)⁻¹,   M = I_δδ − I_δθ G ≥ 0,     Δδ = V_δ s_δ,   Δθ = −G Δδ,   V_θ = I_θθ⁻¹ + G V_δ G'.
 
-Readings only add information, so that no offset is less certain than its prior: where the observed I_θθ is
-smaller than the innovations' slopes allow and M would be negative, it is zero.
+All blocks are of the expected information, in which M cannot be negative: readings only add information, so
+that no offset is less certain than its prior.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.estimation.confidence import Uncertainty
+from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Estimate
+from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
 from hygrokf.modelling.inputs import Run, model_inputs
 
@@ -107,6 +107,9 @@ def clock_offsets(
             groups.setdefault(_system(series), []).append(series)
     likelihood = Likelihood(base.model, run.timeline)
     weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
+    at = Objective(likelihood, estimate.coordinates).information(estimate.z)
+    places = [estimate.coordinates.names.index(name) for name in uncertainty.names]
+    known = positive_inverse(at.information[np.ix_(places, places)], uncertainty.open)
     moved, names = [], []
     for name, group in groups.items():
         shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
@@ -123,7 +126,7 @@ def clock_offsets(
     if not moved:
         return NO_OFFSETS
     prior = np.array([max(prior_s(s, reference) for s in groups[name]) for name in names])
-    return _solved(uncertainty, names, prior, weights, errors, slopes, np.stack(moved, axis=-1))
+    return _solved(uncertainty.names, known, names, prior, weights, errors, slopes, np.stack(moved, axis=-1))
 
 
 def _innovations(
@@ -151,7 +154,8 @@ def _matched(run: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _solved(
-    uncertainty: Uncertainty,
+    parameters: tuple[str, ...],
+    known: np.ndarray,
     names: list[str],
     prior: np.ndarray,
     weights: np.ndarray,
@@ -159,13 +163,13 @@ def _solved(
     slopes: np.ndarray,
     moved: np.ndarray,
 ) -> ClockOffsets:
-    """Solve the equations of the module's text; `moved` (T, k, m) are slopes of the innovations with respect
-    to the offsets."""
+    """Solve the equations of the module's text; `known` (f, f) is I_θθ⁻¹, `moved` (T, k, m) are slopes of the
+    innovations with respect to the offsets."""
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
     # a model whose parameters are all open has no slopes
     cross = slopes.reshape(len(flat), slopes.shape[-1]).T @ weighted
-    carried = uncertainty.wald @ cross
+    carried = known @ cross
     # in units of the prior's standard deviations
     values, vectors = np.linalg.eigh((flat.T @ weighted - cross.T @ carried) * np.outer(prior, prior))
     vectors = prior[:, None] * vectors
@@ -179,6 +183,6 @@ def _solved(
             ClockOffset(name, float(before), float(offset), float(sd))
             for name, before, offset, sd in zip(names, prior, offsets, deviations, strict=True)
         ),
-        dict(zip(uncertainty.names, step.tolist(), strict=True)),
-        dict(zip(uncertainty.names, added.tolist(), strict=True)),
+        dict(zip(parameters, step.tolist(), strict=True)),
+        dict(zip(parameters, added.tolist(), strict=True)),
     )

@@ -16,7 +16,7 @@ from hygrokf.data.input_paths import thinned
 from hygrokf.data.progress import Progress
 from hygrokf.data.record import Record, Series
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
+from hygrokf.estimation.confidence import Bounds, Uncertainty, uncertainty, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
     Estimate,
@@ -28,6 +28,7 @@ from hygrokf.estimation.optimiser import (
     reject_below,
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
+from hygrokf.estimation.profile_likelihood import profile
 from hygrokf.estimation.smoother import smooth
 from hygrokf.evaluation.simulation import air_temperature, project, settled
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets

@@ -241,7 +241,7 @@ def _curvature(likelihood: Likelihood, estimate: Estimate) -> tuple[Uncertainty,
     objective = Objective(likelihood, estimate.coordinates)
     at = objective.information(estimate.z, each=True)
     score = dict(zip(estimate.coordinates.names, at.score.tolist(), strict=True))
-    return uncertainty_by(objective, estimate, at.information, at.scores), score
+    return uncertainty_by(objective, estimate, at), score
 
 
 def _occam(

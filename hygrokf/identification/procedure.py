@@ -16,9 +16,10 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
+from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
+from hygrokf.estimation.profile_likelihood import limit_remarks
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any, NoReturn
 
@@ -43,6 +44,15 @@ class Given(float):
     __slots__ = ()
 
 
+@dataclass(frozen=True)
+class _Program:
+    """What the interpreter does for some outputs: constants and leaves by node, then operations in order."""
+
+    constants: dict[int, float]
+    symbols: list[tuple[int, str]]
+    operations: list[tuple[int, Callable[..., Value], tuple[int, ...]]]
+
+
 class Graph:
     """A growing list of nodes; arguments are indices of earlier nodes, `given` holds the numbers of the
     leaves `c:i`."""
@@ -52,7 +62,7 @@ class Graph:
         self.given: list[Given] = []
         self._index: dict[Node, int] = {}
         self._growing = Lock()
-        self._orders: dict[tuple[int, ...], list[int]] = {}
+        self._programs: dict[tuple[int, ...], _Program] = {}
 
     def _node(self, key: Node) -> Expression:
         index = self._index.get(key)
@@ -223,21 +233,24 @@ class Graph:
 
     def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, Value]) -> list[Value]:
         """Interpreter: compute `outputs` with numbers, arrays or complex numbers in place of the symbols."""
-        lifted = [self.lift(e) for e in outputs]
-        result: dict[int, Value] = {}
-        wanted = tuple(e.index for e in lifted)
-        if wanted not in self._orders:
-            self._orders[wanted] = self.needed(lifted)
-        for i in self._orders[wanted]:
-            node = self.nodes[i]
-            if node[0] == "const":
-                result[i] = node[1]
-            elif node[0] == "symbol":
-                name = node[1]
-                result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
-            else:
-                result[i] = _COMPUTE[node[0]](*(result[j] for j in node[1:]))
-        return [result[e.index] for e in lifted]
+        wanted = tuple(self.lift(e).index for e in outputs)
+        program = self._programs.get(wanted)
+        if program is None:
+            program = self._programs[wanted] = self._program(wanted)
+        result: dict[int, Value] = dict(program.constants)
+        for i, name in program.symbols:
+            result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
+        for i, compute, places in program.operations:
+            result[i] = compute(*[result[j] for j in places])
+        return [result[i] for i in wanted]
+
+    def _program(self, wanted: Sequence[int]) -> _Program:
+        order = [(i, self.nodes[i]) for i in self.needed([Expression(self, i) for i in wanted])]
+        return _Program(
+            {i: node[1] for i, node in order if node[0] == "const"},
+            [(i, node[1]) for i, node in order if node[0] == "symbol"],
+            [(i, _COMPUTE[node[0]], node[1:]) for i, node in order if arguments(node)],
+        )
 
     def substitute(
         self, outputs: Sequence[Expression | float], values: Mapping[int, Expression]

@@ -66,7 +66,7 @@ class Parameter:
     meaning: what it is, in words.
     physical: the physically possible range, in `unit`.  A search limit (`lower` or `upper`) inside this range
         is a guard against meaningless numbers, which the profile of another parameter may pass (see
-        `confidence.profile`).
+        `profile_likelihood.profile`).
     """
 
     name: str

@@ -16,9 +16,10 @@ import numpy as np
 
 from benchmarks import cases, rivals
 from benchmarks.measure import Figure, Times, interleaved, ratio, repeated, timed
-from hygrokf.estimation.confidence import profile, standard_error, uncertainty
+from hygrokf.estimation.confidence import standard_error, uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
+from hygrokf.estimation.profile_likelihood import profile
 
 SIZES = (26_000, 262_000)
 QUICK_SIZES = (2_600, 26_000)

@@ -94,14 +94,14 @@ def timed(section: str, name: str, unit: str, times: Times, **more: object) -> F
     return Figure(section, name, unit, times.median, low, high, **more)
 
 
-def table(figures: Sequence[Figure]) -> str:
-    """Figure, target, reached (with quartiles), met or not; the notes below."""
-    rows = [("figure", "target", "reached", "quartiles", "met")]
+def table(figures: Sequence[Figure], spread: str = "quartiles") -> str:
+    """Figure, target, reached (with its quartiles or another `spread`), met or not; the notes below."""
+    rows = [("figure", "target", "reached", spread, "met")]
     for f in figures:
         target = "" if f.met is None else f"≤ {f.at_most:g}" if f.at_most is not None else f"≥ {f.at_least:g}"
-        spread = "" if f.low is None else f"{f.low:.3g} … {f.high:.3g}"
+        range_ = "" if f.low is None else f"{f.low:.3g} … {f.high:.3g}"
         verdict = {True: "yes", False: "NO", None: ""}[f.met]
-        rows.append((f"{f.section}: {f.name} [{f.unit}]", target, f"{f.reached:.4g}", spread, verdict))
+        rows.append((f"{f.section}: {f.name} [{f.unit}]", target, f"{f.reached:.4g}", range_, verdict))
     widths = [max(len(row[i]) for row in rows) for i in range(5)]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines.insert(1, "-" * max(map(len, lines)))

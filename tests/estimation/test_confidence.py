@@ -21,17 +21,16 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.estimation.confidence import (
     Bounds,
     Uncertainty,
-    limit_remarks,
-    long_run_variance,
     normal_quantile,
     positive_inverse,
-    profile,
     standard_error,
     uncertainty,
     wald_bounds,
 )
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, fit_mle
+from hygrokf.estimation.output_error import long_run_variance
+from hygrokf.estimation.profile_likelihood import limit_remarks, profile
 from hygrokf.identification.estimation import assess_stage, estimate_design
 from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import design, extended
@@ -117,7 +116,7 @@ def test_the_long_run_variance_is_statsmodels_on_block_sums(lags: int) -> None:
 
 def test_the_long_run_variance_of_one_block_is_zero_not_a_fault() -> None:
     scores = np.ones((5, 2))
-    np.testing.assert_array_equal(long_run_variance(scores, np.arange(5.0), 24.0), np.zeros((2, 2)))
+    np.testing.assert_array_equal(long_run_variance(scores, np.arange(5.0), 24.0, 2), np.zeros((2, 2)))
 
 
 # -- second-order picture ------------------------------------------------------------------------------------

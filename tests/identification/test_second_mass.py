@@ -12,6 +12,7 @@ from plants.as_record import to_record
 
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import fit_mle
+from hygrokf.estimation.start import stationary
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import model_inputs
@@ -79,7 +80,7 @@ def test_the_second_mass_leaves_steady_states_alone_and_adds_a_pole() -> None:
     p |= {"wall_conductance": 0.5, "wall_time_constant": 10.0, "resistance_ratio": 0.8, "wall_position": 1.0}
     likelihood = Likelihood(model, model_inputs(base, record).timeline)
     u = likelihood.first_inputs()
-    mean, _ = likelihood._stationary(p, np.array(model.initial(p, u)[0]))
+    mean = stationary(model, likelihood.recursion, p, u)[0].mean
     state = dict(zip(model.states, mean, strict=True))
     release = (state["converter_temperature"] - u["ambient_temperature"]) * p["resistance_ratio"]
     air = u["ambient_temperature"] + release

@@ -1,0 +1,271 @@
+"""Profile-likelihood bounds of one parameter; all others are re-estimated along the way.
+
+The bounds are where twice the drop of the profile log-likelihood reaches c χ²₁: with c = 1 those of the
+likelihood-ratio test, with c = max(1, V_S/V_H) of the parameter also where the model is somewhat wrong (Kent
+1982, doi:10.1093/biomet/69.1.19).  Other parameters that reach a search limit on the way may pass it where it
+is a guard, and stay at it where it is physical.
+
+Shapes: d free coordinates z (see `parameters`), P points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from hygrokf.estimation.confidence import (
+    Bounds,
+    Limit,
+    Uncertainty,
+    describe,
+    in_unit,
+    normal_quantile,
+    positive,
+    positive_inverse,
+    too_short,
+    widths,
+    with_unit,
+)
+from hygrokf.estimation.optimiser import (
+    AT_LIMIT,
+    BETTER,
+    Estimate,
+    Objective,
+    bounded_step,
+    secant_update,
+)
+from hygrokf.physics.parameters import Parameter
+
+WALK_STEPS = 40
+WALK_PASSES = 400
+"""Score passes in the search for one end of a profile, after which it stays open; ends take about 30."""
+WALK_TOLERANCE = 2e-3
+"""Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
+MATERIAL = 0.05
+"""[1] share of a profile's threshold: a limit counts only if the score promises more than this for passing
+it."""
+
+
+def profile(
+    objective: Objective,
+    estimate: Estimate,
+    found: Uncertainty,
+    name: str,
+    level: float = 0.95,
+    progress: Callable[[str], None] | None = None,
+    robust: bool = True,
+) -> Bounds:
+    """Profile-likelihood bounds of one free parameter [its unit]; all others are re-estimated along the way.
+
+    `objective` is the penalised likelihood with the maximum `estimate`, `found` its `uncertainty`.  The
+    bounds are the values at which
+        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter if `robust`,
+        else 1, at the confidence `level`.
+    Where the record is too short for a sandwich, c = 1, and the statement says so.
+    An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
+    identifiable; others: the parameter's own bound).
+
+    Another parameter that reaches a search limit on the way would turn the profile into a cliff.  A physical
+    limit (`Parameter.physical`) holds, because no model exists beyond it.  A guard is lifted
+    (`Parameter.beyond_guards`); if the parameter reaches the end of the lifted range before the profile
+    closes, the end is open.  `limited_by` lists these limits. A parameter that the estimate already has at a
+    limit stays there unless the score moves it back.
+    """
+    coordinates = estimate.coordinates
+    p = coordinates.parameter(name)
+    index = coordinates.names.index(name)
+    place = found.place(name)
+    factor = float(found.factor[place]) if place is not None and robust else 1.0
+    threshold = factor * normal_quantile(level) ** 2
+    width = float(widths(coordinates)[index])
+    se = math.sqrt(found.wald[place, place]) if place is not None else 0.3 * width
+    walk = _Walk(objective, estimate, found, index)
+    points = [(p.from_coordinate(estimate.z[index]), 0.0)]
+    ends: list[float | None] = []
+    limits: list[Limit] = []
+    cut: list[str] = []
+    for side, direction in (("lower", -1.0), ("upper", 1.0)):
+        if progress is not None:
+            progress(f"profile of {name}, {side} end")
+        first = min(max(se, 1e-4 * width), 1.5 * width) * math.sqrt(threshold)
+        walk.left = WALK_PASSES
+        end, more = _end(walk, p, index, direction, threshold, first)
+        if walk.left < 0:
+            end = None
+            cut.append(f"the {side} end was not found in {WALK_PASSES} passes")
+        points.extend(more)
+        if end is not None:
+            reached = walk.limits(side, end - estimate.z[index], threshold)
+            limits.extend(reached)
+            end = None if any(limit.effect == "open" for limit in reached) else end
+        ends.append(end)
+    curve = np.array(sorted(points))
+    lower, upper = in_unit(p, ends)
+    said = [describe(p.unit, lower, upper, ends, limits), *cut]
+    if robust and name in found.needed and name not in found.flat:
+        said.append(f"as if the model were right ({too_short(found, name)})")
+    statement, method = "; ".join(filter(None, said)), "profile" if robust else "likelihood-ratio"
+    return Bounds(
+        estimate.values[name], lower, upper, level, method, statement, curve, tuple(limits), walk.better()
+    )
+
+
+def limit_remarks(name: str, bounds: Bounds) -> list[str]:
+    """One sentence for each limit of another parameter that closed ends of a profile met; `name` is the
+    profiled parameter."""
+    remarks = {"lifted": "beyond the limit {limit} of its search", "held": "its physical limit"}
+    return [
+        f"the {limit.end} bound of {name} has {limit.parameter} = {with_unit(limit.value, limit.unit)}, "
+        + remarks[limit.effect].format(limit=with_unit(limit.limit, limit.unit))
+        for limit in bounds.limited_by
+        if limit.effect in remarks
+    ]
+
+
+class _Walk:
+    """Re-estimation of the other coordinates with one fixed: quasi-Newton steps starting from the observed
+    information.
+
+    Steps stay within the limits with guards lifted.  A coordinate that the score pushes against a limit is
+    held there, and the others are solved without it.
+    """
+
+    def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
+        self.objective, self.estimate, self.index = objective, estimate, index
+        self.free = estimate.coordinates.free
+        self.others = np.arange(len(self.free)) != index
+        bounds = np.array([p.beyond_guards() for p in self.free])
+        own = estimate.coordinates
+        self.lower = np.where(estimate.z <= own.lower + AT_LIMIT, own.lower, bounds[:, 0])
+        self.upper = np.where(estimate.z >= own.upper - AT_LIMIT, own.upper, bounds[:, 1])
+        self.curvature = positive(found.curvature)
+        self.path = np.zeros(len(self.free))
+        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
+        if found.place(own.names[index]) is not None and inside.any():
+            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
+            self.path[inside] = -block @ found.curvature[inside, index]
+        self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
+        self.best = (-BETTER, estimate.z)
+        self.left = WALK_PASSES
+
+    def drop(self, offset: float) -> float:
+        """Twice the drop of the profile log-likelihood at this offset of the fixed coordinate."""
+        near = min(self.last, key=lambda known: abs(known - offset))
+        z = self.last[near][0] + self.path * (offset - near)
+        z = np.clip(z, self.lower, self.upper)
+        z[self.index] = self.estimate.z[self.index] + offset
+        curvature, informed = self.curvature, False
+        value, gradient = self._score(z)
+        for _ in range(WALK_STEPS):
+            if self.left < 0:
+                break
+            outwards = ((z <= self.lower) & (gradient <= 0)) | ((z >= self.upper) & (gradient >= 0))
+            step, promised = bounded_step(
+                curvature, gradient, self.others & ~outwards, z, self.lower, self.upper, 1e-9
+            )
+            if promised < WALK_TOLERANCE:
+                break
+            for _ in range(8):
+                trial = z + step
+                new, new_gradient = self._score(trial)
+                if new > value:
+                    break
+                step = 0.3 * step
+            else:
+                if informed:
+                    break
+                # the curvature of the estimate is no use here: replace it by the expected information at this
+                # point
+                curvature, informed = self.objective.information(z).information, True
+                continue
+            curvature = secant_update(curvature, step, gradient - new_gradient)
+            z, value, gradient = trial, new, new_gradient
+        self.last[offset] = z, gradient
+        self.best = min(self.best, (self.estimate.objective - value, z), key=lambda pair: pair[0])
+        return 2.0 * (self.estimate.objective - value)
+
+    def better(self) -> dict[str, float] | None:
+        """Parameter values more likely than the estimate, if the walk met any."""
+        drop, z = self.best
+        return None if drop >= -BETTER else self.objective.coordinates.values(z)
+
+    def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
+        """Limits of other coordinates that matter at this offset, except those that the estimate is already
+        at."""
+        z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
+        own = self.estimate.coordinates
+        found = []
+        for i, p in enumerate(self.free):
+            above = z[i] > own.upper[i] - AT_LIMIT
+            at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
+            same = abs(self.estimate.z[i] - at) <= AT_LIMIT
+            if i == self.index or same or not (above or z[i] < own.lower[i] + AT_LIMIT):
+                continue
+            unit = 1.0 if p.positive else p.upper - p.lower
+            pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
+            at_the_end = abs(z[i] - lifted) <= AT_LIMIT and pushed
+            physical = abs(p.from_coordinate(lifted) - p.physical[int(above)]) <= AT_LIMIT
+            if at_the_end:
+                effect = "held" if physical else "open"
+            elif abs(z[i] - at) > AT_LIMIT:
+                effect = "lifted"
+            else:
+                continue
+            value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
+            found.append(Limit(end, p.name, p.unit, value, limit, effect))
+        return found
+
+    def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        self.left -= 1
+        try:
+            value, gradient = self.objective.score(z)
+        except FloatingPointError:
+            return -math.inf, np.zeros_like(z)
+        return (value, gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(z))
+
+
+def _end(
+    walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
+) -> tuple[float | None, list[tuple[float, float]]]:
+    """The coordinate where the profile crosses the threshold on one side; None if it does not cross within
+    the bound."""
+    z = walk.estimate.z[index]
+    limit = abs(p.to_coordinate(p.upper if direction > 0 else p.lower) - z)
+    points: list[tuple[float, float]] = []
+
+    def root(offset: float) -> float:
+        drop = walk.drop(direction * offset)
+        points.append((p.from_coordinate(z + direction * offset), drop))
+        return math.sqrt(max(drop, 0.0)) - math.sqrt(threshold)
+
+    if limit < AT_LIMIT:
+        return None, points
+    inner, value_inner = 0.0, -math.sqrt(threshold)
+    outer = min(first, limit)
+    value_outer = root(outer)
+    for _ in range(12):
+        if value_outer >= 0 or outer >= limit or walk.left < 0:
+            break
+        slope = (value_outer - value_inner) / (outer - inner)
+        reach = outer - value_outer / slope * 1.05 if slope > 0 else 2.0 * outer
+        inner, value_inner = outer, value_outer
+        outer = min(max(reach, 1.1 * outer), 3.0 * outer, limit)
+        value_outer = root(outer)
+    if value_outer < 0:
+        return None, points
+    for _ in range(12):
+        if abs(value_outer) < 0.01 or outer - inner < 1e-3 * outer or walk.left < 0:
+            break
+        share = -value_inner / (value_outer - value_inner)
+        middle = inner + min(max(share, 0.05), 0.95) * (outer - inner)
+        value = root(middle)
+        if abs(value) < 0.01:
+            return z + direction * middle, points
+        if value < 0:
+            inner, value_inner = middle, value
+        else:
+            outer, value_outer = middle, value
+    share = -value_inner / (value_outer - value_inner)
+    return z + direction * (inner + share * (outer - inner)), points

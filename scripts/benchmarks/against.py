@@ -1,0 +1,208 @@
+"""Two revisions side by side: the same measurements in a process of each, which take turns.
+
+The other revision is checked out into a temporary worktree.  A pair is one timed run of each revision, in the
+order A B, B A, A B, …; the ratio of a pair has what both runs share of the machine's state divided out.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from math import comb
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Protocol
+
+import numpy as np
+
+from benchmarks.measure import Figure
+
+PAIRS = 11
+"""Fewest pairs of a measurement."""
+COVERAGE = 0.95
+"""Least probability with which the interval of a median holds it."""
+MEASUREMENTS = {
+    **{
+        f"{kind} {case}": kind
+        for kind in ("value", "score", "information")
+        for case in ("1-state", "3-box", "cabinet")
+    },
+    "fixed 3-box": "fixed",
+    "fit demo": "fit",
+}
+"""What is compared, and the kind by which `--only` names it."""
+WORKER = Path(__file__).with_name("revision_worker.py")
+
+
+class NotMeasured(Exception):
+    """A revision cannot be measured; the message says why."""
+
+
+class Contender(Protocol):
+    """One revision: `prepare` readies a measurement, `run` times one run of it in CPU seconds."""
+
+    def prepare(self, measurement: str) -> None: ...
+    def run(self, measurement: str) -> float: ...
+
+
+def compare(
+    own: Contender, other: Contender, measurements: Sequence[str], pairs: Callable[[str], int], against: str
+) -> Iterator[Figure]:
+    """The median of own over other CPU time, with an interval that holds it, for every measurement."""
+    for name in measurements:
+        section = f"this / {against}"
+        try:
+            for one in (own, other):
+                one.prepare(name)
+            seconds = turns(own, other, name, pairs(name))
+        except NotMeasured as why:
+            yield Figure(section, name, "×", float("nan"), note=f"not measured: {why}")
+            continue
+        ratios = seconds[:, 0] / seconds[:, 1]
+        low, high, coverage = median_interval(ratios)
+        this, that = np.median(seconds, axis=0)
+        yield Figure(
+            section, name, "×", float(np.median(ratios)), low, high,
+            note=f"{this:.3g} s and {that:.3g} s of CPU time; {len(ratios)} pairs, the interval holds the "
+            f"median with {100.0 * coverage:.1f} %",
+        )  # fmt: skip
+
+
+def turns(own: Contender, other: Contender, measurement: str, pairs: int) -> np.ndarray:
+    """CPU seconds (pairs, 2) of own and other; whoever ends a pair begins the next one."""
+    found = np.empty((pairs, 2))
+    for pair in range(pairs):
+        for place in (0, 1) if pair % 2 == 0 else (1, 0):
+            found[pair, place] = (own, other)[place].run(measurement)
+    return found
+
+
+def median_interval(values: np.ndarray) -> tuple[float, float, float]:
+    """The shortest interval between order statistics that holds the median with at least `COVERAGE`, whatever
+    the distribution, and the probability with which it does; the whole range where no interval is enough.
+
+    P(x₍ₖ₎ ≤ median ≤ x₍ₙ₊₁₋ₖ₎) = 1 − 2 P(B < k) with B of n fair coins: David, Nagaraja, Order Statistics,
+    2003, section 7.1.
+    """
+    n, ordered = len(values), np.sort(values)
+    outside = np.cumsum([2.0 * comb(n, k) / 2.0**n for k in range(n // 2)])  # of k = 1, 2, …
+    k = max(1, int(np.searchsorted(outside, 1.0 - COVERAGE, side="right")))
+    coverage = 1.0 - float(outside[k - 1]) if len(outside) else 0.0
+    return float(ordered[k - 1]), float(ordered[n - k]), coverage
+
+
+# -- the other revision's files ------------------------------------------------------------------------------
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """The signals that end a process raise SystemExit within, so that what is temporary is removed."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        sys.exit(128 + number)
+
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    former = {name: signal.signal(getattr(signal, name), end) for name in names}
+    try:
+        yield
+    finally:
+        for name, one in former.items():
+            signal.signal(getattr(signal, name), one)
+
+
+@contextmanager
+def checked_out(repository: Path, revision: str) -> Iterator[Path]:
+    """A temporary worktree of a revision, removed on every way out.  Raises NotMeasured without one."""
+    found = _git(repository, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
+    if found is None:
+        raise NotMeasured(f"--against {revision}: expected a revision of {repository}, git finds none")
+    with tempfile.TemporaryDirectory(prefix="benchmark-") as folder:
+        root = Path(folder) / "other"
+        try:
+            if _git(repository, "worktree", "add", "--detach", "--force", str(root), found) is None:
+                raise NotMeasured(f"--against {revision}: git could not check it out")
+            yield root
+        finally:
+            _git(repository, "worktree", "remove", "--force", str(root))
+            _git(repository, "worktree", "prune")
+
+
+def _git(repository: Path, *arguments: str) -> str | None:
+    """What git prints; None where it fails."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(repository), *arguments], capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+# -- a process of each revision ------------------------------------------------------------------------------
+class Worker:
+    """A process that measures the package under `root`; its folder of temporary files is `scratch`."""
+
+    def __init__(self, root: Path, scratch: Path) -> None:
+        environment = {**os.environ, "PYTHONPATH": str(root), "HYGROKF_THREADS": "1"}
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            environment[name] = "1"
+        scratch.mkdir(parents=True, exist_ok=True)
+        self._process = subprocess.Popen(
+            [sys.executable, str(WORKER), str(root), str(scratch)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
+            start_new_session=True,  # so that it ends with the processes that it starts
+        )  # fmt: skip
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.communicate()
+
+    def prepare(self, measurement: str) -> None:
+        self._ask("prepare", measurement)
+
+    def run(self, measurement: str) -> float:
+        return float(self._ask("run", measurement)["seconds"])
+
+    def _ask(self, verb: str, measurement: str) -> Mapping[str, float | str]:
+        """The answer to one line.  Raises NotMeasured with what the process says or how it ended."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            self._process.stdin.write(f"{verb} {measurement}\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        if not line:
+            raise NotMeasured(f"its process ended with status {self._process.wait()}")
+        answer: Mapping[str, float | str] = json.loads(line)
+        if "fault" in answer:
+            raise NotMeasured(str(answer["fault"]))
+        return answer
+
+
+def figures(
+    repository: Path, revision: str, kinds: Iterable[str], pairs: int, fit_pairs: int
+) -> Iterator[Figure]:
+    """All figures of the chosen kinds.  Raises NotMeasured for a revision that cannot be checked out."""
+    wanted = [name for name, kind in MEASUREMENTS.items() if kind in set(kinds)]
+    with ExitStack() as kept:
+        kept.enter_context(ended_by_signals())
+        other = kept.enter_context(checked_out(repository, revision))
+        scratch = Path(kept.enter_context(tempfile.TemporaryDirectory(prefix="benchmark-")))
+        workers = [
+            kept.enter_context(Worker(root, scratch / name))
+            for name, root in (("own", repository), ("other", other))
+        ]
+        yield from compare(
+            *workers, wanted, lambda name: fit_pairs if MEASUREMENTS[name] == "fit" else pairs, revision
+        )
