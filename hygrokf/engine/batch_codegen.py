@@ -13,7 +13,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hygrokf.engine.discretisation import CONSTANT_SHARE, MILD, SHARE, Assign, Choose, Operation, Repeat, operations
+from hygrokf.engine.discretisation import (
+    CONSTANT_SHARE,
+    MILD,
+    SHARE,
+    Assign,
+    Choose,
+    Operation,
+    Repeat,
+    operations,
+)
 from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
 from hygrokf.engine.step_codegen import DOUBLINGS
 from hygrokf.engine.traced_filter import Recursion

@@ -63,8 +63,9 @@ from hygrokf.physics.model import Values
 CONSTANT_SHARE, SHARE = 0.25, 0.5
 """[1] largest product of the rates and the share of a step whose rates are constant, and vary."""
 CONSTANT_ORDER, ORDER, NODE_ORDER = 11, 9, 5
-"""Degrees of their polynomials, with the remainders 0.25^11/12! = 5e-16 and 0.5^9/10! = 5e-10 of D, and of those
-for the nodes alone."""
+"""Degrees of their polynomials, with the remainders 0.25^11/12! = 5e-16 and 0.5^9/10! = 5e-10 of D, and of
+those for the nodes alone.
+"""
 MILD = 1
 """Doublings up to which the midpoint rule is stable: rates times length below 1."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
@@ -103,11 +104,11 @@ Operation = Assign | Repeat | Choose
 
 @dataclass(frozen=True)
 class Step:
-    """Traced moments after one sub-step, the matrices that made them, and the operations before: `early` those
-    of constant rates, which depend on h, the parameters and regimes alone, and `late` all others.
+    """Traced moments after one sub-step, the matrices that made them, and the operations before: `early`
+    those of constant rates, which depend on h, the parameters and regimes alone, and `late` all others.
 
-    `share` is the symbol of c; `reach` (n,) bounds the rates times h at the beginning of the sub-step; the step is
-    `exact` for any length where all rates are constant.
+    `share` is the symbol of c; `reach` (n,) bounds the rates times h at the beginning of the sub-step; the
+    step is `exact` for any length where all rates are constant.
     """
 
     mean: list[Expression]
@@ -152,7 +153,9 @@ def step(
     field = _Field(graph, drift, n, start)
     inputs = [_between(start, end, c) for c in NODES]
     before = field.jacobian_at(state, start)
-    points, late = _nodes(field, state, start, inputs, before, h, share) if field.nonlinear else ([state] * 2, [])
+    points, late = (
+        _nodes(field, state, start, inputs, before, h, share) if field.nonlinear else ([state] * 2, [])
+    )
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
     varies = _any(difference)
@@ -168,15 +171,15 @@ def step(
 
     # states whose rates, and those of all that act on them, are constant: their matrices are known early
     reach = closure(omega)
+    changing = [*changing, *(graph.nodes[e.index][1] for one in operations(late) for e in one.into)]
     own = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
     fixed = [own[i] and all(own[j] for j in range(n) if reach[i][j]) for i in range(n)]
     driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
     rising = [j for j in driven if not _same(b1[j], b2[j])]
-    columns = set(driven), set(rising)
-    if varies:  # the corrections add columns
-        columns = tuple(
-            one | {k for k in range(n) if any(not is_zero(difference[k][j]) for j in one)} for one in columns
-        )
+    columns = [  # of Γ and W; the corrections add columns
+        {*one, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in one))}
+        for one in (driven, rising)
+    ]
     kept = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
     alone = [[v if fixed[i] and fixed[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spread)]
     known = [{j for j in one if fixed[j]} for one in columns]
@@ -185,7 +188,10 @@ def step(
         made, whole = _doubled(graph, "late:", share, omega, spread, columns, ORDER)
         late = [*late, *made]
         matrices = [
-            [[p[i][j] if fixed[i] and (fixed[j] or name != "N") else q[i][j] for j in range(n)] for i in range(n)]
+            [
+                [p[i][j] if fixed[i] and (fixed[j] or name != "N") else q[i][j] for j in range(n)]
+                for i in range(n)
+            ]
             for name, p, q in zip("DGWN", matrices, whole, strict=True)
         ]
     d, g, w, accumulated = matrices
@@ -254,7 +260,8 @@ def _doubled(
     columns: Sequence[Iterable[int]],
     order: int,
 ) -> tuple[list[Operation], list[Matrix]]:
-    """Operations that double D, Γ, W (of the `columns` of Γ and of W) and N, and these matrices as symbols."""
+    """Operations that double D, Γ, W (of the `columns` of Γ and of W) and N, and these matrices as
+    symbols."""
     n = len(omega)
     powers = closure(omega)
     near = [[i == j or powers[i][j] for j in range(n)] for i in range(n)]
@@ -263,7 +270,9 @@ def _doubled(
         "D": [(i, j) for i in range(n) for j in range(n) if powers[i][j]],
         "G": [(i, j) for j in sorted(columns[0]) for i in range(n) if near[i][j]],
         "W": [(i, j) for j in sorted(columns[1]) for i in range(n) if near[i][j]],
-        "N": [(i, j) for i in range(n) for j in range(i + 1) if any(near[i][a] and near[j][b] for a, b in noisy)],
+        "N": [
+            (i, j) for i in range(n) for j in range(i + 1) if any(near[i][a] and near[j][b] for a, b in noisy)
+        ],
     }
     matrices = {name: _zeros(n, n) for name in places}
     for name, found in places.items():
@@ -309,14 +318,16 @@ def _nodes(
     h: Expression,
     share: Expression,
 ) -> tuple[list[Sequence[Value]], list[Operation]]:
-    """The states at the nodes, where the field is linearised, and how they are predicted: by the midpoint rule,
-    and where this could be unstable by the exponential of the Jacobian at the beginning,
+    """The states at the nodes, where the field is linearised, and how they are predicted: by the midpoint
+    rule, and where this could be unstable by the exponential of the Jacobian at the beginning,
 
         x(c h) = x + c h (Γ f + W (f(x, u(c h)) − f)),    Γ, W those of c h A.
     """
     graph, n = field.graph, len(state)
     rate = field.value_at(state, start)
-    used = [i for i in range(n) if any(not is_zero(field.jacobian[r][i]) for r in range(n) if field.curved[r])]
+    used = [
+        i for i in range(n) if any(not is_zero(field.jacobian[r][i]) for r in range(n) if field.curved[r])
+    ]
     points: list[Sequence[Value]] = []
     plain: list[Expression] = []
     stiff: list[Operation] = []

@@ -35,8 +35,8 @@ COMMON = [
     ("ptr", "first"),
 ]
 """Instants and keys; parameters, key leaves, doublings and workspace of the keys; key of every instant, first
-of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of every
-instant; moments before the first instant (overwritten by those after the last) and a copy of them."""
+of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of
+every instant; moments before the first instant (overwritten by those after the last) and a copy of them."""
 ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
@@ -49,10 +49,10 @@ ARGUMENTS = {
     }.items()
 }
 
-"""In a loop that chooses its own sub-steps (`schedule_codegen.WALKED`), `tags` (`WORKSPACE`,), −1 at first, are the
-keys whose values the rows of the table hold, and `tolerance` is one number.  A schedule: `places`, `depths` and
-`doubled` (room,) of the sub-steps; `numbers` (5,): room, most sub-steps; then how many there are, the instant and
-the state that stopped it."""
+"""In a loop that chooses its own sub-steps (`schedule_codegen.WALKED`), `tags` (`WORKSPACE`,), −1 at first,
+are the keys whose values the rows of the table hold, and `tolerance` is one number.  A schedule: `places`,
+`depths` and `doubled` (room,) of the sub-steps; `numbers` (5,): room, most sub-steps; then how many there
+are, the instant and the state that stopped it."""
 
 
 def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
@@ -92,7 +92,7 @@ class Emission(Stages):
         return (
             self.read(slots)
             | self.table(key)
-            | self._inputs_at(k)
+            | self.inputs_at(k)
             | {self.recursion.reading.index: y}
             | self.at_parameters
         )
@@ -149,7 +149,6 @@ class Emission(Stages):
             k = w.load("i64", instant)
             key = self.key_of(k)
             walk.through(k, accept)
-            walk.known(key)
             self._correct(slots, k, key, total)
             self._resets(slots, k)
             after = w.integer("add", k, 1)
@@ -239,7 +238,7 @@ class Emission(Stages):
 
     def _adjoint(self) -> None:
         """Score by a forward pass that stores the moments and a backward pass."""
-        w, r, g = self.writer, self.recursion, self.recursion.graph
+        w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total = RunningSums(w)

@@ -31,6 +31,12 @@ class Schedule:
     depth: np.ndarray
     doubled: np.ndarray
 
+    def window(self, first: int, last: int) -> Schedule:
+        """Those to the instants first … last−1."""
+        begin, end = self.offset[first], self.offset[last]
+        parts = (np.ascontiguousarray(one[begin:end]) for one in (self.place, self.depth, self.doubled))
+        return Schedule(self.offset[first : last + 1] - begin, *parts)
+
     def halved(self) -> Schedule:
         """Every sub-step as two of half its length."""
         place = np.repeat(2 * self.place, 2)
@@ -40,9 +46,9 @@ class Schedule:
 
 @dataclass(frozen=True)
 class SubSteps:
-    """Sub-steps as the compiled loops take them: the K distinct ones `keys` (K, 1 + regimes) with their lengths [h]
-    and `times` (K,) doubled; `key` (T,) of every instant; `offset` (T+1,), `row` (S,) among the keys and `within`
-    (S, 2) fractions of the step; `ends` the instants after the ends of gaps."""
+    """Sub-steps as the compiled loops take them: the K distinct ones `keys` (K, 1 + regimes) with their
+    lengths [h] and `times` (K,) doubled; `key` (T,) of every instant; `offset` (T+1,), `row` (S,) among the
+    keys and `within` (S, 2) fractions of the step; `ends` the instants after the ends of gaps."""
 
     keys: np.ndarray
     times: np.ndarray
@@ -65,7 +71,9 @@ class SubSteps:
             row, within = row[first:last], within[first:last]
             offset = offset[part.start : part.stop + 1] - first
         keys, times = self.keys, self.times
-        if len(key) + len(row) < len(keys):  # where every step has its own length, a table of all would fill memory
+        if len(key) + len(row) < len(
+            keys
+        ):  # where every step has its own length, a table of all would fill memory
             used, place = np.unique(np.concatenate([key, row]), return_inverse=True)
             place = place.astype(np.int32)
             key, row = place[: len(key)], np.ascontiguousarray(place[len(key) :])
@@ -105,21 +113,28 @@ class Unresolved:
 
 
 def scheduled(
-    recursion: Recursion, theta: np.ndarray, t: Timeline, part: slice, state: np.ndarray, tolerance: float, gain: bool
+    recursion: Recursion,
+    theta: np.ndarray,
+    t: Timeline,
+    part: slice,
+    state: np.ndarray,
+    tolerance: float,
+    gain: bool,
 ) -> Schedule | Unresolved:
-    """The schedule of some instants along the filter's course from packed moments, which are moved to their end."""
+    """The schedule of some instants along the filter's course from packed moments, which are moved to their
+    end."""
     count, whole = part.stop - part.start, len(t.steps)
     most = MOST + 100 * count
     room, begun = 8 * count + 64, state.copy()
-    none = np.zeros(1, np.int32)
+    none, table = np.zeros(1, np.int32), np.empty(table_room(recursion, "schedule"))
     while True:
         places, depths, doubled = (np.empty(room, np.int32) for _ in range(3))
         offset, numbers = np.zeros(count + 1, np.int32), np.array([room, most, 0, 0, -1])
         state[:] = begun
         filter_loop(recursion, "schedule", gain)(
-            "schedule", count, whole, theta, t.steps, np.zeros(whole, np.int32), np.empty(table_room(recursion, "schedule")),
-            t.key[part], offset, none, np.zeros(2), t.u[1:][part], t.y[part], t.reset[part], state, begun,
-            places, depths, doubled, numbers, tags(), np.array([tolerance]),
+            "schedule", count, whole, theta, t.steps, np.zeros(whole, np.int32), table, t.key[part], offset,
+            none, np.zeros(2), t.u[1:][part], t.y[part], t.reset[part], state, begun, places, depths, doubled,
+            numbers, tags(), np.array([tolerance]),
         )  # fmt: skip
         _, _, taken, instant, worst = numbers.tolist()
         if worst >= 0:

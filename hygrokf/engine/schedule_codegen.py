@@ -1,30 +1,42 @@
 """The loop that chooses the sub-steps of every step along the filtered course, as LLVM text.
 
-A step is bisected where its error is.  From the moments before an interval (i, l), of length 2^−l of the step and
-beginning at i 2^−l of it, one sub-step is compared with two of half the length,
+A step is bisected where its error is.  From the moments before an interval (i, l), of length 2^−l of the
+step and beginning at i 2^−l of it, one sub-step to (m, P) is compared with two of half the length to (m',
+P'), in standard deviations of every reading,
 
-    e = max_i |m_i − m'_i| / (√P'_ii + ε |m'_i − x_i|),    max_ij |P_ij − P'_ij| / √(P'_ii P'_jj),
+    |h(m) − h(m')| / √S',
 
-x the mean before the interval and ε = `CHANGE`, which measures states that are known without doubt.  Up to the
-tolerance the one sub-step stands, otherwise its first half is tried; behind an interval the next one is as long, or
-twice as long where it may begin there.  The number of doublings follows from the rates at the beginning.
+and of every state, as far as the next half, with the transition E, does not forget the difference,
+
+    |E (m − m')|_i / (√P'_ii + ε |m'_i − x_i| + ε' |m'_i|),    |E (P − P') E'|_ij / √(P'_ii P'_jj),
+
+x the mean before the interval and ε = `CHANGE`, ε' = `VALUE`, which measure states without any variance.
+Within a step a fast state that follows slow ones thus counts by what it does to them; at its end, where
+readings may come, E is the identity.  An interval in which a comparison of the rates changes its result is
+halved until it is 2^−`KINK` of the step: no comparison of moments sees a kink behind the last node.  Up to
+the tolerance the one sub-step stands, otherwise its first half is tried; behind an interval the next one is
+as long, or twice as long where it may begin there.  The number of doublings follows from the rates at the
+beginning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from hygrokf.engine.discretisation import SHARE
+from hygrokf.engine.discretisation import SHARE, congruence
 from hygrokf.engine.llvm_writer import SCALAR, literal
 from hygrokf.engine.step_codegen import DOUBLINGS, Names, Stages
 from hygrokf.engine.traced_filter import Recursion, place
-from hygrokf.physics.expression import Expression, maximum, sqrt
+from hygrokf.physics.expression import Expression, Value, is_zero, maximum, product, sqrt
 
 WALKED = ("controlled", "schedule")
 """Kinds of loops that choose their own sub-steps."""
-CHANGE = 1e-2
-ROUNDING = 1e-13
+CHANGE, VALUE = 0.01, 0.001
+"""[1] shares of a state's change and value that count as its standard deviations."""
+ROUNDING = 1e-14
 """[1] of a mean below which a difference is rounding."""
+KINK = 6
+"""Intervals across a kink are at most 2^−6 of a step."""
 DEEPEST = 24
 """Smallest interval: 2^−24 of a step."""
 
@@ -42,8 +54,8 @@ def table_room(recursion: Recursion, kind: str) -> int:
 class Walk:
     """The walk through one step, in a loop of its own kind.
 
-    The loop has the arguments `tags` (i64, one for every row of the workspace, first −1): the key whose values a row
-    holds; and `tolerance` (1,).
+    The loop has the arguments `tags` (i64, one for every row of the workspace, first −1): the key whose
+    values a row holds; and `tolerance` (1,).
     """
 
     def __init__(self, stages: Stages, slots: Names) -> None:
@@ -55,37 +67,69 @@ class Walk:
         self.once = [w.slot(SCALAR) for _ in slots]
         g, n = r.graph, r.n
         self.before = [g.symbol(f"before:{i}") for i in range(n)]
-        self.ends = [[g.symbol(f"{name}:{i}") for i in range(n + r.q)] for name in ("once", "twice")]
+        self.single = [g.symbol(f"once:{i}") for i in range(n + r.q)]
+        self.ahead = {g.symbol(f"ahead:{i}").index: w.slot(SCALAR) for i in range(n * n)}
         self.errors = self._errors()
 
     def _errors(self) -> list[Expression]:
-        """The error of every state (n,), and a number that is not finite where a moment is not."""
-        r, (one, two) = self.stages.recursion, self.ends
-        n = r.n
+        """The error of every state (n,) and reading (k,), a number that is not finite where a moment is
+        not, and the number of comparisons of the rates that the means before and after answer
+        differently."""
+        r = self.stages.recursion
+        g, n, one, two = r.graph, r.n, self.single, r.state
 
-        def size(value: Expression) -> Expression:
-            return maximum(value, -value)
+        def size(value: Value) -> Expression:
+            return maximum(g.lift(value), -g.lift(value))
 
+        def beyond(value: Value, of: Value) -> Expression:
+            return maximum(size(value) - ROUNDING * size(of), 0.0)
+
+        ahead = [
+            [
+                g.symbol(f"ahead:{i * n + j}") if i == j or not is_zero(r.transition[i * n + j]) else 0.0
+                for j in range(n)
+            ]
+            for i in range(n)
+        ]
+        apart = [p - q for p, q in zip(one, two, strict=False)]
+        later = [row[0] for row in product(ahead, [[value] for value in apart[:n]])]
+        spread = congruence(ahead, [[apart[n + place(i, j)] for j in range(n)] for i in range(n)])
         sd = [sqrt(maximum(two[n + place(i, i)], 0.0)) for i in range(n)]
-        found, total = [], one[0] - two[0]
-        for p, q in zip(one[1:], two[1:], strict=True):
-            total = total + (p - q)
+        found = []
         for i in range(n):
-            scale = sd[i] + CHANGE * size(two[i] - self.before[i]) + ROUNDING * size(two[i]) + 1e-300
-            error = size(one[i] - two[i]) / scale
+            change = size(two[i] - self.before[i])
+            scale = sd[i] + CHANGE * change + VALUE * size(two[i]) + 1e-300
+            error = beyond(later[i], two[i]) / scale
             for j in range(n):
-                p, q = one[n + place(i, j)], two[n + place(i, j)]
-                error = maximum(error, size(p - q) / (sd[i] * sd[j] + 1e-300))
+                error = maximum(error, size(spread[i][j]) / (sd[i] * sd[j] + 1e-300))
             found.append(error)
-        return [*found, total]
+        shown = [update[-3] for update in r.updates]
+        alone, begun = (
+            g.substitute(shown, {m.index: e for m, e in zip(r.mean, symbols, strict=False)})
+            for symbols in (one, self.before)
+        )
+        for a, b, c, update in zip(alone, shown, begun, r.updates, strict=True):
+            scale = sqrt(maximum(update[-2], 0.0)) + CHANGE * size(c - b) + 1e-300
+            found.append(beyond(a - b, b) / scale)
+        total = g.constant(0.0)
+        for value in apart:
+            total = total + value
+        begun = g.substitute(r.comparisons, {m.index: e for m, e in zip(r.mean, self.before, strict=True)})
+        changed = g.constant(0.0)
+        for a, b in zip(r.comparisons, begun, strict=True):
+            changed = changed + (a - b) * (a - b)
+        return [*found, total, changed]
 
     def through(self, k: str, accept: Callable[[str, str, str], str | None]) -> None:
-        """Move the moments to instant k; `accept(i, level, doublings)` is told every sub-step, and returns an i1
-        that ends the walk.  Where it does, or the deepest interval does not do, `worst` is the state with the
-        largest error, and the moments stay before that interval."""
+        """Move the moments to instant k; `accept(i, level, doublings)` is told every sub-step, and returns
+        an i1 that ends the walk.  Where it does, or the deepest interval does not do, `worst` is the state
+        with the largest error, and the moments stay before that interval."""
         w = self.stages.writer
         key = self.stages.key_of(k)
-        hours = w.load(SCALAR, w.at(SCALAR, "%keys", w.integer("mul", key, len(self.stages.recursion.key_leaves))))
+        self.known(key)
+        hours = w.load(
+            SCALAR, w.at(SCALAR, "%keys", w.integer("mul", key, len(self.stages.recursion.key_leaves)))
+        )
         w.store("i64", "0", self.i)
         w.store("i64", "0", self.level)
         begun = w.value(f"fcmp ogt double {hours}, {literal(0.0)}")
@@ -104,9 +148,11 @@ class Walk:
                 times = self._sub_step(k, key, hours, at, deeper)
                 with w.when(first):
                     w.store("i64", times, self.times)
-            error, state = self._judged()
+            error, state, changed = self._judged(k, key)
             tolerance = w.load(SCALAR, "%tolerance")
-            good = w.value(f"fcmp ole double {error}, {tolerance}")
+            deep = w.value(f"icmp sge i64 {level}, {KINK}")
+            smooth = w.value(f"or i1 {deep}, {w.value(f'fcmp oeq double {changed}, {literal(0.0)}')}")
+            good = w.value(f"and i1 {smooth}, {w.value(f'fcmp ole double {error}, {tolerance}')}")
             with w.when(good):
                 enough = accept(begin, level, w.load("i64", self.times))
                 self._copy(self.once, list(self.slots.values()))
@@ -139,7 +185,8 @@ class Walk:
         self._row(key, "0", "0", self.stages.key_leaves(key))
 
     def _row(self, key: str, row: str, times: str, leaves: Names) -> str:
-        """Where the values of a key table's row begin in the workspace; computed unless it holds them already."""
+        """Where the values of a key table's row begin in the workspace; computed unless it holds them
+        already."""
         s, w, r = self.stages, self.stages.writer, self.stages.recursion
         start, tag = w.integer("mul", row, len(r.key_nodes)), w.at("i64", "%tags", row)
         with w.when(w.value(f"icmp ne i64 {w.load('i64', tag)}, {key}")):
@@ -169,25 +216,27 @@ class Walk:
             i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", start, c)))
             for c, i in enumerate(r.key_nodes)
         }
-        s.advance(self.slots, times, s.read(self.slots) | leaves | known | inputs | s.at_parameters)
+        leaves |= known | s.at_parameters
+        s.advance(self.slots, times, s.read(self.slots) | leaves | inputs)
+        made = w.block(r.graph, r.transition, leaves | s.reading(s.registers, r.transition))
+        last = w.value(f"icmp eq i64 {w.integer('add', at, 1)}, {w.integer('shl', '1', level)}")
+        for c, (slot, (_, name)) in enumerate(zip(self.ahead.values(), made, strict=True)):
+            own = literal(1.0 if c % (r.n + 1) == 0 else 0.0)
+            w.store(SCALAR, w.value(f"select i1 {last}, double {own}, double {name}"), slot)
         return times
 
-    def _judged(self) -> tuple[str, str]:
-        """The largest error, NaN where a moment is not finite, and its state."""
-        w, r = self.stages.writer, self.stages.recursion
-        n = r.n + r.q
-        leaves = {
-            e.index: w.load(SCALAR, slot)
-            for symbols, slots in (
-                (self.before, self.origin), (self.ends[0], self.once), (self.ends[1], self.slots.values()),
-            )
-            for e, slot in zip(symbols, list(slots)[: len(symbols)], strict=True)
-        }  # fmt: skip
-        *each, total = (name for _, name in w.block(r.graph, self.errors, leaves))
+    def _judged(self, k: str, key: str) -> tuple[str, str, str]:
+        """The largest error, NaN where a moment is not finite; its state, or n and more for a reading; and
+        the number of comparisons that changed their result."""
+        s, w, r = self.stages, self.stages.writer, self.stages.recursion
+        leaves = s.read(self.slots) | s.read(self.ahead) | s.table(key) | s.inputs_at(k) | s.at_parameters
+        leaves[r.reading.index] = literal(0.0)
+        for symbols, slots in ((self.before, self.origin), (self.single, self.once)):
+            leaves |= {e.index: w.load(SCALAR, slot) for e, slot in zip(symbols, slots, strict=False)}
+        *each, total, changed = (name for _, name in w.block(r.graph, self.errors, leaves))
         error, state = each[0], "0"
         for i, name in enumerate(each[1:], 1):
             larger = w.value(f"fcmp ogt double {name}, {error}")
             error = w.value(f"select i1 {larger}, double {name}, double {error}")
             state = w.value(f"select i1 {larger}, i64 {i}, i64 {state}")
-        finite = w.real("fmul", total, literal(0.0))
-        return w.real("fadd", error, finite), state
+        return w.real("fadd", error, w.real("fmul", total, literal(0.0))), state, changed

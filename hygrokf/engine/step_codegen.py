@@ -89,8 +89,8 @@ class Stages:
                 w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
 
     def doublings(self, leaves: Names, share: float) -> str:
-        """Number of doublings (i64) for the rates at the beginning of a sub-step, which `leaves` give; −1 for rates
-        that are not finite, or too large."""
+        """Number of doublings (i64) for the rates at the beginning of a sub-step, which `leaves` give; −1
+        for rates that are not finite, or too large."""
         w, r = self.writer, self.recursion
         most, total = literal(0.5), literal(0.0)
         for _, name in w.block(r.graph, r.reach, leaves | self.at_parameters):
@@ -154,8 +154,8 @@ class Stages:
     def retract(
         self, program: Sequence[Operation], slots: Names, times: str, leaves: Names, pull: Pull, key: str
     ) -> None:
-        """The adjoint of `perform`, after it with `levels`: `pull(into, block, leaves, key)` moves the adjoints
-        of symbols on to what their block is made from."""
+        """The adjoint of `perform`, after it with `levels`: `pull(into, block, leaves, key)` moves the
+        adjoints of symbols on to what their block is made from."""
         w = self.writer
         places = self._level_places(program)
 
@@ -195,8 +195,8 @@ class Stages:
 
     @staticmethod
     def _level_places(program: Sequence[Operation]) -> tuple[dict[int, int], int]:
-        """The first column of each repetition in a row of `%levels`, by the identity of the operation, and the
-        width of a row."""
+        """The first column of each repetition in a row of `%levels`, by the identity of the operation, and
+        the width of a row."""
         places, width = {}, 0
         for one in operations(program):
             if isinstance(one, Repeat):
@@ -294,7 +294,7 @@ class Stages:
                         result[table[name].index] = w.real("fadd", old, w.real("fmul", rise, share))
         return result
 
-    def _inputs_at(self, k: str) -> Names:
+    def inputs_at(self, k: str) -> Names:
         r = self.recursion
         return self._row("%u", k, [r.now[name].index for name in r.varying])
 

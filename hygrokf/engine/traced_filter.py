@@ -239,6 +239,15 @@ class Recursion:
         """The entries of the noise that are not zero, by row and column."""
         return _entries(self.noise)
 
+    @cached_property
+    def comparisons(self) -> list[Expression]:
+        """The comparisons of states that the rates make, as 1 or 0."""
+        states = [f"m{i}" for i in range(self.n)]
+        made = [
+            Expression(self.graph, i) for i in self.graph.needed(self.rates) if self.graph.nodes[i][0] == "lt"
+        ]
+        return [where(one, 1.0, 0.0) for one in made if depends_on(self.graph, one, states)]
+
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage

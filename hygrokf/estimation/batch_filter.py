@@ -15,22 +15,22 @@ from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.schedule import TOLERANCE
-from hygrokf.engine.schedule_codegen import CHANGE, ROUNDING
+from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import pack, traced, unpack
 from hygrokf.estimation.likelihood import Gaussian, RatesFault
+from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
 
-
-MOST = 65_536
-"""Most sub-steps of a step."""
+TRIED = 3
+"""Numbers of equal parts, each twice the one before, that are tried before an interval is halved."""
 
 
 class SideBySide:
     """The states of N runs of one model as arrays; `step` advances all of them.
 
-    `values` are N sets of parameter values, `states` N Gaussians; `tolerance` [1] is the largest error of a step, as
-    in `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them needs.  `mean`
-    (N, n) and `covariance` (N, n, n) are the states after the last step.
+    `values` are N sets of parameter values, `states` N Gaussians; `tolerance` [1] is the largest error of a
+    step, as in `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them
+    needs. `mean` (N, n) and `covariance` (N, n, n) are the states after the last step.
     """
 
     def __init__(
@@ -52,6 +52,7 @@ class SideBySide:
         self._count = count
         given = list(recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
+        self._values = {p.name: parameters[:, i] for i, p in enumerate(model.parameters)}
         moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
         self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
         blocks = len(self._state)
@@ -122,32 +123,58 @@ class SideBySide:
         if self._exact:
             self._advance(hours, inputs, 1)
             return
-        begun, y = self._state.copy(), self._y.copy()
+        y, before, now = self._y.copy(), self._before.copy(), self._now.copy()
         self._y[:] = np.nan
-        parts = self._divided
-        once = self._moved(begun, hours, inputs, parts)
-        while True:
-            twice = self._moved(begun, hours, inputs, 2 * parts)
-            error = self._error(begun, once, twice)
-            if error <= self._tolerance:
-                break
-            if parts >= MOST:
-                raise RatesFault(
-                    f"expected rates that {MOST} sub-steps of a step resolve, found an error of {error:.1g} standard "
-                    "deviations: narrow the bounds of the parameters, or take shorter steps"
-                )
-            parts, once = 2 * parts, twice
-        # half as many do next time where their error, of at least third order, would be below the tolerance too
-        self._divided = max(1, parts // 2 if error < self._tolerance / 32.0 else parts)
-        self._y[:] = y
+        self._state[...] = self._through(self._state.copy(), np.asarray(hours, float), inputs, before, now, 0)
+        self._y[:], self._before[:], self._now[:] = y, before, now
         if not np.isnan(y).all():
             self._advance(0.0, inputs, 1)
 
-    def _moved(
-        self, begun: np.ndarray, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int
+    def _through(
+        self,
+        begun: np.ndarray,
+        hours: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        before: np.ndarray,
+        now: np.ndarray,
+        depth: int,
     ) -> np.ndarray:
-        """Moments (blocks, width, RUNS) after a step in equal parts."""
-        self._state[...] = begun
+        """Moments (blocks, width, RUNS) after `hours` between two sets of inputs: in equal parts, or where
+        these do not do, in two halves."""
+        parts = 1 if depth else self._divided
+        once = self._moved(begun, hours, inputs, before, now, parts)
+        for _ in range(TRIED):
+            twice = self._moved(begun, hours, inputs, before, now, 2 * parts)
+            error = self._error(begun, once, twice)
+            if error <= self._tolerance and depth < KINK and self._kinked(begun, twice, inputs):
+                break
+            if error <= self._tolerance:
+                if not depth:
+                    # half as many next time where their error, of at least fourth order, would do as well
+                    self._divided = max(1, parts // 2 if error < self._tolerance / 32.0 else parts)
+                return twice
+            parts, once = 2 * parts, twice
+        if depth > DEEPEST:
+            raise RatesFault(
+                f"expected rates that sub-steps of {float(np.max(hours)):.1g} h resolve, found an error of "
+                f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
+            )
+        middle = now.copy()
+        for place, name in enumerate(self.varying):
+            middle[place] = between(self.model.holds[name], before[place], now[place], 0.5)
+        half = self._through(begun, 0.5 * hours, inputs, before, middle, depth + 1)
+        return self._through(half, 0.5 * hours, inputs, middle, now, depth + 1)
+
+    def _moved(
+        self,
+        begun: np.ndarray,
+        hours: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        before: np.ndarray,
+        now: np.ndarray,
+        parts: int,
+    ) -> np.ndarray:
+        self._state[...], self._before[:], self._now[:] = begun, before, now
         self._advance(hours, inputs, parts)
         return self._state.copy()
 
@@ -158,10 +185,27 @@ class SideBySide:
         if not (np.isfinite(one).all() and np.isfinite(two).all()):
             return math.inf
         sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0))
-        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + ROUNDING * abs(two[:, :n]) + 1e-300
+        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n]) + 1e-300
         spread = pack(sd[:, :, None] * sd[:, None, :]) + 1e-300
         apart = abs(one - two)
-        return float(max((apart[:, :n] / scale).max(), (apart[:, n:] / spread).max()))
+        return float(
+            max(
+                (np.maximum(apart[:, :n] - ROUNDING * abs(two[:, :n]), 0.0) / scale).max(),
+                (apart[:, n:] / spread).max(),
+            )
+        )
+
+    def _kinked(self, begun: np.ndarray, ended: np.ndarray, inputs: Mapping[str, np.ndarray]) -> bool:
+        """Whether a comparison of the rates changes its result in a run whose state is uncertain; a mean
+        alone feels a kink to second order only."""
+        r, n = traced(self.model), traced(self.model).n
+        if not r.comparisons or not begun[:, n:].any():
+            return False
+        found = [
+            r.graph.evaluate(r.comparisons, r.symbols(self._values, self._in_rows(part)[:, :n].T, inputs))
+            for part in (begun, ended)
+        ]
+        return any(np.any(np.not_equal(a, b)) for a, b in zip(*found, strict=True))
 
     def _advance(self, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int) -> None:
         keys = self._keys.copy()

@@ -84,7 +84,7 @@ def confidence_intervals(
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
-    objective = Objective(likelihood, estimate.coordinates)
+    objective = Objective(likelihood, estimate.coordinates).at(estimate.z)
     known = uncertainty(objective, estimate)
     if method in ("wald", "sandwich"):
         return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
@@ -147,7 +147,7 @@ def modal_time_constants(
 
     at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z
-    objective = Objective(likelihood, coordinates)
+    objective = Objective(likelihood, coordinates).at(estimate.z)
     known = known or uncertainty(objective, estimate)
     inside = [coordinates.names.index(name) for name in known.names]
     lifted = np.array([p.beyond_guards() for p in coordinates.free]).reshape(-1, 2)

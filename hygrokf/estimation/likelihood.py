@@ -38,6 +38,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, bounded_weight, pack, trace_width, traced, unpack
 from hygrokf.estimation.start import Moments, Slopes, prior, prior_slopes, stationary, stationary_slopes
 from hygrokf.physics.model import Model, fields_alone
+from hygrokf.physics.parameters import expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
@@ -95,13 +96,14 @@ class Likelihood:
     model, timeline: n states, d parameters; T instants [h] with readings (T, k), NaN where one is missing.
     initial, diffuse_states: "prior" (each mechanism's own), "stationary" (steady state at the first inputs),
         "diffuse" (exact, for these states, by default all; others keep their prior), or a `Gaussian`.
-    tolerance: [1] largest error of a sub-step, in standard deviations; a search may take a larger one at the expense
+    tolerance: [1] largest error of a sub-step, in standard deviations; a search may take a larger one at
+    the expense
         of the last digits.
     schedule: sub-steps to hold (`scheduled`); by default they are chosen anew for every set of values.
 
     `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
-    ValueError for an unknown `initial`, unknown diffuse states, a schedule of other instants and parameters without
-    a value, RatesFault where rates are not finite or no sub-step resolves a step.
+    ValueError for an unknown `initial`, unknown diffuse states, a schedule of other instants and parameters
+    without a value, RatesFault where rates are not finite or no sub-step resolves a step.
     """
 
     model: Model
@@ -136,7 +138,11 @@ class Likelihood:
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
-        known = [values[p.name] for p in self.model.parameters]
+        try:
+            known = [values[p.name] for p in self.model.parameters]
+        except KeyError:
+            expect_values(self.model.parameters, values)
+            raise
         return np.array([*known, *self.recursion.constants], dtype=float)
 
     # -- sub-steps -------------------------------------------------------------------------------------------
@@ -160,7 +166,9 @@ class Likelihood:
             return 1.0
         return max(1.0, len(self._steps(values).row) / len(self.timeline))
 
-    def _steps(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> SubSteps:
+    def _steps(
+        self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None
+    ) -> SubSteps:
         """Sub-steps of every step; raises RatesFault where no sub-step resolves one."""
         if self.recursion.exact:
             return whole_steps(self.timeline, tuple(self._gaps))
@@ -194,16 +202,17 @@ class Likelihood:
 
     def _unresolved(self, values: Mapping[str, float], where: Unresolved) -> str:
         t, r = self.timeline, self.recursion
-        lost = self.model.states[where.state]
-        needed = r.graph.needed([r.rates[where.state]])
+        names = (*self.model.states, *self.model.outputs)
+        lost = names[where.state]
+        needed = r.graph.needed(r.rates if where.state >= r.n else [r.rates[where.state]])
         symbols = [r.graph.nodes[k][1] for k in needed if r.graph.nodes[k][0] == "symbol"]
         own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         hours = float(t.steps[t.key[where.instant], 0])
         return (
             f"expected rates that sub-steps resolve, found others of {lost} in the step of "
             f"{duration_text(3600.0 * hours)} until {stamp_text(t.origin_s + 3600.0 * t.time[where.instant])}"
-            f"{' with ' + own if own else ''}: the state leaves every bound, its rate is not finite there, or it "
-            "jumps; narrow the bounds of these parameters, or smooth the jump"
+            f"{' with ' + own if own else ''}: the state leaves every bound, its rate is not finite there, "
+            "or it jumps; narrow the bounds of these parameters, or smooth the jump"
         )
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
@@ -300,12 +309,14 @@ class Likelihood:
         gain: bool = True,
         controls: tuple[Control, ...] = (),
     ) -> None:
-        """Run a compiled loop over a piece, which moves `state` through it; `further` are its own arguments."""
+        """Run a compiled loop over a piece, which moves `state` through it; `further` are its own
+        arguments."""
         t, own = self.timeline, steps.of(part)
         table = np.empty(max(table_room(self.recursion, kind), len(own.keys) * len(self.recursion.key_nodes)))
         filter_loop(self.recursion, kind, gain, controls)(
-            kind, len(own.key), len(own.keys), self.theta(values), own.keys, own.times, table, own.key, own.offset,
-            own.row, own.within, t.u[1:][part], t.y[part], t.reset[part], state, state.copy(), *further,
+            kind, len(own.key), len(own.keys), self.theta(values), own.keys, own.times, table, own.key,
+            own.offset, own.row, own.within, t.u[1:][part], t.y[part], t.reset[part], state, state.copy(),
+            *further,
         )  # fmt: skip
         if own.times.min(initial=0) < 0:
             raise RatesFault(self._not_finite(values))
@@ -367,7 +378,9 @@ class Likelihood:
         for part in self._parts(steps):
             state[:] = self._widened(part.start, state)
             further = still[part], levels, found[part], tags(), np.array([self.tolerance])
-            own._loop("controlled", values, steps, state, part, *further, gain=False, controls=tuple(controls))
+            own._loop(
+                "controlled", values, steps, state, part, *further, gain=False, controls=tuple(controls)
+            )
             own.timeline.u[part.stop, columns] = found[part.stop - 1]
         return found
 

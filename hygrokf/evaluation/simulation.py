@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.tabular import utc_index, with_units
+from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design
@@ -93,10 +94,10 @@ def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.where(near, np.interp(time, known, value[there]), np.nan)
 
 
-def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: float | None = None) -> Run:
+def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: float = TOLERANCE) -> Run:
     """The run with `scored` False also until the free run has forgotten the gaps of its inputs.
 
-    design, values: the model and its parameters, in their units.  rate_step: [1] as in `Likelihood`.
+    design, values: the model and its parameters, in their units.  tolerance: [1] as in `Likelihood`.
 
     A gap is forgotten where what its end adds to the variance of every predicted reading (see
     `engine.gaps`) is at most what the reading has without it.
@@ -105,7 +106,7 @@ def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: fl
     if not ends.any():
         return run
     with_gaps, without = (
-        Likelihood(design.model, replace(run.timeline, ends=one), rate_step=rate_step)
+        Likelihood(design.model, replace(run.timeline, ends=one), tolerance=tolerance)
         .trace(values, gain=False)
         .variance
         for one in (ends, ends[:0])
@@ -220,14 +221,14 @@ def simulate(
     values: Mapping[str, float],
     run: Run,
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Prediction:
     """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
     run: of `model_inputs`, with T instants.
     covariance: (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
-    rate_step: [1] as in `Likelihood`.
+    tolerance: [1] as in `Likelihood`.
 
     Returns `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³], each as (mean, standard
     deviation), both (T,), or None where the model has no such output.  Switches follow the simulated readings
@@ -236,7 +237,7 @@ def simulate(
     """
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
-    likelihood = Likelihood(design.model, blind, rate_step=rate_step)
+    likelihood = Likelihood(design.model, blind, tolerance=tolerance)
     prediction = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return prediction
@@ -246,7 +247,7 @@ def simulate(
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    zero = Likelihood(design.model, zeros, rate_step=rate_step)
+    zero = Likelihood(design.model, zeros, tolerance=tolerance)
     _, slopes = zero.residuals(values, directions)
     rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
     warm = rows.get("cabinet_temperature")
@@ -282,7 +283,7 @@ def forecast(
     first: int,
     leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
     count: int = 250,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """Forecasts from filtered states at instants of a run, compared with the readings that came.
 
@@ -290,7 +291,7 @@ def forecast(
     run: of `model_inputs`.
     first, count: instant after which forecasts start, and how many of them, spread evenly.
     leads_h: [h] how far ahead.
-    rate_step: [1] as in `Likelihood`.
+    tolerance: [1] as in `Likelihood`.
 
     Inputs are those of the record (a perfect weather forecast); readings after a start are not used.
 
@@ -299,8 +300,8 @@ def forecast(
     parameters that the model does not have.
     """
     t = run.timeline
-    likelihood = Likelihood(design.model, t, rate_step=rate_step)
-    trace, fastest = likelihood.trace(values), likelihood.rate(values)
+    likelihood = Likelihood(design.model, t, tolerance=tolerance)
+    trace = likelihood.trace(values)
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
     there = there[there >= first]
@@ -322,9 +323,7 @@ def forecast(
     pieces = self_switched(design, values, pieces, states)
     for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
         part = piece.timeline
-        ahead = Likelihood(design.model, part, rate_step=rate_step, fastest=fastest).trace(
-            values, start=state
-        )
+        ahead = Likelihood(design.model, part, tolerance=tolerance).trace(values, start=state)
         prediction = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:
