@@ -80,7 +80,7 @@ def test_bounds_hold_the_truth_where_rates_grow_along_the_course(
     """The rates at the first state are 50 and 250 times as slow as those that follow.  One seed of each; the
     coverage over many is the slow test below."""
     likelihood = made(seed)
-    found = fit_mle(likelihood)
+    found = fit_mle(likelihood, count=1)
     assert found.converged and found.discretisation_error < 1e-5, found.message
     bound = confidence_intervals(likelihood, found, [name], "wald")[name]
     assert bound.lower < truth < bound.upper and bound.upper / bound.lower < 1.05
@@ -128,18 +128,18 @@ def relaxation() -> Model:
 
 
 def test_a_stiff_oscillator_is_scipys() -> None:
-    """Between the jumps, of a thousandth of a unit of time, x creeps for 800: rates of 3,000 and of 0.001."""
+    """Between the jumps, a thousandth of a unit long, x creeps for 800: rates of 3,000 and of 0.001."""
     model, times = relaxation(), np.array([0.0, 10.0, 400.0, 800.0, 1000.0])
     likelihood = Likelihood(model, timeline(model, times, {}, {"y": np.full(5, np.nan)}))
     found = likelihood.trace({"mu": 1000.0}).mean
     expected = solve_ivp(
-        lambda t, z: [z[1], 1000.0 * (1.0 - z[0] ** 2) * z[1] - z[0]], (0.0, 1000.0), [2.0, 0.0], "Radau", times,
-        rtol=1e-11, atol=1e-13,
+        lambda t, z: [z[1], 1000.0 * (1.0 - z[0] ** 2) * z[1] - z[0]], (0.0, 1000.0), [2.0, 0.0], "Radau",
+        times, rtol=1e-11, atol=1e-13,
     ).y.T  # fmt: skip
     # at 800 the jump is near, and the speed tells the time of it five times as sharply as the position
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     np.testing.assert_allclose(found[:, 0], expected[:, 0], rtol=1e-6)
-    assert likelihood.steps_per_instant({"mu": 1000.0}) < 2000.0  # a stable explicit rule would take 500,000
+    assert likelihood.steps_per_instant({"mu": 1000.0}) < 5000.0  # a stable explicit rule takes 300,000
 
 
 def test_a_state_that_leaves_every_bound_is_refused_with_its_step() -> None:
@@ -151,7 +151,7 @@ def test_a_state_that_leaves_every_bound_is_refused_with_its_step() -> None:
 
 
 def test_a_kink_is_not_passed_over() -> None:
-    """The rate has a kink at x = 1, just behind the last node of a whole step: only there the covariance shrinks."""
+    """The rate has a kink at x = 1, behind the last node of a whole step; there the covariance shrinks."""
     model = one_state(
         lambda p, x, u: 1.0 + where(x > 1.0, -5.0 * p.k * (x - 1.0), 0.0),
         [positive("k", 1.0)],
