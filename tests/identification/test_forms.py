@@ -17,7 +17,7 @@ from hygrokf.data.structured import plain
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.confidence import Uncertainty, normal_quantile, part_shifts, uncertainty
 from hygrokf.estimation.likelihood import Likelihood
-from hygrokf.estimation.optimiser import Objective, climb
+from hygrokf.estimation.optimiser import Estimate, Objective, climb
 from hygrokf.identification.clock_offsets import (
     ONE_SYSTEM_S,
     TWO_SYSTEMS_S,
@@ -36,13 +36,21 @@ from hygrokf.identification.composition import (
     from_sampling,
 )
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
-from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
+from hygrokf.identification.forms import (
+    CONVECTION,
+    RESPONSE,
+    SECOND,
+    SECOND_MASS,
+    _within_ranges,
+    candidates,
+)
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import model_inputs
 from hygrokf.modelling.thermal_system import thermal_system
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.mechanisms.thermal import STILL_K, natural_convection, small_signal
 from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Coordinates, Parameter
 
 Z = normal_quantile(0.95)
 
@@ -379,6 +387,26 @@ def test_forms_widen_to_the_variance_of_their_mixture():
     whole = 0.02**2 + from_forms(0.0, 0.02**2, forms).variance
     assert whole == pytest.approx(float(np.mean(sample**2)), rel=0.01)
     assert from_forms(0.0, 0.02**2, [forms[0], replace(forms[1], weight=0.0)]).variance == 0.0
+
+
+def test_ranges_of_a_forms_parameters_bound_what_they_could_imitate() -> None:
+    """Where a form hardly acts, its parameter is almost unknown and trades against the time constant: its
+    range then counts as a prior of its variance, in one linear model."""
+    tau, mass = (
+        Parameter(name, "h", 1.0, 0.1, 10.0, positive=True) for name in ("thermal_time_constant", "mass")
+    )
+    slopes = np.array([[25.0, 1e-3], [10.0, 2e-3], [5.0, 1e-4]])
+    information = slopes.T @ slopes
+    wide = np.linalg.inv(information)
+    coordinates = Coordinates((tau, mass), {})
+    estimate = Estimate(coordinates, np.zeros(2), {}, 0.0, 0.0, True, "", ())
+    known = Uncertainty(coordinates.names, wide, wide, np.ones(2), (), (), information)
+    found = _within_ranges(estimate, known, ["mass"])
+    width = math.log(10.0 / 0.1)
+    expected = np.linalg.inv(information + np.diag([0.0, 12.0 / width**2]))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert math.sqrt(wide[0, 0]) > 0.05 > math.sqrt(found[0, 0])
+    np.testing.assert_array_equal(_within_ranges(estimate, known, []), wide)
 
 
 def test_a_free_run_that_agrees_adds_nothing():
