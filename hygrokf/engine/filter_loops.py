@@ -111,10 +111,11 @@ def filter_loop(
     if key not in _codes:
         with _compiling:
             if key not in _codes:
+                source = repr(key)
                 if isinstance(recursion, WideRecursion):
-                    _codes[key] = wide_loop(recursion, kind, gain)
+                    _codes[key] = wide_loop(recursion, kind, gain, source)
                 elif kind == "controlled":
-                    _codes[key] = Code(controlled_text(recursion, controls), [kind])
+                    _codes[key] = Code(lambda: controlled_text(recursion, controls), [kind], source)
                 else:
-                    _codes[key] = Code(loop_text(recursion, kind, gain), [kind])
+                    _codes[key] = Code(lambda: loop_text(recursion, kind, gain), [kind], source)
     return _codes[key]

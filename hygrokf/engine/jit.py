@@ -4,8 +4,9 @@ The compiler is LLVM through llvmlite, as in numba.  Straight-line filter code o
 compiles in a tenth of a second; the same code takes four seconds through numba's front end (docs/decisions).
 
 Object code is cached under `$HYGROKF_CACHE` (default: the user's cache directory), keyed by the text, the
-compiler version and the processor.  The cache is private to the user, because loading its content means
-executing it.
+compiler version and the processor.  Text is written only where that key is not known yet: beside the
+objects stands the key of each source of a text, with the digest of the modules that write it.  The cache is
+private to the user, because loading its content means executing it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import ctypes
 import hashlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -99,28 +100,56 @@ _compiling = Lock()
 code."""
 
 
-def _engine(text: str) -> llvm.ExecutionEngine:
-    key = hashlib.sha256((_identity() + "\n" + text).encode()).hexdigest()
+@cache
+def _writers() -> str:
+    """Digest of the modules that turn a source into text: all of this package, and the expressions'."""
+    packages = (Path(__file__).parent, Path(__file__).parents[1] / "physics")
+    files = sorted(file for package in packages for file in package.glob("*.py*"))
+    return hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
+
+
+def _place(content: str, ending: str) -> tuple[str, Path]:
+    """The key of what is made from this content, and its file in the cache."""
+    key = hashlib.sha256(f"{_identity()}\n{content}".encode()).hexdigest()
+    return key, cache_directory() / "code-1" / f"{key}.{ending}"
+
+
+def _engine(text: str | Callable[[], str], source: str) -> llvm.ExecutionEngine:
+    note = _place(f"{_writers()}\n{source}", "key")[1] if source else None
     with _compiling:
-        engine = _engines.get(key)
+        known = _read(note) if note else None
+        key = known.decode() if known else ""
+        engine = (_engines.get(key) or _loaded(key)) if known else None
         if engine is None:
-            engine = _engines[key] = _compiled(text, key)
+            written = text if isinstance(text, str) else text()
+            key, file = _place(written, "o")
+            engine = _engines.get(key) or _loaded(key) or _compiled(written, file)
+            if note:
+                _write(note, key.encode())
+        _engines[key] = engine
         return engine
 
 
-def _compiled(text: str, key: str) -> llvm.ExecutionEngine:
+def _loaded(key: str) -> llvm.ExecutionEngine | None:
+    """The engine of an object in the cache, where it is there and whole."""
+    stored = _read(cache_directory() / "code-1" / f"{key}.o")
+    return None if stored is None else _started(stored, _machine())
+
+
+def _compiled(text: str, file: Path) -> llvm.ExecutionEngine:
     machine = _machine()
-    path = cache_directory() / "code-1" / f"{key}.o"
-    stored = _read(path)
-    if stored is None:
-        module = llvm.parse_assembly(text)
-        module.verify()
-        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-        builder.getModulePassManager().run(module, builder)
-        stored = machine.emit_object(module)
-        _write(path, stored)
+    module = llvm.parse_assembly(text)
+    module.verify()
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    builder.getModulePassManager().run(module, builder)
+    made = machine.emit_object(module)
+    _write(file, made)
+    return _started(made, machine)
+
+
+def _started(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine
 
@@ -136,10 +165,14 @@ def _address(array: np.ndarray) -> int:
 
 
 class Code:
-    """Compiled functions of one module."""
+    """Compiled functions of one module.
 
-    def __init__(self, text: str, functions: Sequence[str]) -> None:
-        self._engine = _engine(text)
+    text: their text, or what writes it.  source: all that the text depends on, but for the modules that write
+    it, so that it need not be written again.
+    """
+
+    def __init__(self, text: str | Callable[[], str], functions: Sequence[str], source: str = "") -> None:
+        self._engine = _engine(text, source)
         self._functions = {
             name: ctypes.CFUNCTYPE(None)(self._engine.get_function_address(name)) for name in functions
         }

@@ -515,13 +515,11 @@ class Recursion:
     def _digest(self) -> str:
         """Digest of everything that determines the compiled loops: recursions with the same digest share
         their code."""
-        outputs = [[e.index for e in block] for block in self._blocks]
-        model, doubling = self.model, self.doubling
+        model, blocks = self.model, self._blocks
+        own = {k: v for k, v in vars(self).items() if k not in ("model", "graph", "constants")}
         content = (
-            *(list(self.p), model.states, sorted(self.holds.items()), model.inputs),
-            *(model.resets, self.unknown, self.factored, self.graph.nodes, outputs),
-            [e.index for e in self.transition],
-            [] if doubling is None else [e.index for e in (*doubling.first, *doubling.now, *doubling.twice)],
+            *(model.states, model.inputs, model.outputs, model.resets),
+            *(self.wide, self.square, self.graph.nodes, blocks, own),
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()
 

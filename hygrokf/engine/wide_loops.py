@@ -96,6 +96,6 @@ class WideLoop:
         return np.concatenate([own[..., n, :n], pack(own[..., :n, :n])], axis=-1)
 
 
-def wide_loop(recursion: WideRecursion, kind: str, gain: bool) -> WideLoop:
-    """The compiled loop of a kind: value, trace, adjoint or tangent."""
-    return WideLoop(recursion, Code(wide_text(recursion, kind, gain), [kind]))
+def wide_loop(recursion: WideRecursion, kind: str, gain: bool, source: str) -> WideLoop:
+    """The compiled loop of a kind: value, trace, adjoint or tangent; `source` as in `Code`."""
+    return WideLoop(recursion, Code(lambda: wide_text(recursion, kind, gain), [kind], source))

@@ -63,7 +63,7 @@ class SideBySide:
         self._known = np.empty((blocks, max(1, len(kept_nodes(recursion))), RUNS))
         self._before, self._now = (np.zeros((max(1, len(self.varying)), runs)) for _ in range(2))
         self._y = np.full((max(1, len(model.outputs)), runs), np.nan)
-        self._code = Code(fleet_text(recursion), ["fleet"])
+        self._code = Code(lambda: fleet_text(recursion), ["fleet"], f"fleet {recursion.structure}")
 
     def __len__(self) -> int:
         return self._count

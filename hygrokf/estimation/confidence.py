@@ -373,6 +373,6 @@ def normal_quantile(level: float) -> float:
 
 def student(level: float, freedom: float) -> float:
     """Two-sided quantile of Student's t."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
-    return float(t.ppf(0.5 + 0.5 * level, freedom))
+    return float(stdtrit(freedom, 0.5 + 0.5 * level))

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -61,18 +62,10 @@ class Relation:
     sources: Mapping[str, str]
     source: str
 
-    def columns(self, lag_h: float) -> dict[str, np.ndarray]:
-        """The columns of each input under a lag [h]."""
-        from scipy.signal import lfilter
-
-        keep = math.exp(-QUARTER_S / HOUR_S / lag_h)
-        found = {}
-        for signal, columns in self.inputs.items():
-            start = keep * columns[:1]
-            lagged = lfilter([1.0 - keep], [1.0, -keep], columns, axis=0, zi=start)[0]
-            direct = columns[:, :1] if signal.startswith("ambient_") else columns[:, :0]
-            found[signal] = np.hstack([direct, lagged])
-        return found
+    @cached_property
+    def columns(self) -> dict[float, dict[str, np.ndarray]]:
+        """The columns of each input under each lag [h]."""
+        return {lag_h: {s: _lagged(s, one, lag_h) for s, one in self.inputs.items()} for lag_h in LAGS_H}
 
     def whitened(self, values: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Values (N, ...) less their prediction by the autoregression."""
@@ -81,6 +74,17 @@ class Relation:
         result[every:] -= phi[0] * values[:-every]
         result[2 * every :] -= phi[1] * values[: -2 * every]
         return result
+
+
+def _lagged(signal: str, columns: np.ndarray, lag_h: float) -> np.ndarray:
+    """Columns (N, c) of an input under a lag [h], the first of an ambient one also direct."""
+    keep = math.exp(-QUARTER_S / HOUR_S / lag_h)
+    lagged = np.vstack([columns[:1], (1.0 - keep) * columns[1:]])
+    reach = 1
+    while reach < len(lagged):  # Σ keepⁱ of twice as many quarters each time
+        lagged[reach:] += keep**reach * lagged[:-reach]
+        reach *= 2
+    return np.hstack([columns[:, :1], lagged]) if signal.startswith("ambient_") else lagged
 
 
 def relations(record: Record) -> tuple[Relation, ...]:
@@ -192,7 +196,7 @@ def fitted(
     """
     inputs, more = move
     season = np.zeros(len(relation.time), dtype=bool) if summer is None else summer
-    columns = relation.columns(lag_h)
+    columns = relation.columns[lag_h]
     shifted = [
         moved(one, quarters, season, more) if signal in inputs else one for signal, one in columns.items()
     ]
@@ -230,7 +234,7 @@ def shift_logliks(
     """
     found = {move: np.empty((2 * REACH + 1, len(LAGS_H))) for move in moves}
     for place, lag_h in enumerate(LAGS_H):
-        columns = relation.columns(lag_h)
+        columns = relation.columns[lag_h]
         for move in moves:
             inputs, more = move
             still = [one for signal, one in columns.items() if signal not in inputs]

@@ -47,7 +47,7 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
     above 1) have the variance of as many cosines as there are.
     """
     from scipy.fft import dct
-    from scipy.stats import norm, t
+    from scipy.special import ndtri, stdtrit
 
     n, f = terms.shape
     if n < FEWEST_TERMS:
@@ -57,7 +57,7 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
     count = np.maximum(most.astype(int), FEWEST_COSINES)
     cosines = math.sqrt(n) * dct(terms, axis=0, norm="ortho")[1 : count.max() + 1]
     deviations = [
-        t.ppf(0.975, own) / norm.ppf(0.975) * math.sqrt(float(column[:own] @ column[:own]) / own)
+        stdtrit(own, 0.975) / ndtri(0.975) * math.sqrt(float(column[:own] @ column[:own]) / own)
         for column, own in zip(cosines.T, count.tolist(), strict=True)
     ]
     common = cosines[: count.min()]

@@ -172,6 +172,36 @@ def test_code_is_kept_on_disk_and_taken_from_there(fresh: Path, monkeypatch: pyt
     assert len(list(fresh.rglob("*.o"))) == 2  # other text, other object
 
 
+def test_text_is_written_once_for_each_source_and_each_version_of_what_writes_it(
+    fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[float] = []
+
+    def run(factor: float, source: str) -> float:
+        def write() -> str:
+            written.append(factor)
+            return doubling(factor)
+
+        x, out = np.ones(1), np.zeros(1)
+        kept.append(Code(write, ["f"], source))
+        kept[-1]("f", 1, x, out)
+        return float(out[0])
+
+    kept: list[Code] = []
+    for _ in range(2):  # within a process, and in another one that begins with the cache on disk
+        assert run(2.0, "two") == 2.0 and run(3.0, "three") == 3.0 and run(2.0, "two") == 2.0
+        monkeypatch.setattr(jit, "_engines", {})
+    assert written == [2.0, 3.0]
+    note = jit._place(f"{jit._writers()}\ntwo", "key")[1]
+    note.write_bytes(note.read_bytes()[:-1])  # not whole
+    assert run(2.0, "two") == 2.0 and written == [2.0, 3.0, 2.0]
+    jit._place(doubling(2.0), "o")[1].unlink()  # the note alone remains
+    monkeypatch.setattr(jit, "_engines", {})
+    assert run(2.0, "two") == 2.0 and written[3:] == [2.0]
+    monkeypatch.setattr(jit, "_writers", lambda: "a later version, which writes other text for this source")
+    assert run(5.0, "two") == 5.0 and written[4:] == [5.0]
+
+
 @pytest.mark.parametrize(
     "damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:100] + b"\0" * 8 + b[108:]]
 )
