@@ -38,7 +38,7 @@ class Timeline:
     on (previous) its value from there on, and a mean its value over the step that ends there; `y` (T, k)
     readings, NaN where there is none; `reset` (T,) bits of the running means that restart at the instant;
     `whole` inputs of the whole run, which a piece of the run keeps; `ends` (T,) True at the first step with
-    known inputs after a gap of them (`engine.long_steps`), empty without gaps; `part`: which part of a record
+    known inputs after a gap of them (`engine.gaps`), empty without gaps; `part`: which part of a record
     it holds, empty where it is of none.
     """
 
