@@ -178,10 +178,7 @@ def timeline(
         raise ValueError("the run cannot be set up: " + "; ".join(faults))
     varying = tuple(n for n in model.inputs if model.holds[n] != REGIME)
     regimes = tuple(n for n in model.inputs if model.holds[n] == REGIME)
-    # a microsecond is below the resolution of any clock: equal steps must not differ by rounding of their end
-    # points
-    lengths = np.zeros(count)
-    lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
+    lengths = np.concatenate([[0.0], _lengths(time)])
     steps, key = _distinct(_columns([lengths, *(given[n] for n in regimes)], count))
     flags = np.zeros(count, dtype=np.int32)
     for bit, name in enumerate(model.averaged):
@@ -292,6 +289,16 @@ def _hours(time: object, unit: str, origin_s: float, faults: list[str]) -> tuple
             f"{hours[back[0] - 1]:.9g} h at instant {back[0]}; sort the rows by time"
         )
     return hours, origin_s
+
+
+def _lengths(time: np.ndarray) -> np.ndarray:
+    """Steps (T-1,) [h] between instants (T,) [h], to a microsecond or, below a second, to a millionth of
+    themselves: equal steps must not differ by rounding of their end points."""
+    found = time[1:] - time[:-1]
+    per_hour = np.full(len(found), 3.6e9)
+    short = (found > 0.0) & (found < UNITS_H["s"])
+    per_hour[short] *= 10.0 ** np.ceil(-np.log10(3600.0 * found[short]))
+    return np.round(found * per_hour) / per_hour
 
 
 def _place(kind: str, name: str, names: Sequence[str], others: Sequence[str] = ()) -> int:

@@ -172,6 +172,7 @@ def smooth(source: Source, given: Given | None = None) -> Smoothed:
 class Innovations:
     """One-step prediction errors: `error`, `sd` (T,) by output, NaN without reading; `inputs` (T,) by name.
 
+    `sd` is infinite, and `standardised` NaN, at readings that a diffuse start needs to become known.
     `time_h` (T,) [h] from `origin_s` [s since 1970, UTC; 0 where a timeline states none].
     """
 
@@ -184,7 +185,7 @@ class Innovations:
     @property
     def standardised(self) -> dict[str, np.ndarray]:
         """Innovations [1] divided by their standard deviations, (T,) by output."""
-        return {name: error / self.sd[name] for name, error in self.error.items()}
+        return {n: np.where(np.isinf(self.sd[n]), np.nan, e / self.sd[n]) for n, e in self.error.items()}
 
     def to_frame(self) -> DataFrame:
         """A pandas frame over time with `name`, `name_sd` and `name_standardised` of every output."""

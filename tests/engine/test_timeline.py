@@ -66,6 +66,15 @@ def test_rounding_of_time_stamps_does_not_make_new_steps(step: float, start: flo
     assert made.steps[1, 0] == pytest.approx(step, abs=0.5 / 3.6e9)
 
 
+@pytest.mark.parametrize("rate", [44_100.0, 4096.0, 30.0])
+def test_steps_of_fast_sampling_keep_their_length(rate: float) -> None:
+    """[1/s] 1/44,100 s is 22.7 µs; every step within a millionth of its length."""
+    time = np.arange(500) / rate
+    made = timeline(room(), time, {name: np.ones(500) for name in INPUTS}, {}, unit="s")
+    assert len(made.steps) == 2
+    assert made.steps[1, 0] * 3600.0 * rate == pytest.approx(1.0, abs=1e-6)
+
+
 def test_resets_are_bits_in_the_order_of_the_averaged_outputs() -> None:
     model = room({"z": 0.5, "y": 0.25})
     first, second = np.array([1, 0, 1, 0, 0, 1], bool), np.array([0, 0, 1, 1, 0, 0], bool)

@@ -30,8 +30,7 @@ def test_the_optimal_block_is_politis_and_whites_for_an_autoregression() -> None
     ratio = 2.0 * phi / (1.0 - phi * phi)
     random = np.random.default_rng(21)
     found = np.array([optimal_block(autoregression(random, 4.0, n)) for _ in range(20)])
-    assert np.median(found[:, 1]) == pytest.approx(ratio, rel=0.1)
-    assert np.median(found[:, 0]) == pytest.approx((1.5 * ratio**2 * n) ** (1 / 3), rel=0.07)
+    assert np.median(found) == pytest.approx((1.5 * ratio**2 * n) ** (1 / 3), rel=0.07)
 
 
 def test_the_variance_of_a_sum_is_that_of_an_autoregression() -> None:
@@ -43,11 +42,11 @@ def test_the_variance_of_a_sum_is_that_of_an_autoregression() -> None:
 
 
 def test_independent_terms_have_the_plain_variance() -> None:
-    terms = np.random.default_rng(23).normal(size=(400, 3))
-    found = long_run_covariance(terms)
-    enlarged = (t.ppf(0.975, 399) / norm.ppf(0.975)) ** 2
-    np.testing.assert_allclose(found.covariance, enlarged * 400 * np.cov(terms.T), rtol=1e-10)
-    assert np.all(found.needed == 1.0)
+    """400 n times the variance; the mean over 200 draws of 21 cosines is known to 2.2 %."""
+    random = np.random.default_rng(23)
+    found = np.mean([long_run_covariance(random.normal(size=(400, 3))).covariance for _ in range(200)], axis=0)
+    enlarged = (t.ppf(0.975, 21) / norm.ppf(0.975)) ** 2
+    np.testing.assert_allclose(found / (400 * enlarged), np.eye(3), atol=0.07)
 
 
 def test_a_covariance_of_columns_with_different_memories_is_positive() -> None:
@@ -67,8 +66,8 @@ def test_too_short_a_series_says_how_long_it_must_be() -> None:
     assert long_run_covariance(trend[: FEWEST_TERMS // 2]).needed[0] == 2.0
 
 
-@pytest.mark.parametrize(("memory", "noise"), [(0.2, 0.0), (2.0, 0.0), (4.0, 0.0), (2.0, 1.0)])
-@pytest.mark.parametrize("count", [120, 240, 960])
+@pytest.mark.parametrize(("memory", "noise"), [(0.2, 0.0), (2.0, 0.0), (4.0, 0.0), (2.0, 1.0), (4.0, 1.0)])
+@pytest.mark.parametrize("count", [48, 120, 240, 960])
 def test_bounds_of_a_mean_hold(memory: float, noise: float, count: int) -> None:
     """95 % bounds of the mean of 400 series: 0.90 less three standard errors of a share, 0.045."""
     random = np.random.default_rng(round(1000 * memory + 10 * noise + count))
@@ -79,7 +78,7 @@ def test_bounds_of_a_mean_hold(memory: float, noise: float, count: int) -> None:
         if found.needed[0] <= 1.0:
             given += 1
             held += abs(terms.sum()) <= 1.959964 * math.sqrt(found.covariance[0, 0])
-    assert given >= (400 if count > 900 else 380)
+    assert given >= (400 if count > 900 else 360)
     assert held >= (0.90 - 0.045) * given
 
 

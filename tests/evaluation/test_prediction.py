@@ -188,6 +188,11 @@ def test_innovations_are_the_readings_without_what_went_before(short: tuple) -> 
     )
     assert_allclose(found.sd["read"][seen], np.diag(factor), rtol=REL)
     assert np.isnan(found.error["read"][np.isnan(read)]).all()
+    made = masses.likelihood(*short)
+    unknown = hygrokf.innovations(hygrokf.Likelihood(made.model, made.timeline, "diffuse"), masses.VALUES)
+    resolving = np.isinf(unknown.sd["read"])
+    assert np.flatnonzero(resolving).tolist() == seen[:2].tolist()  # two states, one reading each
+    assert np.isnan(unknown.standardised["read"][resolving]).all()
     assert list(found.to_frame()) == ["read", "read_sd", "read_standardised"]
 
 
