@@ -119,8 +119,9 @@ class Likelihood:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         theta = np.array([*known, *self.recursion.constants], dtype=float)
-        found, r = self.recursion.variances, self.recursion
-        found.check(theta, r.symbols(values, (), self.timeline.whole) if found.doubtful else {})
+        found, t = self.recursion.variances, self.timeline
+        inputs = {name: t.input(name) for name in (*t.varying, *t.regimes) if found.doubtful}
+        found.check(theta, self.recursion.symbols(values, (), inputs) if found.doubtful else {})
         return theta
 
     # -- sub-steps -------------------------------------------------------------------------------------------
