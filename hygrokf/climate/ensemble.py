@@ -32,8 +32,8 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.estimation.batch_filter import SideBySide
-from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.evaluation.self_switching import Switchboard, all_on, cut, switches_of
+from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.evaluation.self_switching import Switchboard, cut, switches_of
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
 from hygrokf.modelling.inputs import Run, model_inputs
@@ -311,7 +311,7 @@ def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
     first = Gaussian(
         np.array(model.initial(fit.values, inputs)[0], dtype=float), np.zeros((len(model.states),) * 2)
     )
-    runs = SideBySide(model, [fit.values], [first], [Likelihood(model, t).rate(fit.values)])
+    runs = SideBySide(model, [fit.values], [first])
     walk = _Walk(
         runs, {name: np.full(2, value) for name, value in inputs.items()}, np.array([0.0, STEP_H]), None
     )
@@ -353,8 +353,7 @@ def simulate_years(
     kept = kept_instants(t.time)
     groups = years_of(t.time[kept])
     switches = switches_of(design)
-    likelihood = Likelihood(model, all_on(t, switches) if switches else t)
-    starts, fastest = [], []
+    starts = []
     random = np.random.default_rng([seed, 2])
     inputs = {name: t.input(name) for name in model.inputs}
     first = {name: float(value[0]) for name, value in inputs.items()}
@@ -364,8 +363,7 @@ def simulate_years(
         kick = random.standard_normal(n) if process else np.zeros(n)
         begin = mean + np.sqrt(variance) * kick
         starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
-        fastest.append(likelihood.rate(values))
-    runs = SideBySide(model, members, starts, np.array(fastest))
+    runs = SideBySide(model, members, starts)
     spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None

@@ -176,8 +176,8 @@ def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...
 
 SIZE_TOLERANCE = 0.05
 """Gain in ln L of a further step below which the sizes of the filter's disturbances are found."""
-RATE_STEP = 1.0
-"""Largest product of a rate and a sub-step: coarser ones change the disturbances' sizes alone."""
+STEP_TOLERANCE = 1e-5
+"""[1] `tolerance` of the filter's sub-steps: coarser ones change the disturbances' sizes alone."""
 
 
 def fit_of(
@@ -199,7 +199,7 @@ def _fit_of(record: Record, final: FinalSet, say: Progress, against: Sequence[Re
     early = record.identification()
     stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
     basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
-    fit = assemble_fit(record, basis, {}, say=say, rate_step=RATE_STEP)
+    fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
     # offsets of clocks follow to first order from a maximum of the filter's likelihood, which this is not
     said = (*fit.results.statements, "the bounds do not count what the clocks' errors may add")
     results = with_verdicts(replace(fit.results, criterion=final.estimator, statements=said))
@@ -223,7 +223,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     """One likelihood at the set's values, with the set's covariance."""
     say("sizes of the disturbances")
     run = model_inputs(base, early)
-    likelihood = Likelihood(base.model, run.timeline, rate_step=RATE_STEP)
+    likelihood = Likelihood(base.model, run.timeline, tolerance=STEP_TOLERANCE)
     known = final.estimate.values
     held = {
         p.name: min(max(known[p.name], p.lower), p.upper) for p in base.model.parameters if p.name in known

@@ -13,17 +13,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from hygrokf.engine.discretisation import (
+    CONSTANT_SHARE,
+    MILD,
+    SHARE,
+    Assign,
+    Choose,
+    Operation,
+    Repeat,
+    operations,
+)
 from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
+from hygrokf.engine.step_codegen import DOUBLINGS
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Expression
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 
-VECTOR, TRUTHS = vector(RUNS), vector(RUNS, TRUTH)
+VECTOR, TRUTHS, LONGS = vector(RUNS), vector(RUNS, TRUTH), vector(RUNS, "i64")
 ARGUMENTS = [("i64", "blocks")] + [
     ("ptr", name)
     for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
 ]
-"""In columns: key leaves, sub-steps (doublings, of constant-rate steps) of each run, inputs before and now,
+"""In columns: key leaves, sub-steps of each run, inputs before and now,
 readings.  In blocks: parameters, values kept between steps, moments.  Per block: the largest number of
 sub-steps, and whether its parameters or keys have changed.
 """
@@ -31,7 +42,7 @@ sub-steps, and whether its parameters or keys have changed.
 
 def kept_nodes(recursion: Recursion) -> list[int]:
     """Nodes whose values are kept between steps."""
-    return [*recursion.parameter_nodes, *recursion.key_nodes]
+    return [*recursion.parameter_nodes, *(recursion.key_nodes if recursion.exact else ())]
 
 
 def _all(number: int) -> str:
@@ -40,7 +51,8 @@ def _all(number: int) -> str:
 
 def fleet_text(recursion: Recursion) -> str:
     """LLVM text of a module with the function `fleet(blocks, theta, keys, …)`."""
-    return declarations() + _Emission(recursion).function()
+    reduction = f"declare i64 @llvm.vector.reduce.smax.v{RUNS}i64({LONGS})\n"
+    return declarations() + reduction + _Emission(recursion).function()
 
 
 @dataclass
@@ -87,39 +99,72 @@ class _Emission:
 
     def _keep(self, block: str) -> None:
         r, w = self.recursion, self.writer
-        nodes = kept_nodes(r)
-        leaves = self._parameters_and_keys(block)
-        leaves |= self._doubled(block, leaves)
+        nodes, leaves = kept_nodes(r), self._parameters_and_keys(block)
+        if r.exact:
+            leaves |= self._matrices(leaves, CONSTANT_SHARE)
         wanted = [Expression(r.graph, i) for i in nodes]
         for c, (kind, name) in enumerate(w.block(r.graph, wanted, leaves, list(leaves))):
             place = w.integer("add", w.integer("mul", block, len(nodes)), c)
             w.store(VECTOR, w.as_vector(kind, name), w.at(VECTOR, "%known", place))
 
-    def _doubled(self, block: str, leaves: dict[int, str]) -> dict[int, str]:
-        """The matrices of a constant-rate step, doubled to the whole step of each run."""
-        d, w = self.recursion.doubling, self.writer
-        if d is None:
-            return {}
-        times, most = self._column("parts", block, 0), self._most(block)
-        longs = vector(RUNS, "i64")
-        bits = w.value(f"fptosi {VECTOR} {times} to {longs}")
-        bits = w.value(f"sub {longs} {_all(1023)}, {bits}")
-        bits = w.value(f"shl {longs} {bits}, {_all(52)}")
-        share = w.value(f"bitcast {longs} {bits} to {VECTOR}")
-        slots = {e.index: w.slot(VECTOR) for e in d.now}
-        first = self._values(d.first, leaves | {d.share.index: share})
-        for slot, value in zip(slots.values(), first, strict=True):
-            w.store(VECTOR, value, slot)
-        with w.loop(most) as j:
-            still = w.value(f"fcmp olt {VECTOR} {w.splat(w.value(f'sitofp i64 {j} to double'))}, {times}")
-            old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
-            for (i, slot), value in zip(slots.items(), self._values(d.twice, old), strict=True):
-                w.store(VECTOR, self._where(still, value, old[i]), slot)
-        return {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+    def _matrices(self, leaves: dict[int, str], share: float) -> dict[int, str]:
+        """The symbols of the matrices of a step: the share, and what the operations before it assign."""
+        r, w = self.recursion, self.writer
+        times, most = self._doublings(leaves, share)
+        bits = w.value(f"shl {LONGS} {w.value(f'sub {LONGS} {_all(1023)}, {times}')}, {_all(52)}")
+        known = leaves | {r.share.index: w.value(f"bitcast {LONGS} {bits} to {VECTOR}")}
+        program = (*r.early, *r.late)
+        slots = {e.index: w.slot(VECTOR, "zeroinitializer") for one in operations(program) for e in one.into}
+        everywhere = w.value(f"icmp sge {LONGS} {times}, zeroinitializer")
+        for one in program:
+            self._perform(one, slots, times, most, known, everywhere)
+        return known | {i: w.load(VECTOR, slot) for i, slot in slots.items()}
 
-    def _most(self, block: str) -> str:
+    def _perform(
+        self, one: Operation, slots: dict[int, str], times: str, most: str, leaves: dict[int, str], lanes: str
+    ) -> None:
+        """Run an operation; only `lanes` take its values."""
         w = self.writer
-        return w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
+        if isinstance(one, Choose):
+            for inner in one.plain:
+                self._perform(inner, slots, times, most, leaves, lanes)
+            stiff = w.value(f"icmp sgt {LONGS} {times}, {_all(MILD)}")
+            with w.when(w.value(f"icmp sgt i64 {most}, {MILD}")):
+                for inner in one.stiff:
+                    self._perform(inner, slots, times, most, leaves, stiff)
+        elif isinstance(one, Repeat):
+            with w.loop(most) as j:
+                here = w.value(f"insertelement {LONGS} poison, i64 {j}, i64 0")
+                mask = f"<{RUNS} x i32> zeroinitializer"
+                here = w.value(f"shufflevector {LONGS} {here}, {LONGS} poison, {mask}")
+                self._assign(one, slots, {}, w.value(f"icmp slt {LONGS} {here}, {times}"))
+        else:
+            self._assign(one, slots, leaves, lanes)
+
+    def _assign(
+        self, one: Assign | Repeat, slots: dict[int, str], leaves: dict[int, str], lanes: str
+    ) -> None:
+        w = self.writer
+        needed = set(self.recursion.graph.needed(one.block))
+        known = leaves | {i: w.load(VECTOR, slot) for i, slot in slots.items() if i in needed}
+        made = self._values(list(one.block), known)
+        for e, value in zip(one.into, made, strict=True):
+            old = w.load(VECTOR, slots[e.index])
+            w.store(VECTOR, self._where(lanes, value, old), slots[e.index])
+
+    def _doublings(self, leaves: dict[int, str], share: float) -> tuple[str, str]:
+        """Number of doublings of every run, and the largest; 0 for rates that are not finite."""
+        w = self.writer
+        most = w.splat(literal(0.5))
+        for name in self._values(list(self.recursion.reach), leaves):
+            scaled = w.value(f"fmul {VECTOR} {name}, {w.splat(literal(1.0 / share))}")
+            larger = w.value(f"fcmp ogt {VECTOR} {scaled}, {most}")
+            most = self._where(larger, scaled, most)
+        bits = w.value(f"lshr {LONGS} {w.value(f'bitcast {VECTOR} {most} to {LONGS}')}, {_all(52)}")
+        power = w.value(f"sub {LONGS} {bits}, {_all(1022)}")
+        possible = w.value(f"icmp sle {LONGS} {power}, {_all(DOUBLINGS)}")
+        power = w.value(f"select {TRUTHS} {possible}, {LONGS} {power}, {LONGS} zeroinitializer")
+        return power, w.value(f"call i64 @llvm.vector.reduce.smax.v{RUNS}i64({LONGS} {power})")
 
     def _known(self, block: str) -> dict[int, str]:
         return self._parameters_and_keys(block) | self._row("known", block, kept_nodes(self.recursion))
@@ -131,13 +176,15 @@ class _Emission:
 
     def _predict(self, slots: dict[int, str], block: str) -> None:
         r, w = self.recursion, self.writer
-        exact = r.exact
-        parts = w.splat(literal(1.0)) if exact else self._column("parts", block, 0)
-        with w.loop("1" if exact else self._most(block)) as j:
+        parts = self._column("parts", block, 0)
+        most = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
+        with w.loop(most) as j:
             here = w.splat(w.value(f"sitofp i64 {j} to double"))
             still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
             leaves = old | self._known(block) | self._inputs_within(block, here, parts)
+            if not r.exact:
+                leaves |= self._matrices(leaves, SHARE)
             made = self._values(r.predict, leaves)
             for (i, slot), value in zip(slots.items(), made, strict=True):
                 w.store(VECTOR, self._where(still, value, old[i]), slot)

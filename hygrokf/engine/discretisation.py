@@ -20,19 +20,19 @@ the stated hold (constant or linear) for any h, and with x₀ = 0 the matrix e^�
 computed only once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step
 and not with the distance of the state from zero (kelvins from absolute zero), which makes the error of a
 sub-step about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
-whose Jacobians are taken where a second-order rule places the nodes.  Sub-steps keep both below a stated size
-(`RATE_STEP`).
+whose Jacobians are taken where a second-order rule places the nodes; sub-steps keep both below a tolerance
+(`engine.schedule_codegen`).
 
-Where rates are constant, the matrices are Taylor polynomials for a share c = 2^−s of the step, doubled s
+The matrices are Taylor polynomials for a share c = 2^−s of the step, doubled s
 times: with D = e^{cΩ} − I, Γ = c φ₁(cΩ), W = c φ₂(cΩ) and N = c ∫₀¹ e^{cΩσ} Q̄ e^{cΩ'σ} dσ,
 
     D ← 2 D + D²,    Γ ← 2 Γ + D Γ,    W ← W + (D W + Γ)/2,
     N ← 2 N + D N + N D' + D N D'.
 
-I + D is never formed while D is small, so that slow states keep all digits beside fast ones; a step of any
-length is one step, whose cost grows with the logarithm of its stiffness.  Elsewhere the polynomials are
-centred in the range of rates that sub-steps permit.  A sparse model costs as much as its non-zero entries,
-and entries that depend only on h and the parameters are computed once for each distinct h.
+A parabola q(σ) in place of Q̄ has an N of its own for q' and for q'': q(t+σ) = q + t q' + t² q''/2.  I + D is
+never formed while D is small, so that slow states keep all digits beside fast ones; a step of any length is
+one step, whose cost grows with the logarithm of its stiffness.  A sparse model costs as much as its non-zero
+entries, and entries that depend only on h and the parameters are computed once for each distinct h.
 
 Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978,
 doi:10.1109/TAC.1978.1101743; scaling and squaring: Moler & Van Loan 2003, doi:10.1137/S00361445024180.
@@ -41,24 +41,34 @@ doi:10.1109/TAC.1978.1101743; scaling and squaring: Moler & Van Loan 2003, doi:1
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from hygrokf.physics.expression import Expression, Graph, Matrix, Value, depends_on, is_zero, jacobian, where
+from hygrokf.physics.expression import (
+    Expression,
+    Graph,
+    Matrix,
+    Value,
+    depends_on,
+    is_zero,
+    jacobian,
+    maximum,
+    sqrt,
+    where,
+)
 from hygrokf.physics.matrices import add, dot, identity, product, scale, transpose
 from hygrokf.physics.model import Values
 
-SHARE = 0.25
-"""[1] largest product of the rates and the share of a constant-rate step, as its polynomials take it."""
-ORDER = 11
-"""Degree of these polynomials: the remainder of D is below SHARE^11 / 12! = 5e-16 of D."""
+CONSTANT_SHARE, SHARE = 0.25, 0.5
+"""[1] largest product of the rates and the share of a step whose rates are constant, and vary."""
+CONSTANT_ORDER, ORDER, NODE_ORDER = 11, 9, 5
+"""Degrees of their polynomials, with the remainders 0.25^11/12! = 5e-16 and 0.5^9/10! = 5e-10 of D, and of
+those for the nodes alone.
+"""
 FAINT = 2.0**-40
 """[1] square of an entry of e^Ω from which on I + D has fewer of its digits than repeated squares."""
-RATE_STEP, DEGREE, NOISE_DEGREE = 0.35, 8, 9
-"""Largest product of rates that vary within a step and a sub-step, for which splitting a step changes ln L by
-< 1e-6, and the degrees of its polynomials: remainders (0.35/2)^9 / 9! = 4e-13 and 0.35^10 / 10! = 8e-12."""
+MILD = 1
+"""Doublings up to which the midpoint rule is stable: rates times length below 1."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
 Drift = Callable[[Sequence[Value], Values], list[Value]]
@@ -67,32 +77,61 @@ Inputs = Mapping[str, Expression]
 
 
 @dataclass(frozen=True)
-class Doubling:
-    """The matrices of a constant-rate step: `first` their entries for the `share` c of the step, `twice`
-    those for twice the length of the entries `now` (w,), which the step is made from."""
+class Assign:
+    """The symbols `into` get the values of the expressions `block`."""
 
-    share: Expression
-    first: list[Expression]
-    now: list[Expression]
-    twice: list[Expression]
+    into: tuple[Expression, ...]
+    block: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """The symbols `into` get the values of `block`, expressions of them, once for every doubling."""
+
+    into: tuple[Expression, ...]
+    block: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class Choose:
+    """`stiff` where the step is doubled more than `MILD` times, else `plain`."""
+
+    stiff: tuple[Operation, ...]
+    plain: tuple[Operation, ...]
+
+
+Operation = Assign | Repeat | Choose
 
 
 @dataclass(frozen=True)
 class Step:
-    """Traced moments after one sub-step, the matrices that made them, and how these are doubled."""
+    """Traced moments after one sub-step, the matrices that made them, and the operations before: `early`
+    those of constant rates, which depend on h, the parameters and regimes alone, and `late` all others.
+
+    `decay` is the transition, with the relative digits also of entries that have decayed far below 1;
+    `share` the symbol of c; `reach` (n,) bounds the rates times h at the beginning of the sub-step; the step
+    is `exact` for any length where `constant_rates` says so.
+    """
 
     mean: list[Expression]
     covariance: Matrix
     transition: Matrix
     noise: Matrix
-    doubling: Doubling | None
     decay: Matrix
-    """The transition, with the relative digits also of entries that have decayed far below 1."""
+    share: Expression
+    early: tuple[Operation, ...]
+    late: tuple[Operation, ...]
+    exact: bool
+    reach: list[Expression]
 
 
-def doublings(reach: np.ndarray) -> np.ndarray:
-    """Doublings of a constant-rate step whose rates times length are `reach` [1]; any shape."""
-    return np.ceil(np.log2(np.maximum(reach, SHARE) / SHARE))
+def operations(program: Sequence[Operation]) -> Iterator[Assign | Repeat]:
+    """All assignments of a program, those of both choices too."""
+    for one in program:
+        if isinstance(one, Choose):
+            yield from operations((*one.stiff, *one.plain))
+        else:
+            yield one
 
 
 def step(
@@ -112,47 +151,75 @@ def step(
     `drift(x, u)` -> list of n rates [unit of the state per h]; `noise(u)` -> Q (n, n) [unit² per h]; `state`
     and `covariance` before the step; `start` and `end` the inputs just after its start and just before its
     end (a constant input has the same node in both); `h` [h]; `changing` the names of the symbols that change
-    from step to step (`constant_rates`); `decays` asks for the relative digits of `Step.decay`.
+    from step to step; `decays` asks for the relative digits of `Step.decay`.
     """
-    n = len(state)
+    n, share = len(state), graph.symbol("share")
     field = _Field(graph, drift, n, start)
     inputs = [_between(start, end, c) for c in NODES]
-    points = [_predictor(field, state, start, end, c, h) for c in NODES] if field.nonlinear else [state] * 2
+    before = field.jacobian_at(state, start)
+    points, late = (
+        _nodes(field, state, start, inputs, before, h, share) if field.nonlinear else ([state] * 2, [])
+    )
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
     difference = _difference(a2, a1)
-    intensity = noise(inputs[0])
-    rising = [field.u[name] for name in start if start[name].index != end[name].index]
-    constant = constant_rates(graph, [*a1, *intensity], changing, field.f, rising)
-    origin = state if _any(difference) else [0.0] * n
+    varies = _any(difference)
+    origin = state if varies else [0.0] * n
     b1, b2 = (field.rest_at(x, u, a, origin) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     correction = math.sqrt(3.0) / 12.0 * h * h
     mean_rate = [[_mean(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a1, a2, strict=True)]
-    omega = add(
-        scale(h, mean_rate),
-        scale(
-            correction, _difference(product(a2, a1), product(a1, a2)) if _any(difference) else _zeros(n, n)
-        ),
-    )
-    carried: Sequence[Value] = state
-    if constant:
-        doubling, (exponential, weights, slopes, accumulated, decay) = _doubled(
-            graph, h, omega, intensity, b1, b2, decays
-        )
-        carried = [dot(row, state) for row in exponential]
-        weights, slopes = scale(h, weights), scale(h, slopes)
-    else:
-        doubling = None
-        exponential, *phi = _exponentials(omega)
-        decay = exponential
-        weights, slopes = (_corrected(h, m, correction, difference) for m in phi)
-        if not _any(difference):
-            carried = [dot(row, state) for row in exponential]
-        intensities = [intensity]
-        if _any(_difference(noise(inputs[1]), intensity)):
-            intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
-        spreads = [add(product(difference, q), transpose(product(difference, q))) for q in intensities]
-        sums = [add(scale(h, q), scale(correction, v)) for q, v in zip(intensities, spreads, strict=True)]
-        accumulated = _accumulated(omega, sums)
+    omega = scale(h, mean_rate)
+    intensities = [noise(inputs[0])]
+    if _any(_difference(noise(inputs[1]), intensities[0])):
+        intensities = [noise(_between(start, end, c)) for c in (0.0, 0.5, 1.0)]
+    spreads = [scale(h, q) for q in intensities]
+    if varies:
+        omega = add(omega, scale(correction, _difference(product(a2, a1), product(a1, a2))))
+        rises = [product(difference, q) for q in intensities]
+        spreads = [
+            add(q, scale(correction, add(rise, transpose(rise))))
+            for q, rise in zip(spreads, rises, strict=True)
+        ]
+
+    # states whose rates, and those of all that act on them, are constant: their matrices are known early
+    reach = closure(omega)
+    changing = [*changing, *(graph.nodes[e.index][1] for one in operations(late) for e in one.into)]
+    own = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
+    fixed = [own[i] and all(own[j] for j in range(n) if reach[i][j]) for i in range(n)]
+    steady = not any(depends_on(graph, v, changing) for row in intensities[0] for v in row)
+    both = [one and steady for one in fixed]  # with constant noise too
+    driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
+    rising = [j for j in driven if not _same(b1[j], b2[j])]
+    columns = [  # of Γ and W; the corrections add columns
+        {*one, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in one))}
+        for one in (driven, rising)
+    ]
+    kept = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
+    alone = [
+        [v if both[i] and both[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spreads[0])
+    ]
+    known = [{j for j in one if fixed[j]} for one in columns]
+    early, matrices = _doubled(graph, "", share, kept, [alone], known, CONSTANT_ORDER, decays)
+    if not all(both):
+        order = CONSTANT_ORDER if all(fixed) else ORDER
+        made, whole = _doubled(graph, "late:", share, omega, spreads, columns, order, decays)
+        late = [*late, *made]
+        matrices = [
+            [
+                [p[i][j] if fixed[i] and (name != "N" or both[j]) else q[i][j] for j in range(n)]
+                for i in range(n)
+            ]
+            for name, p, q in zip("DGWEN", matrices, whole, strict=True)
+        ]
+    d, g, w, squared, accumulated = matrices
+    decay = exponential = add(d, identity(n))
+    if decays:
+        decay = [
+            [v if is_zero(v) else where(v * v < FAINT, x, v) for v, x in zip(r, t, strict=True)]
+            for r, t in zip(exponential, squared, strict=True)
+        ]
+    drives = [field.u[name] for name in start if start[name].index != end[name].index]
+    weights, slopes = (_corrected(h, m, correction, difference) if varies else scale(h, m) for m in (g, w))
+    carried = state if varies else [dot(row, state) for row in exponential]
     # b(t) is the straight line through b1 and b2 at the nodes; the weights do not depend on the inputs
     mean = [x + _driven(i, weights, slopes, b1, b2) for i, x in enumerate(carried)]
     return Step(
@@ -160,8 +227,12 @@ def step(
         covariance=[[graph.lift(v) for v in row] for row in congruence(exponential, covariance, accumulated)],
         transition=exponential,
         noise=accumulated,
-        doubling=doubling,
         decay=decay,
+        share=share,
+        early=tuple(early),
+        late=tuple(late),
+        exact=constant_rates(graph, [*a1, *intensities[0]], changing, field.f, drives),
+        reach=_reach(graph, before, h),
     )
 
 
@@ -219,74 +290,216 @@ class _Field:
 
 def _doubled(
     graph: Graph,
-    h: Expression,
+    prefix: str,
+    share: Expression,
     omega: Matrix,
-    noise: Matrix,
-    b1: Sequence[Value],
-    b2: Sequence[Value],
+    noises: Sequence[Matrix],
+    columns: Sequence[Iterable[int]],
+    order: int,
     decays: bool,
-) -> tuple[Doubling, tuple[Matrix, Matrix, Matrix, Matrix, Matrix]]:
-    """How the matrices of a constant-rate step are doubled, and e^Ω, φ₁, φ₂, the noise and the decay.
+) -> tuple[list[Operation], list[Matrix]]:
+    """Operations that double D, Γ, W (of the `columns` of Γ and of W), E and N, and these matrices as
+    symbols.
 
     I + D has lost the relative digits of entries far below 1; where it `decays`, E = e^Ω is squared beside it
-    for them, and elsewhere I + D is better, as squaring doubles a relative error.
+    for them, and elsewhere I + D is better, as squaring doubles a relative error.  `noises` is one Q̄, or
+    three of them at the start, the middle and the end of the step.
     """
-    n, share = len(omega), graph.symbol("share")
-    reach = closure(omega)
-    driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
-    rising = [j for j in driven if not _same(b1[j], b2[j])]
-    lower = [(i, j) for i in range(n) for j in range(i + 1)]
-    spread = {(i, j) for i, j in lower if any(
-        not is_zero(noise[a][b]) and (a == i or reach[i][a]) and (b == j or reach[j][b])
-        for a in range(n) for b in range(n)
-    )}  # fmt: skip
-    parts = {
-        "D": [(i, j) for i in range(n) for j in range(n) if reach[i][j]],
-        "G": [(i, j) for j in driven for i in range(n) if i == j or reach[i][j]],
-        "W": [(i, j) for j in rising for i in range(n) if i == j or reach[i][j]],
-        "N": sorted(spread),
-        "E": [(i, j) for i in range(n) for j in range(n) if decays and (i == j or reach[i][j])],
+    n = len(omega)
+    powers = closure(omega)
+    everywhere = [(i, j) for i in range(n) for j in range(n)]
+    near = [[i == j or powers[i][j] for j in range(n)] for i in range(n)]
+    noisy = [(a, b) for a, b in everywhere if not all(is_zero(q[a][b]) for q in noises)]
+    spread = [(i, j) for i, j in everywhere if j <= i and any(near[i][a] and near[j][b] for a, b in noisy)]
+    slopes = ["N", "N'", "N''"][: len(noises)]
+    places = {
+        "D": [(i, j) for i, j in everywhere if powers[i][j]],
+        "G": [(i, j) for j in sorted(columns[0]) for i in range(n) if near[i][j]],
+        "W": [(i, j) for j in sorted(columns[1]) for i in range(n) if near[i][j]],
+        "E": [(i, j) for i, j in everywhere if decays and near[i][j]],
+        **dict.fromkeys(slopes, spread),
     }
-    matrices = {name: _zeros(n, n) for name in parts}
-    for name, places in parts.items():
-        for i, j in places:
-            matrices[name][i][j] = graph.symbol(f"{name}{i}.{j}")
+    matrices = {name: _zeros(n, n) for name in places}
+    for name, found in places.items():
+        for i, j in found:
+            matrices[name][i][j] = graph.symbol(f"{prefix}{name}{i}.{j}")
     d, g, w, e = (matrices[name] for name in "DGWE")
-    q = matrices["N"] = _symmetric(matrices["N"])
+    moments = [_symmetric(matrices[name]) for name in slopes]
 
-    x, inverse = scale(share, omega), [1.0 / f for f in _factorials(ORDER + 3)]
+    x, inverse = scale(share, omega), [1.0 / f for f in _factorials(order + 3)]
     first = {"D": _zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
     power = identity(n)
-    for k in range(1, ORDER + 1):
+    for k in range(1, order + 1):
         power = product(power, x) if k > 1 else x
         for name, c in (("D", inverse[k]), ("G", share * inverse[k + 1]), ("W", share * inverse[k + 2])):
             first[name] = add(first[name], scale(c, power))
-    term = first["N"] = scale(share, scale(h, noise))
-    for k in range(1, ORDER + 1):
-        half = product(x, term)
-        term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
-        first["N"] = add(first["N"], scale(inverse[k + 1], term))
     first["E"] = add(first["D"], identity(n))
-    gained = product(d, q)
+    curves = [noises] if len(noises) == 1 else _derivatives(*noises)
+    for name, curve in zip(slopes, curves, strict=True):
+        first[name] = _integral(x, share, curve, order)
     twice = {
         "D": add(scale(2.0, d), product(d, d)),
         "G": add(scale(2.0, g), product(d, g)),
         "W": add(w, scale(0.5, add(product(d, w), g))),
-        "N": add(add(scale(2.0, q), add(gained, transpose(gained))), product(gained, transpose(d))),
         "E": product(e, e),
     }
+    length = graph.symbol(f"{prefix}t")
+    for name, own, later in zip(slopes, moments, _shifted(moments, length), strict=True):
+        gained = product(d, later)
+        both = add(gained, transpose(gained))
+        twice[name] = add(add(own, later), add(both, product(gained, transpose(d))))
 
-    def listed(rows: Mapping[str, Matrix]) -> list[Expression]:
-        return [graph.lift(rows[name][i][j]) for name, places in parts.items() for i, j in places]
+    def listed(rows: Mapping[str, Matrix]) -> tuple[Expression, ...]:
+        return tuple(graph.lift(rows[name][i][j]) for name, found in places.items() for i, j in found)
 
-    whole = add(d, identity(n))
-    decay = whole
-    if decays:
-        decay = [
-            [v if is_zero(v) else where(v * v < FAINT, x, v) for v, x in zip(r, t, strict=True)]
-            for r, t in zip(whole, e, strict=True)
-        ]
-    return Doubling(share, listed(first), listed(matrices), listed(twice)), (whole, g, w, q, decay)
+    now, begun, then = listed(matrices), listed(first), listed(twice)
+    if len(noises) > 1:
+        now, begun, then = (*now, length), (*begun, share), (*then, 2.0 * length)
+    made: list[Operation] = [Assign(now, begun), Repeat(now, then)] if now else []
+    return made, [d, g, w, e, moments[0]]
+
+
+def _derivatives(start: Matrix, middle: Matrix, end: Matrix) -> list[list[Matrix]]:
+    """Coefficients of q, q' and q'' for the parabola q(σ) that is `end` at 0 and `start` at 1."""
+    slope = add(add(scale(-3.0, end), scale(4.0, middle)), scale(-1.0, start))
+    curve = add(add(scale(2.0, end), scale(-4.0, middle)), scale(2.0, start))
+    return [[end, slope, curve], [slope, scale(2.0, curve)], [scale(2.0, curve)]]
+
+
+def _integral(x: Matrix, share: Expression, curve: Sequence[Matrix], order: int) -> Matrix:
+    """∫₀ᶜ e^{Ωσ} q(σ) e^{Ω'σ} dσ of a polynomial q with coefficients `curve`, c the `share`, x = c Ω."""
+    n, total = len(x), _zeros(len(x), len(x))
+    inverse = [1.0 / f for f in _factorials(order + 1)]
+    for m, coefficient in enumerate(curve, 1):
+        term = coefficient
+        for _ in range(m):
+            term = scale(share, term)
+        for k in range(order + 1):
+            if k > 0:
+                half = product(x, term)
+                term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
+            total = add(total, scale(inverse[k] / (k + m), term))
+    return total
+
+
+def _shifted(moments: Sequence[Matrix], t: Expression) -> list[Matrix]:
+    """N of q(t+σ) and of its derivatives, from those of q, q' and q''."""
+    if len(moments) == 1:
+        return list(moments)
+    q, slope, curve = moments
+    return [
+        add(add(q, scale(t, slope)), scale(0.5 * t * t, curve)),
+        add(slope, scale(t, curve)),
+        curve,
+    ]
+
+
+def _nodes(
+    field: _Field,
+    state: Sequence[Expression],
+    start: Inputs,
+    inputs: Sequence[Inputs],
+    before: Matrix,
+    h: Expression,
+    share: Expression,
+) -> tuple[list[Sequence[Value]], list[Operation]]:
+    """The states at the nodes, where the field is linearised, and how they are predicted: by the midpoint
+    rule, and where this could be unstable by the exponential of the Jacobian at the beginning,
+
+        x(c h) = x + c h (Γ f + W (f(x, u(c h)) − f)),    Γ, W those of c h A.
+    """
+    graph, n = field.graph, len(state)
+    rate = field.value_at(state, start)
+    used = [
+        i for i in range(n) if any(not is_zero(field.jacobian[r][i]) for r in range(n) if field.curved[r])
+    ]
+    points: list[Sequence[Value]] = []
+    plain: list[Expression] = []
+    stiff: list[Operation] = []
+    into: list[Expression] = []
+    ends: list[Expression] = []
+    for place, (c, there) in enumerate(zip(NODES, inputs, strict=True)):
+        slope: Sequence[Value] = rate
+        for part in (1.0 / 3.0, 2.0 / 3.0):
+            inner = [v + (part * c) * h * k for v, k in zip(state, slope, strict=True)]
+            slope = field.value_at(inner, _between(start, there, part))
+        symbols = {i: graph.symbol(f"node{place}.{i}") for i in used}
+        points.append([symbols.get(i, state[i]) for i in range(n)])
+        into += symbols.values()
+        plain += [graph.lift(state[i] + (0.25 * c) * h * (rate[i] + 3.0 * slope[i])) for i in used]
+        rise = [_minus(v, r) for v, r in zip(field.value_at(state, there), rate, strict=True)]
+        moved = _pushed(graph, f"node{place}:", share, scale(c * h, before), rate, rise)
+        stiff += moved[0]
+        ends += [graph.lift(state[i] + c * h * moved[1][i]) for i in used]
+    stiff.append(Assign(tuple(into), tuple(ends)))
+    return points, [Choose(tuple(stiff), (Assign(tuple(into), tuple(plain)),))]
+
+
+def _pushed(
+    graph: Graph, prefix: str, share: Expression, omega: Matrix, rate: Sequence[Value], rise: Sequence[Value]
+) -> tuple[list[Operation], list[Value]]:
+    """Operations that double Γ `rate` and W `rise`, and their sum (n,)."""
+    n, powers = len(omega), closure(omega)
+
+    def symbols(name: str, pushed: Sequence[Value]) -> list[Value]:
+        there = [not is_zero(v) for v in pushed]
+        reached = [there[i] or any(powers[i][j] and there[j] for j in range(n)) for i in range(n)]
+        return [graph.symbol(f"{prefix}{name}{i}") if reached[i] else 0.0 for i in range(n)]
+
+    d = [[graph.symbol(f"{prefix}D{i}.{j}") if powers[i][j] else 0.0 for j in range(n)] for i in range(n)]
+    v, y, w = symbols("v", rate), symbols("y", rise), symbols("w", rise)
+    x, inverse = scale(share, omega), [1.0 / f for f in _factorials(NODE_ORDER + 3)]
+    power, change = identity(n), _zeros(n, n)
+    for k in range(1, NODE_ORDER + 1):
+        power = product(power, x) if k > 1 else x
+        change = add(change, scale(inverse[k], power))
+
+    def series(pushed: Sequence[Value], more: int) -> list[Value]:
+        term = total = [[v] for v in pushed]
+        total = scale(share * inverse[more], total)
+        for k in range(1, NODE_ORDER + 1):
+            term = product(x, term)
+            total = add(total, scale(share * inverse[k + more], term))
+        return [row[0] for row in total]
+
+    def times(vector: Sequence[Value]) -> list[Value]:
+        return [dot(row, vector) for row in d]
+
+    square = add(scale(2.0, d), product(d, d))
+    now = [*(e for row in d for e in row), *v, *y, *w]
+    first = [*(e for row in change for e in row), *series(rate, 1), *series(rise, 1), *series(rise, 2)]
+    twice = [
+        *(e for row in square for e in row),
+        *(2.0 * a + b for a, b in zip(v, times(v), strict=True)),
+        *(2.0 * a + b for a, b in zip(y, times(y), strict=True)),
+        *(a + 0.5 * (b + c) for a, b, c in zip(w, times(w), y, strict=True)),
+    ]
+    kept = [k for k, e in enumerate(now) if not is_zero(e)]
+    into, begun, then = (tuple(graph.lift(rows[k]) for k in kept) for rows in (now, first, twice))
+    return [Assign(into, begun), Repeat(into, then)], [a + b for a, b in zip(v, w, strict=True)]
+
+
+def _reach(graph: Graph, matrix: Matrix, h: Expression) -> list[Expression]:
+    """Bounds (n,) whose largest is at least |eigenvalues of A| h: the rows of |A h|⁸, to the power 1/8.
+
+    Only entries on a cycle of states count; what acts one way does not move the eigenvalues.
+    """
+    n, powers = len(matrix), closure(matrix)
+    sizes: Matrix = _zeros(n, n)
+    for i in range(n):
+        for j in range(n):
+            if not is_zero(matrix[i][j]) and (i == j or powers[j][i]):
+                entry = graph.lift(matrix[i][j]) * h
+                sizes[i][j] = maximum(entry, -entry)
+    if all(is_zero(sizes[i][j]) for i in range(n) for j in range(n) if i != j):
+        return [graph.lift(sizes[i][i]) for i in range(n)]
+    times = 3 if n <= 8 else 0  # of a wide model, the norm alone: more doublings, but less code
+    for _ in range(times):
+        sizes = product(sizes, sizes)
+    rows = [graph.lift(dot(row, [1.0] * n)) for row in sizes]
+    for _ in range(times):
+        rows = [sqrt(row) for row in rows]
+    return rows
 
 
 def closure(a: Matrix) -> list[list[bool]]:
@@ -336,75 +549,6 @@ def _between(start: Inputs, end: Inputs, c: float) -> dict[str, Expression]:
         else start[name] + c * (end[name] - start[name])
         for name in start
     }
-
-
-def _predictor(
-    field: _Field, x: Sequence[Value], start: Inputs, end: Inputs, c: float, h: Expression
-) -> list[Value]:
-    """The state at the fraction c of the step by the midpoint rule, where the field is linearised."""
-    half = [v + (0.5 * c) * h * k for v, k in zip(x, field.value_at(x, start), strict=True)]
-    middle = field.value_at(half, _between(start, end, 0.5 * c))
-    return [v + c * h * k for v, k in zip(x, middle, strict=True)]
-
-
-def _exponentials(omega: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    """e^Ω, φ₁(Ω) = ∫₀¹ e^{Ωσ} dσ, φ₂(Ω) = ∫₀¹ (1−σ) e^{Ωσ} dσ, as polynomials in Ω + μ I."""
-    n = len(omega)
-    centre = 0.5 * RATE_STEP
-    coefficients = [_taylor(centre, weight, DEGREE) for weight in (None, 0, 1)]
-    shifted = add(omega, scale(centre, identity(n)))
-    power = identity(n)
-    sums = [scale(c[0], power) for c in coefficients]
-    for k in range(1, DEGREE + 1):
-        power = product(power, shifted) if k > 1 else shifted
-        sums = [add(total, scale(c[k], power)) for c, total in zip(coefficients, sums, strict=True)]
-    return sums[0], sums[1], sums[2]
-
-
-def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
-    """Taylor coefficients about z = −centre of e^z (weight None) or of ∫₀¹ (1−σ)^w e^{zσ} dσ for the weight
-    w."""
-    if weight is None:
-        return [math.exp(-centre) / f for f in _factorials(order + 1)]
-    terms = 40  # terms of the series of e^{−centre σ}: beyond machine precision for centre < 1
-    inverse = [1.0 / f for f in _factorials(terms + order + 2)]
-    result = []
-    for k in range(order + 1):
-        moments = (
-            math.factorial(weight) / math.prod(range(k + j + 1, k + j + 2 + weight)) for j in range(terms)
-        )
-        result.append(inverse[k] * math.fsum((-centre) ** j * inverse[j] * m for j, m in enumerate(moments)))
-    return result
-
-
-def _accumulated(omega: Matrix, noises: Sequence[Matrix]) -> Matrix:
-    """∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ, a polynomial in L + 2μ with L(X) = Ω X + X Ω', for one Q̄ or the parabola
-    through three of them at the start, the middle and the end of the step."""
-    n = len(omega)
-    centre = 0.5 * RATE_STEP
-    coefficients = [_taylor(2.0 * centre, weight, NOISE_DEGREE) for weight in range(len(noises))]
-    shifted = add(omega, scale(centre, identity(n)))
-
-    def acted(x: Matrix) -> Matrix:
-        half = product(shifted, x)
-        return _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
-
-    if len(noises) > 1:
-        total = _zeros(n, n)
-        for whole, slope, curve in zip(*map(reversed, coefficients), strict=True):
-            total = acted(total)
-            shares = (whole - 3.0 * slope + 2.0 * curve, 4.0 * (slope - curve), 2.0 * curve - slope)
-            for share, q in zip(shares, noises, strict=True):
-                total = add(total, scale(share, q))
-        return total
-    term = noises[0]
-    total = scale(coefficients[0][0], term)
-    for c in coefficients[0][1:]:
-        term = acted(term)
-        if not _any(term):
-            break
-        total = add(total, scale(c, term))
-    return total
 
 
 def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:

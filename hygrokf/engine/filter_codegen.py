@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hygrokf.engine.discretisation import Assign, Repeat, operations
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
+from hygrokf.engine.schedule_codegen import WALKED, Walk
 from hygrokf.engine.step_codegen import Names, Stages, Symbols, seed
-from hygrokf.engine.traced_filter import INSTANT, Block, Recursion
+from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 
 COMMON = [
@@ -24,25 +26,34 @@ COMMON = [
     ("ptr", "nsub"),
     ("ptr", "table"),
     ("ptr", "key"),
+    ("ptr", "offset"),
+    ("ptr", "row"),
+    ("ptr", "within"),
     ("ptr", "u"),
     ("ptr", "y"),
     ("ptr", "reset"),
     ("ptr", "state"),
     ("ptr", "first"),
 ]
-"""Instants and keys; parameters, key leaves, sub-steps (doublings, of constant-rate steps) and workspace of
-the keys; key, inputs, readings and resets of every instant; moments before the first instant (overwritten by
-those after the last) and a copy of them."""
+"""Instants and keys; parameters, key leaves, doublings and workspace of the keys; key of every instant, first
+of its sub-steps, and key and fractions of the step (S, 2) of every sub-step; inputs, readings and resets of
+every instant; moments before the first instant (overwritten by those after the last) and a copy of them."""
 ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
         "value": "out",
         "trace": "out rows",
-        "adjoint": "out store keybar thetabar statebar buffer",
+        "adjoint": "out store keybar thetabar statebar buffer levels",
         "tangent": "out seeds statedot keydot e s edot sdot",
-        "controlled": "idle levels positions",
+        "controlled": "idle levels positions tags tolerance",
+        "schedule": "places depths doubled numbers tags tolerance",
     }.items()
 }
+
+"""In a loop that chooses its own sub-steps (`schedule_codegen.WALKED`), `tags` (`WORKSPACE`,), −1 at first,
+are the keys whose values the rows of the table hold, and `tolerance` is one number.  A schedule: `places`,
+`depths` and `doubled` (room,) of the sub-steps; `numbers` (5,): room, most sub-steps; then how many there
+are, the instant and the state that stopped it."""
 
 
 def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
@@ -60,7 +71,8 @@ class Emission(Stages):
 
     def __init__(self, recursion: Recursion, kind: str, gain: bool) -> None:
         self.gain = gain
-        super().__init__(recursion, Writer(kind, COMMON + ARGUMENTS[kind]))
+        walked = kind in WALKED and not recursion.exact
+        super().__init__(recursion, Writer(kind, COMMON + ARGUMENTS[kind]), walked)
 
     def text(self) -> str:
         return declarations() + self.writer.text()
@@ -81,7 +93,7 @@ class Emission(Stages):
         return (
             self.read(slots)
             | self.table(key)
-            | self._inputs_at(k)
+            | self.inputs_at(k)
             | {self.recursion.reading.index: y}
             | self.at_parameters
         )
@@ -112,12 +124,48 @@ class Emission(Stages):
         self.load_state(slots, "%state")
         total = RunningSums(w, len(r.updates))
         with w.loop("%count") as k:
-            key, parts = self.instant_keys(k)
-            self._predict(slots, k, key, parts)
+            key = self.key_of(k)
+            self.predict(slots, k)
             self._correct(slots, k, key, total)
             self._resets(slots, k)
         self.save_state(slots, "%state")
         total.write(w, "%out")
+
+    def _schedule(self) -> None:
+        """The sub-steps of every step, along the course of the filter."""
+        w, r = self.writer, self.recursion
+        slots = self.slots(r.state)
+        self.load_state(slots, "%state")
+        total, walk = RunningSums(w, len(r.updates)), Walk(self, slots)
+        room, most = (w.load("i64", w.at("i64", "%numbers", c)) for c in (0, 1))
+        taken, instant = w.slot("i64", "0"), w.slot("i64", "0")
+        going = w.slot("i64", w.value(f"zext i1 {w.value('icmp sgt i64 %count, 0')} to i64"))
+
+        def accept(place: str, level: str, times: str) -> str:
+            at = w.load("i64", taken)
+            with w.when(w.value(f"icmp slt i64 {at}, {room}")):
+                for name, value in (("places", place), ("depths", level), ("doubled", times)):
+                    w.store("i32", w.value(f"trunc i64 {value} to i32"), w.at("i32", f"%{name}", at))
+            w.store("i64", w.integer("add", at, 1), taken)
+            return w.value(f"icmp sge i64 {at}, {most}")
+
+        with w.during(going):
+            k = w.load("i64", instant)
+            key = self.key_of(k)
+            walk.through(k, accept)
+            self._correct(slots, k, key, total)
+            self._resets(slots, k)
+            after = w.integer("add", k, 1)
+            number = w.value(f"trunc i64 {w.load('i64', taken)} to i32")
+            w.store("i32", number, w.at("i32", "%offset", after))
+            well = w.value(f"icmp slt i64 {w.load('i64', walk.worst)}, 0")
+            more = w.value(f"and i1 {well}, {w.value(f'icmp slt i64 {after}, %count')}")
+            w.store("i64", w.value(f"zext i1 {more} to i64"), going)
+            with w.when(well):
+                w.store("i64", after, instant)
+        for c, slot in enumerate((taken, instant, walk.worst), 2):
+            w.store("i64", w.load("i64", slot), w.at("i64", "%numbers", c))
+        self.save_state(slots, "%state")
 
     def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
         before = self._covariance(slots)
@@ -165,13 +213,13 @@ class Emission(Stages):
         transition = [w.slot(SCALAR) for _ in range(r.n * r.n)]
         noise = self.slots(r.gathered[0])
         with w.loop("%count") as k:
-            key, parts = self.instant_keys(k)
+            key = self.key_of(k)
             row = w.at(SCALAR, "%rows", w.integer("mul", k, width))
             for c, s in enumerate(transition):
                 w.store(SCALAR, literal(1.0 if c % (r.n + 1) == 0 else 0.0), s)
             for s in noise.values():
                 w.store(SCALAR, literal(0.0), s)
-            self._predict_with_transition(slots, transition, noise, k, key, parts)
+            self._predict_with_transition(slots, transition, noise, k)
             self.save_state(slots, row)
             column = len(slots)
             before = self._covariance(slots)
@@ -193,14 +241,16 @@ class Emission(Stages):
         total.write(w, "%out")
 
     def _predict_with_transition(
-        self, slots: Names, transition: Sequence[str], noise: Names, k: str, key: str, count: str
+        self, slots: Names, transition: Sequence[str], noise: Names, k: str
     ) -> None:
         r, w = self.recursion, self.writer
         n = r.n
-        with w.loop(count) as j:
-            leaves = self.read(slots) | self.read(noise) | self.table(key) | self.inputs_of(k, j, count)
+        with self.sub_steps(k) as one:
+            leaves = self.read(slots) | self.read(noise) | self.table(one.key) | one.inputs
+            leaves |= self.at_parameters
+            self.perform(r.late, self.registers, self.times(one.key), leaves)
             wanted = [*r.predict, *r.transition, *r.gathered[1]]
-            values = w.block(r.graph, wanted, leaves | self.at_parameters)
+            values = w.block(r.graph, wanted, leaves | self.reading(self.registers, wanted))
             self._store(noise, values[len(slots) + n * n :])
             f = [name for _, name in values[len(slots) :]]
             old = [w.load(SCALAR, s) for s in transition]
@@ -215,14 +265,14 @@ class Emission(Stages):
 
     def _adjoint(self) -> None:
         """Score by a forward pass that stores the moments and a backward pass."""
-        w, r, g = self.writer, self.recursion, self.recursion.graph
+        w, r = self.writer, self.recursion
         slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total = RunningSums(w, len(r.updates))
         # store: row 2k the moments before the updates of instant k, row 2k+1 those after it
         with w.loop("%count") as k:
-            key, parts = self.instant_keys(k)
-            self._predict(slots, k, key, parts)
+            key = self.key_of(k)
+            self.predict(slots, k)
             self.save_state(slots, "%store", w.integer("mul", k, 2))
             self._correct(slots, k, key, total)
             self._resets(slots, k)
@@ -230,20 +280,20 @@ class Emission(Stages):
         total.write(w, "%out")
 
         bars = self.slots(r.state)
-        bar_symbol = {i: g.symbol(f"bar:{i}") for i in bars}
         self.load_state(bars, "%statebar")
         self.parameter_bars = {i: w.slot(SCALAR, literal(0.0)) for i in r.estimated_nodes}
         for e in r.p.values():
             self.parameter_bars.setdefault(e.index, w.slot(SCALAR, literal(0.0)))
+        self.bars = bars | {i: w.slot(SCALAR, literal(0.0)) for i in self.registers}
         with w.loop("%count", backwards=True) as k:
-            key, parts = self.instant_keys(k)
+            key = self.key_of(k)
             self._resets(bars, k)
-            self._reverse_updates(slots, bars, bar_symbol, k, key)
-            self._reverse_predict(slots, bars, bar_symbol, k, key, parts)
+            self._reverse_updates(slots, k, key)
+            self._reverse_predict(slots, k)
         self.save_state(bars, "%statebar")
         self._reverse_stages()
 
-    def _reverse_updates(self, slots: Names, bars: Names, bar_symbol: Symbols, k: str, key: str) -> None:
+    def _reverse_updates(self, slots: Names, k: str, key: str) -> None:
         w, r = self.writer, self.recursion
         readings = self._readings(k)
         self.load_state(slots, "%store", w.integer("mul", k, 2))
@@ -262,19 +312,13 @@ class Emission(Stages):
             with w.when(there):
                 self.load_state(slots, "%buffer", c)
                 leaves = self._update_leaves(slots, k, key, y)
-                seeds: Symbols = {}
-                if self.gain:
-                    for e, i in zip(update, bars, strict=False):
-                        seed(seeds, e, bar_symbol[i])
                 spread, quadratic = update[-2:]
-                g = r.graph
+                seeds: Symbols = {}
                 seed(seeds, spread, -0.5 / spread)
-                seed(seeds, quadratic, g.lift(-0.5 * r.term_slope(quadratic)))
-                self._reverse_block(update, seeds, leaves, bars, bar_symbol, key, keep=not self.gain)
+                seed(seeds, quadratic, r.graph.lift(-0.5 * r.term_slope(quadratic)))
+                self._pull(list(slots) if self.gain else [], update, leaves, key, seeds)
 
-    def _reverse_predict(
-        self, slots: Names, bars: Names, bar_symbol: Symbols, k: str, key: str, parts: str
-    ) -> None:
+    def _reverse_predict(self, slots: Names, k: str) -> None:
         """Backward through the sub-steps; where there are several, their starting moments are recomputed into
         the buffer."""
         w, r = self.writer, self.recursion
@@ -282,86 +326,77 @@ class Emission(Stages):
         self.load_state(slots, "%first")
         with w.when(w.value(f"xor i1 {first}, true")):
             self.load_state(slots, "%store", w.integer("sub", w.integer("mul", k, 2), 1))
-
-        def keep(j: str) -> None:
-            self.save_state(slots, "%buffer", j)
-
         if not r.exact:
-            one = w.value(f"icmp sle i64 {parts}, 1")
-            with w.when(one):
-                self.save_state(slots, "%buffer", 0)
-            with w.when(w.value(f"xor i1 {one}, true")):
-                self._predict(slots, k, key, parts, each=keep)
-        with w.loop(parts, backwards=True) as j:
+            with self.sub_steps(k) as one:
+                self.save_state(slots, "%buffer", one.j)
+                with w.when(w.value(f"icmp slt i64 {w.integer('add', one.j, 1)}, {one.count}")):
+                    leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+                    self.advance(slots, self.times(one.key), leaves)
+        with self.sub_steps(k, backwards=True) as one:
             if not r.exact:
-                self.load_state(slots, "%buffer", j)
-            leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, parts)
-            seeds: Symbols = {}
-            for e, i in zip(r.predict, bars, strict=True):
-                seed(seeds, e, bar_symbol[i])
-            self._reverse_block(
-                r.predict, seeds, leaves | self.at_parameters, bars, bar_symbol, key, keep=False
-            )
+                self.load_state(slots, "%buffer", one.j)
+            times = self.times(one.key)
+            leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+            self.perform(r.late, self.registers, times, leaves, levels=True)
+            known = leaves | self.reading(self.registers, r.predict)
+            self._pull(list(slots), r.predict, known, one.key)
+            self.retract(r.late, self.registers, times, leaves, self._pull, one.key)
 
-    def _reverse_block(
+    def _pull(
         self,
-        block: Block,
-        seeds: Symbols,
+        into: Sequence[int],
+        block: Sequence[Expression],
         leaves: Names,
-        bars: Names,
-        bar_symbol: Symbols,
         key: str,
-        keep: bool,
+        seeds: Symbols | None = None,
+        stage: int = INSTANT,
     ) -> None:
-        """Adjoint of one block: replaces the bars of the state (adds to them with `keep`) and adds to those
-        of earlier stages."""
+        """Replace the adjoints of the symbols `into`, which get the values of a block, and add to those of
+        everything that the block is made from."""
         w, r = self.writer, self.recursion
-        parameters, keys = r.boundary(block, INSTANT)
+        seeds = dict(seeds or {})
+        names: Names = {}
+        for e, i in zip(block, into, strict=False):
+            bar = r.graph.symbol(f"bar:{i}")
+            seed(seeds, e, bar)
+            names[bar.index] = w.load(SCALAR, self.bars[i])
+        parameters, keys = r.boundary(block, stage)
         parameters = [i for i in parameters if i in self.parameter_bars]
-        targets = [*bars, *parameters, *keys]
+        keys = [i for i in keys if i not in self.bars]
+        targets = [*self.bars, *parameters, *keys]
         found = reverse(r.graph, seeds, targets)
-        names = {bar_symbol[i].index: w.load(SCALAR, s) for i, s in bars.items()}
         order = [i for i in targets if i in found]
         values = w.block(r.graph, [found[i] for i in order], leaves | names)
         result = {i: name for i, (_, name) in zip(order, values, strict=True)}
-        for i, s in bars.items():
-            new = result.get(i, literal(0.0))
-            if keep:
-                new = w.real("fadd", new, w.load(SCALAR, s))
-            w.store(SCALAR, new, s)
-        for i in parameters:
-            if i in result:
-                accumulate(w, result[i], self.parameter_bars[i])
+        for i in into:
+            w.store(SCALAR, result.pop(i, literal(0.0)), self.bars[i])
         row = w.integer("mul", key, len(r.key_nodes))
-        for i in keys:
-            if i in result:
-                column = r.key_nodes.index(i)
-                pointer = w.at(SCALAR, "%keybar", w.integer("add", row, column))
-                accumulate(w, result[i], pointer)
+        for i, name in result.items():
+            if i in self.bars:
+                accumulate(w, name, self.bars[i])
+            elif i in self.parameter_bars:
+                accumulate(w, name, self.parameter_bars[i])
+            else:
+                column = w.integer("add", row, r.key_nodes.index(i))
+                accumulate(w, name, w.at(SCALAR, "%keybar", column))
 
     def _reverse_stages(self) -> None:
         """Pass the adjoints of the key table on to the parameter stage, and from there to the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         keys = [Expression(g, i) for i in r.key_nodes]
-        seeds = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
+        bars = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
         with w.loop("%nkeys") as key:
-            slots, first = self._doubled(key, lambda slots, j: self.save_state(slots, "%buffer", j))
-            names = self._row("%keybar", key, [seeds[i].index for i in r.key_nodes])
-            leaves = self._key_row(key) | self.at_parameters | self.read(slots)
-            bars = {i: w.slot(SCALAR, literal(0.0)) for i in slots}
-            self._pull(keys, seeds, leaves | names, bars)
-            if r.doubling is not None:
-                symbols = {i: g.symbol(f"bar:{i}") for i in slots}
-                backward: Symbols = {}
-                for e, i in zip(r.doubling.twice, slots, strict=True):
-                    seed(backward, e, symbols[i])
-                with w.loop(self._index("%nsub", key), backwards=True) as j:
-                    self.load_state(slots, "%buffer", j)
-                    self._pull([], backward, self.read(slots) | self._bars(symbols, bars), bars)
-                backward = {}
-                for e, i in zip(r.doubling.first, slots, strict=True):
-                    seed(backward, e, symbols[i])
-                self._pull(r.doubling.first, backward, first | self._bars(symbols, bars), {})
+            slots = self.slots([e for one in operations(r.early) for e in one.into])
+            self.bars = {i: w.slot(SCALAR, literal(0.0)) for i in slots}
+            times, leaves = self.times(key), self.key_leaves(key) | self.at_parameters
+            self.perform(r.early, slots, times, leaves, levels=True)
+            names = self._row("%keybar", key, [bars[i].index for i in r.key_nodes])
+            self._pull([], keys, leaves | self.read(slots) | names, key, bars, KEY)
+
+            def pull(into: Sequence[int], block: Sequence[Expression], known: Names, row: str) -> None:
+                self._pull(into, block, known, row, stage=KEY)
+
+            self.retract(r.early, slots, times, leaves, pull, key)
         leaf = {e.index for e in r.p.values()}
         seeds = {i: g.symbol(f"parbar:{i}") for i in r.estimated_nodes if i not in leaf}
         names = {seeds[i].index: w.load(SCALAR, self.parameter_bars[i]) for i in seeds}
@@ -385,12 +420,15 @@ class Emission(Stages):
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
         total = RunningSums(w, len(r.updates))
-        tangents = directions | key_dots | state_dots
+        register_dots = {i: w.slot(VECTOR, "zeroinitializer") for i in self.registers}
+        within = {i: g.symbol(f"dot:{i}") for i in self.registers}
+        tangents = directions | key_dots | state_dots | within
 
         def dot_leaves(key: str) -> Names:
             keys = self._row("%keydot", key, [key_dots[i].index for i in r.key_nodes], VECTOR)
             states = {state_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
-            return dots | keys | states
+            inner = {within[i].index: w.load(VECTOR, s) for i, s in register_dots.items()}
+            return dots | keys | states | inner
 
         def run(
             outputs: list[Expression], leaves: Names, key: str
@@ -403,10 +441,19 @@ class Emission(Stages):
 
         width = len(r.updates)
         with w.loop("%count") as k:
-            key, parts = self.instant_keys(k)
-            with w.loop(parts) as j:
-                leaves = self.read(slots) | self.table(key) | self.inputs_of(k, j, parts)
-                values, derivatives = run(r.predict, leaves | self.at_parameters, key)
+            key = self.key_of(k)
+            with self.sub_steps(k) as one:
+                leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+
+                def compute(operation: Assign | Repeat, known: Names, row: str = one.key) -> None:
+                    values, derivatives = run(list(operation.block), known, row)
+                    for e, (_, name), dot in zip(operation.into, values, derivatives, strict=True):
+                        w.store(SCALAR, name, self.registers[e.index])
+                        w.store(VECTOR, dot, register_dots[e.index])
+
+                self.perform(r.late, self.registers, self.times(one.key), leaves, compute)
+                known = leaves | self.reading(self.registers, r.predict)
+                values, derivatives = run(r.predict, known, one.key)
                 self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)
@@ -456,22 +503,24 @@ class Emission(Stages):
             directions[i] = g.symbol(f"dot:{i}")
             dots[directions[i].index] = w.as_vector(kind, name)
         keys = [Expression(g, i) for i in r.key_nodes]
-        moving: Symbols = {}
-        if r.doubling is not None:
-            moving = {e.index: g.symbol(f"dot:{e.index}") for e in r.doubling.now}
+        slots = self.slots([e for one in operations(r.early) for e in one.into])
+        moving = {i: g.symbol(f"dot:{i}") for i in slots}
+        ahead = {i: w.slot(VECTOR, "zeroinitializer") for i in slots}
+
+        def derivatives(block: Sequence[Expression], leaves: Names) -> list[tuple[str, str]]:
+            vectors = dots | {moving[i].index: w.load(VECTOR, s) for i, s in ahead.items()}
+            return w.block(g, forward(g, block, directions | moving), leaves | vectors, list(vectors))
+
+        def compute(operation: Assign | Repeat, leaves: Names) -> None:
+            made = [w.as_vector(*one) for one in derivatives(operation.block, leaves)]
+            self._compute(slots)(operation, leaves)
+            for e, name in zip(operation.into, made, strict=True):
+                w.store(VECTOR, name, ahead[e.index])
+
         with w.loop("%nkeys") as key:
-            ahead = {i: w.slot(VECTOR, "zeroinitializer") for i in moving}
-
-            def derivatives(block: Block, leaves: Names) -> list[tuple[str, str]]:
-                vectors = dots | {moving[i].index: w.load(VECTOR, s) for i, s in ahead.items()}
-                return w.block(g, forward(g, block, directions | moving), leaves | vectors, list(vectors))
-
-            def along(block: Block, leaves: Names) -> None:
-                for s, made in zip(ahead.values(), derivatives(block, leaves), strict=True):
-                    w.store(VECTOR, w.as_vector(*made), s)
-
-            slots, _ = self._doubled(key, along=along)
-            values = derivatives(keys, self._key_row(key) | self.at_parameters | self.read(slots))
+            leaves = self.key_leaves(key) | self.at_parameters
+            self.perform(r.early, slots, self.times(key), leaves, compute)
+            values = derivatives(keys, leaves | self.read(slots))
             row = w.integer("mul", key, len(keys))
             for c, (kind, name) in enumerate(values):
                 pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))

@@ -13,6 +13,7 @@ from threading import Lock
 from hygrokf.engine.filter_codegen import Emission, loop_text
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
+from hygrokf.engine.schedule_codegen import Walk
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.engine.wide_loops import WideLoop, wide_loop
 from hygrokf.engine.wide_recursion import WideRecursion
@@ -47,14 +48,17 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
     slots = emission.slots(r.state)
     emission.load_state(slots, "%state")
     width = len(r.varying)
+    walk = None if r.exact else Walk(emission, slots)
     with w.loop("%count") as k:
-        key, parts = emission.instant_keys(k)
+        key = emission.key_of(k)
         row = w.integer("mul", k, width)
         before = w.integer("sub", row, width)
         begun = {
             r.now[name].index: w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
             for c, name in enumerate(r.varying)
         }
+        if walk is not None:
+            walk.known(key)
         leaves = emission.read(slots) | emission.table(key) | begun | emission.at_parameters
         leaves |= {r.reading.index: literal(0.0)}
         shown = [name for _, name in w.block(r.graph, [_shown(r, control) for control in controls], leaves)]
@@ -67,8 +71,10 @@ def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
             w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
             column = w.integer("add", row, r.varying.index(control.input))
             w.store(SCALAR, position, w.at(SCALAR, "%u", column))
-        with w.loop(parts) as j:
-            leaves = emission.read(slots) | emission.table(key) | emission.inputs_of(k, j, parts)
+        if walk is not None:
+            walk.through(k, lambda place, level, times: None)
+        else:
+            leaves = emission.read(slots) | emission.table(key) | emission.inputs_between(k)
             after = w.block(r.graph, r.predict[: len(means)], leaves | emission.at_parameters)
             for i, (_, name) in zip(means, after, strict=True):
                 w.store(SCALAR, name, slots[i])

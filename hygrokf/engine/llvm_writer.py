@@ -144,6 +144,19 @@ class Writer:
         self._lines.append(f"{done}:")
 
     @contextmanager
+    def during(self, going: str) -> Iterator[None]:
+        """Repeat as long as the i64 in the slot `going` is not 0."""
+        head, body, done = (self._label(x) for x in ("head", "body", "done"))
+        self.line(f"br label %{head}")
+        self._lines.append(f"{head}:")
+        test = self.value(f"icmp ne i64 {self.load('i64', going)}, 0")
+        self.line(f"br i1 {test}, label %{body}, label %{done}")
+        self._lines.append(f"{body}:")
+        yield
+        self.line(f"br label %{head}")
+        self._lines.append(f"{done}:")
+
+    @contextmanager
     def when(self, condition: str) -> Iterator[None]:
         """Run the block only if the i1 `condition` holds; values made inside must leave it through slots or
         memory."""

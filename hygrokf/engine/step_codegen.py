@@ -6,28 +6,45 @@ with the doublings of constant-rate steps, the moments in stack slots, and the p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
+from hygrokf.engine.discretisation import CONSTANT_SHARE, MILD, Assign, Choose, Operation, Repeat, operations
 from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
-from hygrokf.engine.running_sums import accumulate
-from hygrokf.engine.traced_filter import KEY, Block, Recursion
-from hygrokf.physics.expression import Expression, reverse
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.physics.expression import Expression
 from hygrokf.physics.holds import LINEAR, PREVIOUS
 
 Names = dict[int, str]
 """Node -> the LLVM name of its value, or of the stack slot that holds it."""
 Symbols = dict[int, Expression]
 """Node -> the expression of its adjoint."""
+DOUBLINGS = 100
+"""Largest number of doublings: rates times a step of 6e29."""
+Compute = Callable[[Assign | Repeat, Names], None]
+Pull = Callable[[Sequence[int], Sequence[Expression], Names, str], None]
+
+
+@dataclass(frozen=True)
+class SubStep:
+    """Sub-step `j` of `count`: its row of the key table, and the inputs at its ends."""
+
+    j: str
+    count: str
+    key: str
+    inputs: Names
 
 
 class Stages:
     """The text that all loops of a recursion begin with, and their step to an instant."""
 
-    def __init__(self, recursion: Recursion, writer: Writer) -> None:
-        self.recursion, self.writer = recursion, writer
-        self.parameter_bars: Names = {}
+    def __init__(self, recursion: Recursion, writer: Writer, walked: bool = False) -> None:
+        self.recursion, self.writer, self.walked = recursion, writer, walked
+        self.registers = self.slots(list(recursion.registers.values()))
         self._parameters()
-        self._keys()
+        if not walked:
+            self._keys()
 
     # -- stages before the time loop -------------------------------------------------------------------------
     def _parameters(self) -> None:
@@ -46,47 +63,167 @@ class Stages:
         return {i: w.load(kind, w.at(kind, base, w.integer("add", start, c))) for c, i in enumerate(nodes)}
 
     def _key_row(self, key: str) -> Names:
-        """Values of the key's leaves: sub-step length and regimes."""
+        """Values of the key's own leaves: length of the sub-step and regimes."""
         return self._row("%keys", key, [e.index for e in self.recursion.key_leaves])
 
-    def _doubled(
-        self,
-        key: str,
-        each: Callable[[Names, str], None] | None = None,
-        along: Callable[[Block, Names], None] | None = None,
-    ) -> tuple[Names, Names]:
-        """Slots of a constant-rate step's matrices, doubled to the whole step, and the leaves of its share;
-        `each(slots, j)` is called before doubling j, `along(block, leaves)` before each block is computed."""
-        r, w, d = self.recursion, self.writer, self.recursion.doubling
-        if d is None:
-            return {}, {}
-        times = self._index("%nsub", key)
-        bits = w.value(f"shl i64 {w.integer('sub', 1023, times)}, 52")  # 2^−times as a double
-        leaves = self._key_row(key) | self.at_parameters
-        leaves[d.share.index] = w.value(f"bitcast i64 {bits} to double")
-        slots = self.slots(d.now)
+    def key_leaves(self, key: str) -> Names:
+        """Values of the key's leaves: length of the sub-step, regimes, and the share of its doublings."""
+        return self._key_row(key) | {self.recursion.share.index: self.power(self.times(key))}
 
-        def compute(block: Block, known: Names) -> None:
-            if along is not None:
-                along(block, known)
-            self._store(slots, w.block(r.graph, block, known))
+    def power(self, times: str) -> str:
+        """2^−times as a double, from an i64."""
+        w = self.writer
+        bits = w.value(f"shl i64 {w.integer('sub', 1023, times)}, 52")
+        return w.value(f"bitcast i64 {bits} to double")
 
-        compute(d.first, leaves)
-        with w.loop(times) as j:
-            if each is not None:
-                each(slots, j)
-            compute(d.twice, self.read(slots))
-        return slots, leaves
+    def times(self, key: str) -> str:
+        """Doublings of a row of the key table, as i64."""
+        return self._index("%nsub", key)
 
     def _keys(self) -> None:
         r, w = self.recursion, self.writer
-        wanted = [Expression(r.graph, i) for i in r.key_nodes]
         with w.loop("%nkeys") as key:
-            leaves = self._key_row(key) | self.at_parameters | self.read(self._doubled(key)[0])
-            values = w.block(r.graph, wanted, leaves)
-            row = w.integer("mul", key, len(wanted))
-            for c, (_, name) in enumerate(values):
+            if r.exact:  # the number of doublings follows from the rates
+                times = w.value(f"trunc i64 {self.doublings(self._key_row(key), CONSTANT_SHARE)} to i32")
+                w.store("i32", times, w.at("i32", "%nsub", key))
+            row = w.integer("mul", key, len(r.key_nodes))
+            for c, name in enumerate(self.early(self.key_leaves(key), self.times(key))):
                 w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
+
+    def doublings(self, leaves: Names, share: float) -> str:
+        """Number of doublings (i64) for the rates at the beginning of a sub-step, which `leaves` give; −1
+        for rates that are not finite, or too large."""
+        w, r = self.writer, self.recursion
+        most, total = literal(0.5), literal(0.0)
+        for _, name in w.block(r.graph, r.reach, leaves | self.at_parameters):
+            scaled = w.real("fmul", name, literal(1.0 / share))
+            larger = w.value(f"fcmp ogt double {scaled}, {most}")
+            most = w.value(f"select i1 {larger}, double {scaled}, double {most}")
+            total = w.real("fadd", total, scaled)
+        bits = w.value(f"bitcast double {most} to i64")
+        power = w.integer("sub", w.integer("lshr", bits, 52), 1022)  # 0 for [1/2, 1), 1 for [1, 2)
+        possible = w.value(f"icmp sle i64 {power}, {DOUBLINGS}")
+        finite = w.value(f"fcmp ord double {w.real('fsub', total, total)}, {literal(0.0)}")
+        return w.value(f"select i1 {w.value(f'and i1 {possible}, {finite}')}, i64 {power}, i64 -1")
+
+    def early(self, leaves: Names, times: str) -> list[str]:
+        """The values of the nodes of the key table, from its leaves."""
+        r, w = self.recursion, self.writer
+        slots = self.slots([e for one in operations(r.early) for e in one.into])
+        self.perform(r.early, slots, times, leaves | self.at_parameters)
+        wanted = [Expression(r.graph, i) for i in r.key_nodes]
+        known = leaves | self.at_parameters | self.read(slots)
+        return [name for _, name in w.block(r.graph, wanted, known)]
+
+    # -- the operations before a step ------------------------------------------------------------------------
+    def perform(
+        self,
+        program: Sequence[Operation],
+        slots: Names,
+        times: str,
+        leaves: Names,
+        compute: Compute | None = None,
+        levels: bool = False,
+    ) -> None:
+        """Run operations on their symbols in `slots`; with `levels`, keep what each doubling starts from.
+
+        `compute(operation, leaves)` is called in place of the plain computation.
+        """
+        w = self.writer
+        places = self._level_places(program)
+
+        def run(operation: Operation) -> None:
+            if isinstance(operation, Choose):
+                stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
+                for condition, inner in (
+                    (stiff, operation.stiff), (w.value(f"xor i1 {stiff}, true"), operation.plain),
+                ):  # fmt: skip
+                    with w.when(condition):
+                        for one in inner:
+                            run(one)
+            elif isinstance(operation, Repeat):
+                with w.loop(times) as j:
+                    if levels:
+                        self._at_level(operation, places, slots, j, self._keep)
+                    (compute or self._compute(slots))(operation, self.reading(slots, operation.block))
+            else:
+                known = leaves | self.reading(slots, operation.block)
+                (compute or self._compute(slots))(operation, known)
+
+        for one in program:
+            run(one)
+
+    def retract(
+        self, program: Sequence[Operation], slots: Names, times: str, leaves: Names, pull: Pull, key: str
+    ) -> None:
+        """The adjoint of `perform`, after it with `levels`: `pull(into, block, leaves, key)` moves the
+        adjoints of symbols on to what their block is made from."""
+        w = self.writer
+        places = self._level_places(program)
+
+        def run(operation: Operation) -> None:
+            if isinstance(operation, Choose):
+                stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
+                for condition, inner in (
+                    (stiff, operation.stiff), (w.value(f"xor i1 {stiff}, true"), operation.plain),
+                ):  # fmt: skip
+                    with w.when(condition):
+                        for one in reversed(inner):
+                            run(one)
+                return
+            into = [e.index for e in operation.into]
+            if isinstance(operation, Repeat):
+                with w.loop(times, backwards=True) as j:
+                    self._at_level(operation, places, slots, j, self._restore)
+                    pull(into, operation.block, self.reading(slots, operation.block), key)
+            else:
+                pull(into, operation.block, leaves | self.reading(slots, operation.block), key)
+
+        for one in reversed(program):
+            run(one)
+
+    def _compute(self, slots: Names) -> Compute:
+        def plain(operation: Assign | Repeat, leaves: Names) -> None:
+            made = self.writer.block(self.recursion.graph, operation.block, leaves)
+            for e, (_, name) in zip(operation.into, made, strict=True):
+                self.writer.store(SCALAR, name, slots[e.index])
+
+        return plain
+
+    def reading(self, slots: Names, block: Sequence[Expression]) -> Names:
+        """The values of those symbols in slots that a block needs."""
+        needed = set(self.recursion.graph.needed(block))
+        return {i: self.writer.load(SCALAR, s) for i, s in slots.items() if i in needed}
+
+    @staticmethod
+    def _level_places(program: Sequence[Operation]) -> tuple[dict[int, int], int]:
+        """The first column of each repetition in a row of `%levels`, by the identity of the operation, and
+        the width of a row."""
+        places, width = {}, 0
+        for one in operations(program):
+            if isinstance(one, Repeat):
+                places[id(one)] = width
+                width += len(one.into)
+        return places, width
+
+    def _at_level(
+        self,
+        operation: Repeat,
+        places: tuple[dict[int, int], int],
+        slots: Names,
+        j: str,
+        move: Callable[[str, str], None],
+    ) -> None:
+        w = self.writer
+        start = w.integer("add", w.integer("mul", j, places[1]), places[0][id(operation)])
+        for c, e in enumerate(operation.into):
+            move(slots[e.index], w.at(SCALAR, "%levels", w.integer("add", start, c)))
+
+    def _keep(self, slot: str, pointer: str) -> None:
+        self.writer.store(SCALAR, self.writer.load(SCALAR, slot), pointer)
+
+    def _restore(self, slot: str, pointer: str) -> None:
+        self.writer.store(SCALAR, self.writer.load(SCALAR, pointer), slot)
 
     # -- pieces of the time loop -----------------------------------------------------------------------------
     def slots(self, prefix: Sequence[Expression]) -> Names:
@@ -107,31 +244,43 @@ class Stages:
         for c, s in enumerate(slots.values()):
             w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, base, w.integer("add", start, c)))
 
-    def instant_keys(self, k: str) -> tuple[str, str]:
-        """(row of the key table, number of sub-steps) for the step that ends at instant k, as i64."""
-        key = self._index("%key", k)
-        return key, "1" if self.recursion.exact else self._index("%nsub", key)
-
     def _index(self, base: str, place: str) -> str:
         w = self.writer
         value = w.load("i32", w.at("i32", base, place))
         return w.value(f"sext i32 {value} to i64")
 
     def table(self, key: str) -> Names:
-        values = self._row("%table", key, self.recursion.key_nodes)
-        return self._key_row(key) | values
+        """Values of a row of the key table; where a walk fills the table, row 0 is that of the instant."""
+        row = "0" if self.walked else key
+        return self.key_leaves(key) | self._row("%table", row, self.recursion.key_nodes)
 
-    def inputs_within(self, k: str, j: str | None = None, count: str = "") -> Names:
-        """Inputs at the start and the end of sub-step j of `count`, by default of the whole step, between
-        instants k−1 and k."""
+    def key_of(self, k: str) -> str:
+        """The row of the key table for the updates at instant k, and for an exact step to it."""
+        return self._index("%key", k)
+
+    @contextmanager
+    def sub_steps(self, k: str, backwards: bool = False) -> Iterator[SubStep]:
+        """The sub-steps to instant k; a constant-rate step is one."""
+        w = self.writer
+        if self.recursion.exact:
+            yield SubStep("0", "1", self.key_of(k), self.inputs_between(k))
+            return
+        begin = self._index("%offset", k)
+        count = w.integer("sub", self._index("%offset", w.integer("add", k, 1)), begin)
+        with w.loop(count, backwards=backwards) as j:
+            place = w.integer("add", begin, j)
+            left, right = (
+                w.load(SCALAR, w.at(SCALAR, "%within", w.integer("add", w.integer("mul", place, 2), c)))
+                for c in (0, 1)
+            )
+            yield SubStep(j, count, self._index("%row", place), self.inputs_between(k, left, right))
+
+    def inputs_between(self, k: str, left: str = "", right: str = "") -> Names:
+        """Inputs at two fractions of the step that ends at instant k, by default at its ends."""
         r, w = self.recursion, self.writer
         m = len(r.varying)
         row = w.integer("mul", k, m)
         before = w.integer("sub", row, m)
-        if j is not None:
-            part = w.real("fdiv", literal(1.0), w.value(f"sitofp i64 {count} to double"))
-            left = w.real("fmul", w.value(f"sitofp i64 {j} to double"), part)
-            right = w.real("fmul", w.value(f"sitofp i64 {w.integer('add', j, 1)} to double"), part)
         result = {}
         for c, name in enumerate(r.varying):
             hold = r.holds[name]
@@ -141,66 +290,41 @@ class Stages:
             if hold == LINEAR:
                 old = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
                 result[r.start[name].index] = old
-                if j is not None:
+                if left:
                     rise = w.real("fsub", value, old)
                     for table, share in ((r.start, left), (r.end, right)):
                         result[table[name].index] = w.real("fadd", old, w.real("fmul", rise, share))
         return result
 
-    def inputs_of(self, k: str, j: str, count: str) -> Names:
-        """Inputs of sub-step j of `count`; a constant-rate step is one."""
-        return self.inputs_within(k) if self.recursion.exact else self.inputs_within(k, j, count)
-
-    def _inputs_at(self, k: str) -> Names:
+    def inputs_at(self, k: str) -> Names:
         r = self.recursion
         return self._row("%u", k, [r.now[name].index for name in r.varying])
 
-    def _predict(
-        self, slots: Names, k: str, key: str, count: str, each: Callable[[str], None] | None = None
-    ) -> None:
-        w = self.writer
-        if self.recursion.exact:
-            self._advance(slots, key, self.inputs_within(k))
-            return
-        rest = count
-        if each is None:  # nearly every step has a single sub-step, whose inputs need no fractions
-            one = w.value(f"icmp eq i64 {count}, 1")
-            with w.when(one):
-                self._advance(slots, key, self.inputs_within(k))
-            rest = w.value(f"select i1 {one}, i64 0, i64 {count}")
-        with w.loop(rest) as j:
-            if each is not None:
-                each(j)
-            self._advance(slots, key, self.inputs_within(k, j, count))
+    def predict(self, slots: Names, k: str) -> None:
+        with self.sub_steps(k) as one:
+            leaves = self.read(slots) | self.table(one.key) | one.inputs | self.at_parameters
+            self.advance(slots, self.times(one.key), leaves)
 
-    def _advance(self, slots: Names, key: str, inputs: Names) -> None:
-        r, w = self.recursion, self.writer
-        leaves = self.read(slots) | self.table(key) | inputs
-        values = w.block(r.graph, r.predict, leaves | self.at_parameters)
-        self._store(slots, values)
+    def advance(self, slots: Names, times: str, leaves: Names) -> None:
+        """Move the moments over one sub-step."""
+        r = self.recursion
+        self.perform(r.late, self.registers, times, leaves)
+        known = leaves | self.reading(self.registers, r.predict)
+        self._store(slots, self.writer.block(r.graph, r.predict, known))
 
     def _store(self, slots: Names, values: Sequence[tuple[str, str]]) -> None:
         """Store the first of some (kind, value) in the slots of the state."""
         for s, (_, name) in zip(slots.values(), values, strict=False):
             self.writer.store(SCALAR, name, s)
 
-    def _bars(self, symbols: Symbols, bars: Names) -> Names:
-        return {symbols[i].index: self.writer.load(SCALAR, s) for i, s in bars.items()}
 
-    def _pull(self, outputs: Block, seeds: Symbols, leaves: Names, bars: Names) -> None:
-        """Replace the adjoints `bars` by those that the seeds give them, and add to those of the parameter
-        stage that `outputs` depend on."""
-        w, r = self.writer, self.recursion
-        inner = [i for i in r.boundary(outputs, KEY)[0] if i in self.parameter_bars]
-        found = reverse(r.graph, seeds, [*bars, *inner])
-        order = list(found)
-        values = w.block(r.graph, [found[i] for i in order], leaves)
-        result = {i: name for i, (_, name) in zip(order, values, strict=True)}
-        for i, s in bars.items():
-            w.store(SCALAR, result.get(i, literal(0.0)), s)
-        for i in inner:
-            if i in result:
-                accumulate(w, result[i], self.parameter_bars[i])
+def level_room(recursion: Recursion) -> int:
+    """Numbers that the adjoint of the doublings keeps: the matrices before each of them."""
+    widths = [
+        sum(len(one.into) for one in operations(program) if isinstance(one, Repeat))
+        for program in (recursion.early, recursion.late)
+    ]
+    return max(1, (DOUBLINGS + 1) * max(widths))
 
 
 def seed(seeds: Symbols, output: Expression, bar: Expression) -> None:

@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,9 +36,8 @@ class Timeline:
     instant before the first one: a linear input has its value at the instant, one that holds from its stamp
     on (previous) its value from there on, and a mean its value over the step that ends there; `y` (T, k)
     readings, NaN where there is none; `reset` (T,) bits of the running means that restart at the instant;
-    `whole` inputs of the whole run, which a piece of the run keeps; `ends` (T,) True at the first step with
-    known inputs after a gap of them (`engine.long_steps`), empty without gaps; `part`: which part of a record
-    it holds, empty where it is of none.
+    `ends` (T,) True at the first step with known inputs after a gap of them (`engine.gaps`), empty without
+    gaps; `part`: which part of a record it holds, empty where it is of none.
     """
 
     time: np.ndarray
@@ -52,7 +50,6 @@ class Timeline:
     regimes: tuple[str, ...]
     outputs: tuple[str, ...]
     origin_s: float = 0.0
-    whole: Mapping[str, np.ndarray] = field(default_factory=dict)
     ends: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
     part: str = ""
 
@@ -70,20 +67,6 @@ class Timeline:
 
     def __len__(self) -> int:
         return len(self.time)
-
-    @cached_property
-    def corners(self) -> dict[str, np.ndarray]:
-        """All inputs at the instants of the whole run where one of them is largest or smallest, and at two
-        dozen instants in between.
-
-        The sub-steps follow from these, so that a piece of the run takes the same ones as the whole.
-        """
-        count = len(next(iter(self.whole.values()), ()))
-        rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
-        for values in self.whole.values():
-            rows |= {int(np.argmin(values)), int(np.argmax(values))}
-        chosen = np.array(sorted(rows))
-        return {name: values[chosen] for name, values in self.whole.items()}
 
     @property
     def seconds(self) -> np.ndarray:
@@ -111,14 +94,11 @@ class Timeline:
         return replace(self, y=np.ascontiguousarray(y, dtype=float))
 
     def with_inputs(self, inputs: Mapping[str, np.ndarray]) -> Timeline:
-        """The same run with other values (T,) of inputs that vary within steps; `whole` covers the corners of
-        the old values and the new ones."""
+        """The same run with other values (T,) of inputs that vary within steps."""
         u = self.u.copy()
         for name, value in inputs.items():
             u[1:, _place("inputs that vary within steps", name, self.varying)] = value
-        changed = replace(self, u=u)
-        whole = {n: np.append(value, changed.input(n)) for n, value in self.corners.items()}
-        return replace(changed, whole=whole)
+        return replace(self, u=u)
 
     def window(self, first: int, last: int) -> Timeline:
         """Instants first … last−1, including the step to the first one, which starts from an earlier
@@ -186,7 +166,6 @@ def timeline(
             flags |= (_at_last_rows(ended[name], lengths) << bit).astype(np.int32)
     u = _columns([given[n] for n in varying], count)
     return Timeline(
-        whole=given,
         time=time,
         key=key,
         steps=steps,

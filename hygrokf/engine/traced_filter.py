@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import Doubling, Step, closure, congruence, step
+from hygrokf.engine.discretisation import Operation, Step, congruence, operations, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
 from hygrokf.engine.timeline import Timeline
@@ -45,7 +45,7 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
-from hygrokf.physics.matrices import dot, product
+from hygrokf.physics.matrices import add, dot, product, transpose
 from hygrokf.physics.model import Model, Values
 
 UNSEEN = 1e-10
@@ -54,8 +54,6 @@ leaves of a difference in ten thousand steps is less."""
 
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
 """Stages: when a value first becomes known."""
-Place = tuple[int, int]
-"""Row and column of an entry of a matrix."""
 Block = list[Expression]
 """Outputs of traced straight-line code."""
 
@@ -75,7 +73,11 @@ class Recursion:
 
     wide = False
     """Whether the loops take the matrices of whole steps (`wide_recursion`)."""
-    doubling: Doubling | None = None
+    exact: bool
+    """Whether a step of any length is one exact step (`discretisation.constant_rates`)."""
+    early: tuple[Operation, ...] = ()
+    late: tuple[Operation, ...] = ()
+    reach: Sequence[Expression] = ()
 
     def __init__(self, model: Model, unknown: int = 0, factored: bool = False) -> None:
         self.model = model
@@ -88,7 +90,7 @@ class Recursion:
         self.holds = model.input_holds
         self.varying = [name for name, hold in self.holds.items() if hold != REGIME]
         self.regimes = [name for name, hold in self.holds.items() if hold == REGIME]
-        self.h = g.symbol("h")
+        self.h, self.share = g.symbol("h"), g.symbol("share")
         regime = {name: g.symbol(f"g:{name}") for name in self.regimes}
         self.key_leaves = [self.h, *regime.values()]
         self.mean = [g.symbol(f"m{i}") for i in range(n)]
@@ -141,7 +143,9 @@ class Recursion:
             self._changing,
             decays=d > 0,
         )
-        self.doubling = made.doubling
+        self.early, self.late = made.early, made.late
+        self.exact, self.reach = made.exact, made.reach
+        self.registers = {e.index: e for one in operations(self.late) for e in one.into}
         packed = self._predicted(made) if self.factored else self._lower(made.covariance)
         self.predict: Block = [*made.mean, *packed, *(g.constant(1.0) for _ in self.units)]
         if d:
@@ -392,8 +396,7 @@ class Recursion:
     def stage(self) -> list[int]:
         """For every node, the earliest stage at which its value is known."""
         key = {e.index for e in self.key_leaves}
-        if self.doubling is not None:
-            key |= {e.index for e in (self.doubling.share, *self.doubling.now)}
+        key |= {self.share.index, *(e.index for one in operations(self.early) for e in one.into)}
         result: list[int] = []
         for i, node in enumerate(self.graph.nodes):
             if node[0] == "const":
@@ -405,30 +408,6 @@ class Recursion:
             else:
                 result.append(max(result[j] for j in arguments(node)))
         return result
-
-    @property
-    def exact(self) -> bool:
-        """Whether the rates depend only on parameters and regimes, so that a step of any length is one exact
-        step."""
-        return self.doubling is not None
-
-    @cached_property
-    def rate_entries(self) -> list[Place]:
-        """Entries of the Jacobian that its eigenvalues depend on: those on a cycle of its graph."""
-        reach = closure(self.jacobian)
-        return [
-            (i, j)
-            for i, row in enumerate(self.jacobian)
-            for j, value in enumerate(row)
-            if not is_zero(value) and (i == j or reach[j][i])
-        ]
-
-    @cached_property
-    def rates_move(self) -> bool:
-        """Whether these entries depend on anything besides the parameters."""
-        needed = self.graph.needed([self.graph.lift(self.jacobian[i][j]) for i, j in self.rate_entries])
-        symbols = [self.graph.nodes[i][1] for i in needed if self.graph.nodes[i][0] == "symbol"]
-        return not all(name.startswith(("p:", "c:")) for name in symbols)
 
     @cached_property
     def jacobian_entries(self) -> dict[tuple[int, int], Value]:
@@ -443,6 +422,28 @@ class Recursion:
     def cuts(self, timeline: Timeline) -> Iterable[int]:
         """Instants at which a run is cut, so that its loops do not need too much memory."""
         return ()
+
+    @cached_property
+    def uncertainty(self) -> Matrix:
+        """The covariance of the moments, with a variance of 1 in directions of which nothing is known."""
+        found = self.covariance
+        if self.factored:
+            lower, diagonal = self._factors()
+            weighted = [[dot([v], [d]) for v, d in zip(row, diagonal, strict=True)] for row in lower]
+            found = product(weighted, transpose(lower))
+        if self.unknown:
+            free = product(self.loadings, self.directions)
+            found = add(found, product(free, transpose(free)))
+        return found
+
+    @cached_property
+    def comparisons(self) -> list[Expression]:
+        """The comparisons of states that the rates make, as 1 or 0."""
+        states = [f"m{i}" for i in range(self.n)]
+        made = [
+            Expression(self.graph, i) for i in self.graph.needed(self.rates) if self.graph.nodes[i][0] == "lt"
+        ]
+        return [where(one, 1.0, 0.0) for one in made if depends_on(self.graph, one, states)]
 
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
@@ -472,14 +473,9 @@ class Recursion:
         return variances_of(self.graph, self.model, self.p, self.now, self.mean)
 
     @cached_property
-    def rising_noise(self) -> bool:
-        """Whether the noise follows an input that changes within a step."""
-        names = [f"b:{name}" for name in self.varying if self.holds[name] == LINEAR]
-        return any(depends_on(self.graph, v, names) for row in self.noise for v in row)
-
-    @cached_property
     def _blocks(self) -> list[Block]:
-        return [self.predict, *self.updates, self.gathered[1]]
+        late = [list(one.block) for one in operations(self.late)]
+        return [self.predict, *self.updates, self.gathered[1], *late, [] if self.exact else [*self.reach]]
 
     @cached_property
     def key_nodes(self) -> list[int]:
@@ -499,8 +495,8 @@ class Recursion:
         for block in self._blocks:
             found.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
-        if self.doubling is not None:
-            keys.extend(self.doubling.first)
+        keys.extend(e for one in operations(self.early) for e in one.block)
+        keys.extend(self.reach if self.exact else [])
         found.update(self.boundary(keys, KEY)[0])
         found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
         found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)

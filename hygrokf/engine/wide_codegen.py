@@ -177,7 +177,7 @@ class WideEmission(Emission):
     def _drive(self, k: str) -> Names:
         """Put the drive into `b`; returns the leaves that it was made from."""
         w, r = self.writer, self.recursion
-        leaves = self._leaves(k) | self.inputs_within(k)
+        leaves = self._leaves(k) | self.inputs_between(k)
         for e, (_, name) in enumerate(w.block(r.graph, r.predict, leaves)):
             w.store(SCALAR, name, w.at(SCALAR, self.b, e))
         return leaves
@@ -198,7 +198,7 @@ class WideEmission(Emission):
         """Put P H' of reading c into `c`; returns the leaves of its block, those of its head, and H."""
         w, r = self.writer, self.recursion
         means = {e.index: self._number("%state", self.mean + i) for i, e in enumerate(r.mean)}
-        leaves = self._leaves(k) | self._inputs_at(k) | means
+        leaves = self._leaves(k) | self.inputs_at(k) | means
         made = [name for _, name in w.block(r.graph, r.updates[c], leaves)]
         row = made[2:]
         with self._strip() as j:

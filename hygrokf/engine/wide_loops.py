@@ -29,9 +29,12 @@ class WideLoop:
 
     def __call__(self, kind: str, *arguments: Any) -> None:
         """The loop of this kind, with the arguments of `filter_codegen`."""
-        count, _, theta, keys, _, _, key, u, y, reset, state, _, out, *own = arguments
+        count, _, theta, keys, times, _, key, _, _, _, u, y, reset, state, _, out, *own = arguments
         r = self.recursion
         numbers = r.numbers(dict(zip(r.p, theta, strict=False)), keys)
+        if numbers is None:
+            times[:] = -1
+            return
         block = self._block(state)
         common = (
             count, numbers.nodes, keys, numbers.table, key, u, y, reset, block, aligned(workspace(r)), out,
@@ -56,9 +59,9 @@ class WideLoop:
 
     def _adjoint(
         self, numbers: Numbers, common: Common, store: np.ndarray, key_bar: np.ndarray,
-        theta_bar: np.ndarray, state_bar: np.ndarray, buffer: np.ndarray,
+        theta_bar: np.ndarray, state_bar: np.ndarray, *_room: np.ndarray,
     ) -> None:  # fmt: skip
-        r, (count, *_) = self.recursion, common
+        r, count = self.recursion, common[0]
         # off the diagonal, a packed entry stands for two entries: each has half of its adjoint
         share = np.concatenate([np.ones(r.n), pack(0.5 + 0.5 * np.eye(r.n))])
         bar = self._block(state_bar * share)

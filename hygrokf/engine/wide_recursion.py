@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.engine.discretisation import constant_rates
-from hygrokf.engine.step_codegen import seed
+from hygrokf.engine.step_codegen import DOUBLINGS, seed
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion, traced
 from hygrokf.engine.wide_products import ROWS, padded
@@ -58,6 +58,9 @@ class WideRecursion(Recursion):
         self.reads: list[list[int]] = []
         self.leaves: list[Block] = []
         self.heads: list[Block] = []
+        rising = [self.now[name] for name in self.varying if self.holds[name] == LINEAR]
+        rows = [*self.jacobian, *self.noise]
+        self.exact = constant_rates(self.graph, rows, self._changing, self.rates, rising)
         if not self.exact:
             return
         self.predict, self.columns = self._drive()
@@ -67,12 +70,6 @@ class WideRecursion(Recursion):
             self.reads.append([i for i, v in enumerate(row) if not is_zero(v)])
             self.updates.append([prediction, variance, *(g.lift(row[i]) for i in self.reads[-1])])
             self._trace_head()
-
-    @cached_property
-    def exact(self) -> bool:
-        rising = [self.now[name] for name in self.varying if self.holds[name] == LINEAR]
-        rows = [*self.jacobian, *self.noise]
-        return constant_rates(self.graph, rows, self._changing, self.rates, rising)
 
     def _drive(self) -> tuple[Block, list[tuple[int, float, float]]]:
         """The rates at x = 0 at the start and the end of a step; one that is the same at both enters once."""
@@ -192,14 +189,18 @@ class WideRecursion(Recursion):
             found[:, len(self._driven) + c, e] = ramp / np.where(hours > 0, hours, 1.0)
         return found
 
-    def numbers(self, values: Values, keys: np.ndarray) -> Numbers:
-        """What the loops and their derivatives start from, for some keys (K, 1 + regimes)."""
+    def numbers(self, values: Values, keys: np.ndarray) -> Numbers | None:
+        """What the loops and their derivatives start from, for some keys (K, 1 + regimes); None where rates
+        are not finite, or too large."""
         first, which = np.zeros(1, dtype=int), np.zeros(len(keys), dtype=int)
         if self.regimes:
             _, first, which = np.unique(keys[:, 1:], axis=0, return_index=True, return_inverse=True)
-        found = self.graph.evaluate(self._later, self._known(values, keys[first]))
-        nodes, (a, q) = self._split(found, (len(first),))
-        coefficients = series(a, q, np.eye(self.n)[:, self._driven])
+        with np.errstate(all="ignore"):
+            found = self.graph.evaluate(self._later, self._known(values, keys[first]))
+            nodes, (a, q) = self._split(found, (len(first),))
+            coefficients = series(a, q, np.eye(self.n)[:, self._driven])
+            if not float(coefficients.rate.max() * keys[:, 0].max()) <= 2.0**DOUBLINGS:
+                return None
         steps = list(powers(coefficients, which.reshape(-1), keys[:, 0]))
         nodes = np.ascontiguousarray(nodes)
         return Numbers(self, values, keys, keys[first], nodes, coefficients, steps)

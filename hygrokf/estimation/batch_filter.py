@@ -12,23 +12,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
-from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.long_steps import MOST, TAIL, jump
 from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.schedule import TOLERANCE
+from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import traced
-from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.physics.holds import inputs_between
+from hygrokf.estimation.likelihood import Gaussian, RatesFault
+from hygrokf.physics.holds import between
 from hygrokf.physics.model import Model
+
+TRIED = 3
+"""Numbers of equal parts, each twice the one before, that are tried before an interval is halved."""
 
 
 class SideBySide:
     """The states of N runs of one model as arrays; `step` advances all of them.
 
-    `values` are N sets of parameter values, `states` N Gaussians, `fastest` (N,) [1/h] the rates that
-    determine the sub-steps (see `Likelihood.rate`).  `mean` (N, n) and `covariance` (N, n, n) are the states
-    after the last step.
+    `values` are N sets of parameter values, `states` N Gaussians; `tolerance` [1] is the largest error of a
+    step, as in `Likelihood`: where rates vary, all runs take as many equal sub-steps as the worst of them
+    needs. `mean` (N, n) and `covariance` (N, n, n) are the states after the last step.
     """
 
     def __init__(
@@ -36,19 +39,16 @@ class SideBySide:
         model: Model,
         values: Sequence[Mapping[str, float]],
         states: Sequence[Gaussian],
-        fastest: np.ndarray | Sequence[float],
+        tolerance: float = TOLERANCE,
     ) -> None:
         count = len(values)
-        if not (count == len(states) == len(np.atleast_1d(fastest))) or not count:
-            raise ValueError(
-                f"expected as many states and rates as sets of values, found {len(states)}, "
-                f"{len(np.atleast_1d(fastest))} and {count}"
-            )
+        if count != len(states) or not count:
+            raise ValueError(f"expected as many states as sets of values, found {len(states)} and {count}")
         recursion = traced(model)
         self.model = model
         self.varying = tuple(recursion.varying)
         self.regimes = tuple(recursion.regimes)
-        self._fastest = np.asarray(fastest, dtype=float)
+        self._tolerance, self._divided = tolerance, 1
         self._exact = recursion.exact
         self._count = count
         given = list(recursion.constants)
@@ -121,18 +121,97 @@ class SideBySide:
         self.begin(inputs)
         for place, name in enumerate(self.model.outputs):
             self._fill(self._y[place], (readings or {}).get(name, np.nan))
-        keys = self._keys.copy()
-        reach = np.multiply(hours, self._fastest)
         if self._exact:
-            self._fill(self._parts, doublings(reach))
-            self._fill(self._keys[0], hours)
-        else:
-            parts = np.maximum(np.ceil(reach / RATE_STEP - 1e-9), 1.0)
-            if (far := parts > MOST).any():
-                hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
-                hours[far], parts[far] = self._jump(far, hours[far], inputs), TAIL
-            self._fill(self._parts, parts)
-            self._fill(self._keys[0], hours / parts)
+            self._advance(hours, inputs, 1)
+            return
+        y, before, now = self._y.copy(), self._before.copy(), self._now.copy()
+        self._y[:] = np.nan
+        self._state[...] = self._through(self._state.copy(), np.asarray(hours, float), inputs, before, now, 0)
+        self._y[:], self._before[:], self._now[:] = y, before, now
+        if not np.isnan(y).all():
+            self._advance(0.0, inputs, 1)
+
+    def _through(
+        self,
+        begun: np.ndarray,
+        hours: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        before: np.ndarray,
+        now: np.ndarray,
+        depth: int,
+    ) -> np.ndarray:
+        """Moments (blocks, width, RUNS) after `hours` between two sets of inputs: in equal parts, or where
+        these do not do, in two halves."""
+        parts = 1 if depth else self._divided
+        once = self._moved(begun, hours, inputs, before, now, parts)
+        for _ in range(TRIED):
+            twice = self._moved(begun, hours, inputs, before, now, 2 * parts)
+            error = self._error(begun, once, twice)
+            if error <= self._tolerance and depth < KINK and self._kinked(begun, twice, inputs):
+                break
+            if error <= self._tolerance:
+                if not depth:
+                    # half as many next time where their error, of at least fourth order, would do as well
+                    self._divided = max(1, parts // 2 if error < self._tolerance / 32.0 else parts)
+                return twice
+            parts, once = 2 * parts, twice
+        if depth > DEEPEST:
+            raise RatesFault(
+                f"expected rates that sub-steps of {float(np.max(hours)):.1g} h resolve, found an error of "
+                f"{error:.1g} standard deviations: narrow the bounds of the parameters, or smooth what jumps"
+            )
+        middle = now.copy()
+        for place, name in enumerate(self.varying):
+            middle[place] = between(self.model.holds[name], before[place], now[place], 0.5)
+        half = self._through(begun, 0.5 * hours, inputs, before, middle, depth + 1)
+        return self._through(half, 0.5 * hours, inputs, middle, now, depth + 1)
+
+    def _moved(
+        self,
+        begun: np.ndarray,
+        hours: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        before: np.ndarray,
+        now: np.ndarray,
+        parts: int,
+    ) -> np.ndarray:
+        self._state[...], self._before[:], self._now[:] = begun, before, now
+        self._advance(hours, inputs, parts)
+        return self._state.copy()
+
+    def _error(self, begun: np.ndarray, once: np.ndarray, twice: np.ndarray) -> float:
+        """Largest error of a run, as of `schedule_codegen.Walk`; infinite where a moment is not finite."""
+        n = traced(self.model).n
+        first, one, two = (self._in_rows(part) for part in (begun, once, twice))
+        if not (np.isfinite(one).all() and np.isfinite(two).all()):
+            return math.inf
+        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0))
+        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n]) + 1e-300
+        spread = pack(sd[:, :, None] * sd[:, None, :]) + 1e-300
+        apart = abs(one - two)
+        return float(
+            max(
+                (np.maximum(apart[:, :n] - ROUNDING * abs(two[:, :n]), 0.0) / scale).max(),
+                (apart[:, n:] / spread).max(),
+            )
+        )
+
+    def _kinked(self, begun: np.ndarray, ended: np.ndarray, inputs: Mapping[str, np.ndarray]) -> bool:
+        """Whether a comparison of the rates changes its result in a run whose state is uncertain; a mean
+        alone feels a kink to second order only."""
+        r, n = traced(self.model), traced(self.model).n
+        if not r.comparisons or not begun[:, n:].any():
+            return False
+        found = [
+            r.graph.evaluate(r.comparisons, r.symbols(self._values, self._in_rows(part)[:, :n].T, inputs))
+            for part in (begun, ended)
+        ]
+        return any(np.any(np.not_equal(a, b)) for a, b in zip(*found, strict=True))
+
+    def _advance(self, hours: np.ndarray | float, inputs: Mapping[str, np.ndarray], parts: int) -> None:
+        keys = self._keys.copy()
+        self._fill(self._parts, float(parts))
+        self._fill(self._keys[0], np.asarray(hours) / parts)
         for place, name in enumerate(self.regimes):
             self._fill(self._keys[1 + place], inputs[name])
         # before the first step the keys are NaN, so that everything kept is computed then
@@ -142,36 +221,6 @@ class SideBySide:
             _of_blocks(changed),
             self._known, self._before, self._now, self._y, self._state,
         )  # fmt: skip
-
-    def _jump(
-        self, far: np.ndarray, hours: np.ndarray, inputs: Mapping[str, np.ndarray | float]
-    ) -> np.ndarray:
-        """Move the runs `far` (N,) to the tails of their long steps of `hours` [h]; returns the remaining
-        time [h] of each."""
-        rest_h = TAIL * RATE_STEP / self._fastest[far]
-        now = {name: np.broadcast_to(inputs[name], self._count)[far] for name in self.model.inputs}
-        before = {
-            name: row[: self._count][far] for name, row in zip(self.varying, self._before, strict=False)
-        }
-        tail = inputs_between(self.model.holds, before, now, 1.0 - rest_h / hours)
-        rows, n = self._in_rows(self._state).copy(), traced(self.model).n
-        mean, (covariance,), _ = jump(
-            traced(self.model),
-            {name: column[far] for name, column in self._values.items()},
-            before,
-            tail,
-            hours - rest_h,
-            rest_h,
-            rows[far, :n],
-            [unpack(rows[far, n:], n)],
-        )
-        rows[far] = np.concatenate([mean, pack(covariance)], axis=1)
-        self._state[...] = self._in_blocks(rows)
-        for name, row in zip(self.varying, self._before, strict=False):
-            at = row[: self._count].copy()
-            at[far] = tail[name]
-            self._fill(row, at)
-        return rest_h
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """Set the inputs at the current instants, from which linear inputs start."""

@@ -116,6 +116,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
 
     Raises ValueError where the likelihood is not finite around the estimate.
     """
+    objective = objective.at(estimate.z)
     expected = objective.information(estimate.z, each=True)
     if not np.isfinite(expected.information).all():
         raise ValueError(

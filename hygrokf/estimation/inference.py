@@ -89,7 +89,7 @@ def confidence_intervals(
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}{near}")
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
-    objective = Objective(likelihood, estimate.coordinates)
+    objective = Objective(likelihood, estimate.coordinates).at(estimate.z)
     known = uncertainty(objective, estimate)
     if method in ("wald", "sandwich"):
         return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
@@ -153,7 +153,7 @@ def modal_time_constants(
     likelihood, estimate = estimated("modal_time_constants", source, given)
     at_state, at_inputs = operating_point(likelihood, estimate.values, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z
-    objective = Objective(likelihood, coordinates)
+    objective = Objective(likelihood, coordinates).at(estimate.z)
     known = known or uncertainty(objective, estimate)
     inside = [coordinates.names.index(name) for name in known.names]
     lifted = np.array([p.beyond_guards() for p in coordinates.free]).reshape(-1, 2)

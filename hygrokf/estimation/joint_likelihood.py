@@ -146,6 +146,19 @@ class JointLikelihood:
             np.concatenate([one.scores for one in found]),
         )
 
+    @property
+    def tolerance(self) -> float:
+        """Largest error of a sub-step (`Likelihood.tolerance`)."""
+        return max(one.tolerance for one in self.parts)
+
+    def scheduled(self, values: Mapping[str, float]) -> JointLikelihood:
+        """The likelihood that holds the sub-steps chosen for these values."""
+        return replace(self, parts=[one.scheduled(own) for one, own in records_of(self, values)])
+
+    def discretisation_error(self, values: Mapping[str, float]) -> float:
+        """Largest change of ln L where every sub-step is halved."""
+        return sum(one.discretisation_error(own) for one, own in records_of(self, values))
+
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass per instant of all records."""
         steps = [one.steps_per_instant(own) for one, own in records_of(self, values)]

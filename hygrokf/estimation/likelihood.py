@@ -13,19 +13,31 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from hygrokf.data.timestamps import duration_text, stamp_text
-from hygrokf.engine.discretisation import RATE_STEP, doublings
 from hygrokf.engine.filter_loops import Control, filter_loop
+from hygrokf.engine.gaps import gap_variances
 from hygrokf.engine.information import summed
 from hygrokf.engine.llvm_writer import LANES
-from hygrokf.engine.long_steps import MOST, TAIL, LongStep, SubSteps, gap_variances, long_step
 from hygrokf.engine.packing import pack, trace_width, unpack
-from hygrokf.engine.rates import rate_bound, sizes
+from hygrokf.engine.schedule import (
+    TOLERANCE,
+    Schedule,
+    SubSteps,
+    Unresolved,
+    joined,
+    scheduled,
+    sub_steps,
+    tags,
+    whole_steps,
+)
+from hygrokf.engine.schedule_codegen import table_room
+from hygrokf.engine.step_codegen import DOUBLINGS, level_room
 from hygrokf.engine.timeline import Timeline
-from hygrokf.engine.traced_filter import Place, Recursion, traced
+from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.engine.wide_recursion import recursion_of
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
 from hygrokf.estimation.gaussian import expect_initial
@@ -38,10 +50,6 @@ from hygrokf.physics.parameters import Parameter, expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
-FASTEST = 2.0**1000
-"""[1] product of a rate and a step beyond which a rate counts as infinite."""
-GAPS = 1_000
-"""Largest number of long steps in one run; more mean a rate far above what the readings resolve."""
 
 Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
 """First moments, their tangents, and the directions: one array each for every `LANES` directions."""
@@ -59,27 +67,33 @@ class Likelihood:
     initial, diffuse_states: "prior" (each mechanism's own), "stationary" (steady state at the first inputs),
         "diffuse" (exact; of these states nothing is known at the first instant, others keep their prior; by
         default of no state at the first reading), or a `Gaussian`.
-    rate_step: [1] largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
-        search may take longer sub-steps at the expense of the last digits.
-    fastest: [1/h] the model's fastest rate, in place of the bound from all inputs of the run.
     square_root: covariances as factors (`engine.square_root`), slower.  A run whose covariances lose their
         digits without, or their sign, is repeated with them by itself.
+    tolerance: [1] largest error of a sub-step, in standard deviations; a search may take a larger one at the
+        expense of the last digits.
+    schedule: sub-steps to hold (`scheduled`); by default they are chosen anew for every set of values.
 
     `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
-    ValueError for an unknown `initial`, unknown diffuse states and parameters without a value, RatesFault
-    where rates are not finite or too fast for any step, DigitsFault where covariances have no digits left.
+    ValueError for an unknown `initial`, unknown diffuse states, a schedule of other instants and parameters
+    without a value, RatesFault where rates are not finite or no sub-step resolves a step, DigitsFault where
+    covariances have no digits left.
     """
 
     model: Model
     timeline: Timeline
     initial: str | Gaussian = "prior"
     diffuse_states: tuple[str, ...] = ()
-    rate_step: float | None = None
-    fastest: float | None = None
     square_root: bool = False
+    tolerance: float = TOLERANCE
+    schedule: Schedule | None = None
 
     def __post_init__(self) -> None:
         expect_initial(self.model, self.initial, self.diffuse_states)
+        if self.schedule is not None and len(self.schedule.offset) != len(self.timeline) + 1:
+            raise ValueError(
+                f"schedule: expected the sub-steps of {len(self.timeline)} instants, found those of "
+                f"{len(self.schedule.offset) - 1}; make one by `scheduled` on this timeline"
+            )
 
     __getstate__ = fields_alone
     __repr__ = fields_by_line
@@ -105,67 +119,103 @@ class Likelihood:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         theta = np.array([*known, *self.recursion.constants], dtype=float)
-        found, r = self.recursion.variances, self.recursion
-        found.check(theta, r.symbols(values, (), self.timeline.whole) if found.doubtful else {})
+        found, t = self.recursion.variances, self.timeline
+        inputs = {name: t.input(name) for name in (*t.varying, *t.regimes) if found.doubtful}
+        found.check(theta, self.recursion.symbols(values, (), inputs) if found.doubtful else {})
         return theta
 
-    def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
-        """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
-        if self.fastest is not None:
-            return self.fastest
-        corners = self.timeline.corners if inputs is None else inputs
-        return rate_bound(self.recursion, self._sizes(values, corners))
+    # -- sub-steps -------------------------------------------------------------------------------------------
+    def scheduled(self, values: Mapping[str, float]) -> Likelihood:
+        """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
+        return self if self.recursion.exact else self._chosen(values, True, None)
 
-    def _sizes(self, values: Mapping[str, float], corners: Mapping[str, np.ndarray]) -> dict[Place, float]:
-        try:
-            return sizes(self.recursion, values, corners)
-        except KeyError:
-            expect_values(self.model.parameters, values)
-            raise
-
-    def _steps(self, values: Mapping[str, float]) -> SubSteps:
-        """Doublings or sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
-        steps = self.timeline.steps
-        rate = self.rate(values)
-        if not rate * float(steps[:, 0].max()) < FASTEST:
-            raise RatesFault(self._not_finite(values))
-        cuts = (*self._gaps, *self.recursion.cuts(self.timeline))
-        if self.recursion.wide:
-            return SubSteps(steps, self._single, cuts)
-        if self.recursion.exact:
-            return SubSteps(steps, doublings(steps[:, 0] * rate).astype(np.int32), cuts)
-        limit = self.rate_step or RATE_STEP
-        if steps[:, 0].max() * rate <= limit:
-            return SubSteps(steps, self._single, cuts)
-        keys = steps.copy()
-        parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
-        far = parts > MOST
-        long: tuple[int, ...] = ()
-        tail_h = TAIL * limit / rate
-        if far.any():
-            long = tuple(np.flatnonzero(far[self.timeline.key]).tolist())
-            if len(long) > GAPS:
-                raise RatesFault(self._too_fast(rate, long))
-            keys[far, 0], parts[far] = tail_h, TAIL
-        keys[:, 0] /= np.maximum(parts, 1)
-        return SubSteps(keys, parts.astype(np.int32), tuple(self._gaps), long, tail_h)
+    def discretisation_error(self, values: Mapping[str, float]) -> float:
+        """Change of ln L where every sub-step is halved; 0 where steps are exact."""
+        held = self if self.schedule is not None else self.scheduled(values)
+        if held.schedule is None:
+            return 0.0
+        return abs(replace(held, schedule=held.schedule.halved()).value(values) - held.value(values))
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
-        """Filter steps of one pass with these values per instant of the record, at least about 1."""
+        """Filter steps of one pass with these values per instant of the record; 1 where steps are exact."""
         if self.recursion.exact:
             return 1.0
-        steps = self._steps(values)
-        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
-        return float(taken) / len(self.timeline)
+        return max(1.0, len(self._steps(values).row) / len(self.timeline))
+
+    def _steps(
+        self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None
+    ) -> SubSteps:
+        """Sub-steps of every step; raises RatesFault where no sub-step resolves one."""
+        if self.recursion.exact:
+            return whole_steps(self.timeline, self._ends)
+        return (self if self.schedule is not None else self._chosen(values, gain, start))._held
+
+    @cached_property
+    def _held(self) -> SubSteps:
+        assert self.schedule is not None
+        return sub_steps(self.timeline, self.schedule, self._ends)
+
+    def _chosen(self, values: Mapping[str, float], gain: bool, start: Gaussian | None) -> Likelihood:
+        """The likelihood that holds the sub-steps chosen along a run; the last one is kept."""
+        state, theta = self._start(values, start), self.theta(values)
+        point = (theta.tobytes(), state.tobytes(), gain)
+        if self._latest.get("point") != point:
+            schedule = self._walked(values, theta, state, gain)
+            if schedule is None:
+                schedule = self._in_factors._chosen(values, gain, start).schedule
+            self._latest.update(point=point, held=replace(self, schedule=schedule))
+        held: Likelihood = self._latest["held"]
+        return held
+
+    @cached_property
+    def _latest(self) -> dict[str, Any]:
+        return {}
+
+    def _walked(
+        self, values: Mapping[str, float], theta: np.ndarray, state: np.ndarray, gain: bool
+    ) -> Schedule | None:
+        """The schedule of a run from packed moments; None where a covariance has lost its sign."""
+        found = []
+        for part in whole_steps(self.timeline, self._ends).pieces(self._whole):
+            state[:] = self._widened(part.start, state)
+            made = scheduled(self.recursion, theta, self.timeline, part, state, self.tolerance, gain)
+            if isinstance(made, Unresolved):
+                if not self.square_root and self._lost(state):
+                    return None
+                raise RatesFault(self._unresolved(values, made))
+            found.append(made)
+        return joined(found)
+
+    def _lost(self, state: np.ndarray) -> bool:
+        """Whether a covariance has lost its sign."""
+        covariance = self.recursion.covariance_of(state)
+        return bool(np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance).min() < 0.0)
+
+    def _unresolved(self, values: Mapping[str, float], where: Unresolved) -> str:
+        t, r = self.timeline, self.recursion
+        names = (*self.model.states, *self.model.outputs)
+        lost = names[where.state]
+        needed = r.graph.needed(r.rates if where.state >= r.n else [r.rates[where.state]])
+        symbols = [r.graph.nodes[k][1] for k in needed if r.graph.nodes[k][0] == "symbol"]
+        own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
+        hours = float(t.steps[t.key[where.instant], 0])
+        return (
+            f"expected rates that sub-steps resolve, found others of {lost} in the step of "
+            f"{duration_text(3600.0 * hours)} until {stamp_text(t.origin_s + 3600.0 * t.time[where.instant])}"
+            f"{' with ' + own if own else ''}: the state leaves every bound, its rate is not finite there, "
+            "or it jumps; narrow the bounds of these parameters, or smooth the jump"
+        )
 
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
-        if self.fastest is not None:
-            return f"fastest: expected a finite rate [1/h], found {self.fastest}"
-        r = self.recursion
-        found = self._sizes(values, self.timeline.corners)
-        lost = sorted({i for (i, _), size in found.items() if not math.isfinite(size)})
-        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in r.rate_entries if a in lost]
+        r, t = self.recursion, self.timeline
+        known = r.symbols(values, (), {name: t.input(name) for name in t.regimes})
+        with np.errstate(all="ignore"):
+            wide = {name: np.asarray(value, dtype=float) for name, value in known.items()}
+            found = [r.graph.evaluate([r.graph.lift(v) for v in row], wide) for row in r.jacobian]
+        most = 2.0**DOUBLINGS / t.steps[:, 0].max()
+        lost = [i for i, row in enumerate(found) if not all(np.all(np.abs(v) < most) for v in row)]
+        rows = [r.graph.lift(v) for i in lost for v in r.jacobian[i]]
         symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
         own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         return (
@@ -174,25 +224,20 @@ class Likelihood:
             "that the states follow"
         )
 
-    def _too_fast(self, rate: float, long: tuple[int, ...]) -> str:
-        t = self.timeline
-        hours = np.sort(t.steps[t.key[list(long)], 0])
-        return (
-            f"expected at most {GAPS} gaps that the model's fastest time constant, "
-            f"{duration_text(3600.0 / rate)}, divides into more than {MOST} parts, found {len(long)} (of "
-            f"{duration_text(3600.0 * hours[0])} to {duration_text(3600.0 * hours[-1])}, the first until "
-            f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a "
-            "model; narrow the bounds of its parameters, or leave out the part that is so fast"
-        )
-
-    @cached_property
-    def _single(self) -> np.ndarray:
-        """One sub-step for every key, none where no time passes."""
-        return (self.timeline.steps[:, 0] > 0).astype(np.int32)
-
     @cached_property
     def _gaps(self) -> dict[int, np.ndarray]:
         return gap_variances(self.model, self.recursion, self.timeline)
+
+    @property
+    def _ends(self) -> tuple[int, ...]:
+        """Instants that begin a new piece of a run."""
+        return (*self._gaps, *self.recursion.cuts(self.timeline))
+
+    def _start(self, values: Mapping[str, float], start: Gaussian | None = None) -> np.ndarray:
+        """The packed moments that a loop starts from and moves."""
+        if start is None:
+            return self.first_state(values)
+        return self.recursion.packed_moments(start.mean, start.covariance)
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline
@@ -229,34 +274,28 @@ class Likelihood:
         known = r.symbols(values, mean, u)
         return np.array([r.graph.evaluate(row, known) for row in r.jacobian])
 
-    def _common(
-        self, values: Mapping[str, float], steps: SubSteps, state: np.ndarray, part: slice
-    ) -> tuple[np.ndarray | int, ...]:
-        """Arguments that all compiled loops share, in their order (`filter_codegen.COMMON`)."""
-        t = self.timeline
-        key, keys, parts = t.key[part], steps.keys, steps.parts
-        if len(key) < len(keys):
-            # where every step has its own length, a table of all would fill the memory
-            used, place = np.unique(key, return_inverse=True)
-            key, keys, parts = place.astype(key.dtype), keys[used], parts[used]
-        table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
-        return (
-            len(key), len(keys), self.theta(values), keys, parts, table, key, self._inputs(steps, part),
-            t.y[part], t.reset[part], state, state.copy(),
+    def _loop(
+        self,
+        kind: str,
+        values: Mapping[str, float],
+        steps: SubSteps,
+        state: np.ndarray,
+        part: slice,
+        *further: np.ndarray,
+        gain: bool = True,
+        controls: tuple[Control, ...] = (),
+    ) -> None:
+        """Run a compiled loop over a piece, which moves `state` through it; `further` are its own
+        arguments."""
+        t, own = self.timeline, steps.of(part)
+        table = np.empty(max(table_room(self.recursion, kind), len(own.keys) * len(self.recursion.key_nodes)))
+        filter_loop(self.recursion, kind, gain, controls)(
+            kind, len(own.key), len(own.keys), self.theta(values), own.keys, own.times, table, own.key,
+            own.offset, own.row, own.within, t.u[1:][part], t.y[part], t.reset[part], state, state.copy(),
+            *further,
         )  # fmt: skip
-
-    def _inputs(self, steps: SubSteps, part: slice) -> np.ndarray:
-        """Inputs of these instants as a view; the compiled loop also reads the row in front of them.
-
-        Where a long step leads to the first instant, that row holds the inputs at the start of its tail.
-        """
-        t = self.timeline
-        if part.start not in steps.long:
-            return t.u[1:][part]
-        rows = t.u[part.start : part.stop + 1].copy()
-        tail = self._long(steps, part.start).tail
-        rows[0] = [tail[name] for name in t.varying]
-        return rows[1:]
+        if own.times.min(initial=0) < 0:
+            raise RatesFault(self._not_finite(values))
 
     @property
     def _whole(self) -> slice:
@@ -274,17 +313,6 @@ class Likelihood:
         if k not in self._gaps or not self.square_root:
             return eye
         return np.imag(self._widened(k, state + 1e-30j * eye)) * 1e30
-
-    def _enter(
-        self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
-    ) -> np.ndarray | None:
-        """Move a state to where the loops take over a piece, behind the end of a gap and the jump of a long
-        step that it may begin with; returns the transition of the long step."""
-        state[:] = self._widened(part.start, state)
-        return self._long(steps, part.start).take(values, state) if part.start in steps.long else None
-
-    def _long(self, steps: SubSteps, k: int) -> LongStep:
-        return long_step(self.model, self.recursion, self.timeline, steps, k)
 
     @cached_property
     def _store(self) -> np.ndarray:
@@ -313,10 +341,13 @@ class Likelihood:
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray
     ) -> np.ndarray:
         """Sums of a piece; moves `state` through it."""
-        self._enter(values, steps, part, state)
-        sums = np.zeros(3 + 2 * len(self.model.outputs))
-        filter_loop(self.recursion, "value")("value", *self._common(values, steps, state, part), sums)
+        state[:], sums = self._widened(part.start, state), self._sums()
+        self._loop("value", values, steps, state, part, sums)
         return sums
+
+    def _sums(self) -> np.ndarray:
+        """Room for the sums of a piece (`running_sums`)."""
+        return np.zeros(3 + 2 * len(self.model.outputs))
 
     def controlled(
         self, values: Mapping[str, float], controls: Mapping[Control, tuple[float, float]], idle: np.ndarray
@@ -335,14 +366,13 @@ class Likelihood:
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         vars(own)["recursion"] = traced(self.model, len(self._unknown))  # not by matrices
-        code = filter_loop(own.recursion, "controlled", False, tuple(controls))
-        steps = own._steps(values)
-        for part in own._parts(steps):
-            if part.start in steps.long:
-                own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
-            own._enter(values, steps, part, state)
-            common = own._common(values, steps, state, part)
-            code("controlled", *common, still[part], levels, found[part])
+        steps = whole_steps(self.timeline, self._ends)
+        for part in self._parts(steps):
+            state[:] = self._widened(part.start, state)
+            further = still[part], levels, found[part], tags(), np.array([self.tolerance])
+            own._loop(
+                "controlled", values, steps, state, part, *further, gain=False, controls=tuple(controls)
+            )
             own.timeline.u[part.stop, columns] = found[part.stop - 1]
         return found
 
@@ -358,15 +388,10 @@ class Likelihood:
             states.append(state)
         sums, theta_bar, state_bar = [], np.zeros(len(self.recursion.p)), np.zeros(len(state))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
-            entered = state.copy()
-            self._enter(values, steps, part, entered)
+            entered = self._widened(part.start, state).copy()
             share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
             sums.append(share)
             theta_bar = theta_bar + slopes
-            if part.start in steps.long:
-                before = self._widened(part.start, state)
-                state_bar, slopes = self._long(steps, part.start).adjoints(values, before, state_bar)
-                theta_bar = theta_bar + slopes
             if part.start in self._gaps:
                 state_bar = self._widening(part.start, state) @ state_bar
         loglik = self._loglik(sums)
@@ -385,14 +410,13 @@ class Likelihood:
         """Sums of a piece, and its derivatives (d,); moves `state_bar` back through it, in place."""
         r = self.recursion
         width = len(state)
-        out, theta_bar = np.zeros(3 + 2 * len(self.model.outputs)), np.zeros(len(r.p))
-        store = self._store
+        out, theta_bar, store = self._sums(), np.zeros(len(r.p)), self._store
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
-        most = int(steps.parts.max(initial=1)) + 1
-        held = 0 if r.doubling is None else most * len(r.doubling.now)
-        buffer = np.empty(max(most * width, (len(r.updates) + 1) * width, held))
-        common = self._common(values, steps, state, part)
-        filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
+        most = max(int(np.diff(steps.offset).max(initial=1)), len(r.updates)) + 1
+        buffer, levels = np.empty((most, width)), np.empty(level_room(r))
+        self._loop(
+            "adjoint", values, steps, state, part, out, store, key_bar, theta_bar, state_bar, buffer, levels
+        )
         return out, theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
@@ -451,7 +475,7 @@ class Likelihood:
         self, values: Mapping[str, float], directions: np.ndarray, gain: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         """Innovations (T, k) and their slopes (T, k, r) along directions (d, r)."""
-        blocks, steps = self._tangent_start(values, directions), self._steps(values)
+        blocks, steps = self._tangent_start(values, directions), self._steps(values, gain)
         found = [self._tangent_part(values, steps, part, blocks, gain) for part in self._chunks]
         e, _, de, _, sums = zip(*found, strict=True)
         if gain and math.isnan(self._loglik([one for part in sums for one in part])):
@@ -482,19 +506,14 @@ class Likelihood:
         de, ds = np.zeros((2, len(blocks[0]), count, outputs, LANES))
         for block, (state, dot, seed) in enumerate(zip(*blocks, strict=True)):
             e, s, sums = np.zeros((count, outputs)), np.ones((count, outputs)), []
-            key_dot = np.empty(max(1, min(len(steps.keys), count) * len(r.key_nodes)) * LANES)
+            key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in self._gaps:
                     dot[:] = self._widening(piece.start, state).T @ dot
-                if piece.start in steps.long:
-                    before = self._widened(piece.start, state)
-                    dot[:] = self._long(steps, piece.start).tangents(values, before, dot, seed)
-                self._enter(values, steps, piece, state)
-                own = slice(piece.start - part.start, piece.stop - part.start)
-                out = np.zeros(3 + 2 * outputs)
-                common = self._common(values, steps, state, piece)
+                state[:] = self._widened(piece.start, state)
+                own, out = slice(piece.start - part.start, piece.stop - part.start), self._sums()
                 rows = (e[own], s[own], de[block, own], ds[block, own])
-                filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
+                self._loop("tangent", values, steps, state, piece, out, seed, dot, key_dot, *rows, gain=gain)
                 sums.append(out)
         return e, s, de, ds, sums
 
@@ -520,22 +539,19 @@ class Likelihood:
             return replace(self, initial=start)._traced(values, gain)
         r = self.recursion
         n, outputs = r.n, len(r.updates)
-        state = self.first_state(values) if start is None else r.packed_moments(start.mean, start.covariance)
+        state = self._start(values, start)
         width = len(state)
         rows = np.empty((len(self.timeline), trace_width(width, n, outputs)))
         transition, noise = np.split(rows[:, 2 * width + 2 * outputs :], [n * n], axis=1)
-        steps, sums = self._steps(values), []
+        steps, sums = self._steps(values, gain, start), []
         for part in self._parts(steps):
-            k, entered = part.start, r.put(state, np.zeros((n, n)))
-            through = self._enter(values, steps, part, state)
-            out, common = np.zeros(3 + 2 * len(self.model.outputs)), self._common(values, steps, state, part)
-            filter_loop(r, "trace", gain)("trace", *common, out, rows[part])
+            k, out = part.start, self._sums()
+            state[:] = self._widened(k, state)
+            self._loop("trace", values, steps, state, part, out, rows[part], gain=gain)
             sums.append(out)
-            if through is not None or k in self._gaps:
-                self._enter(values, steps, part, entered)
+            if k in self._gaps:
                 f = transition[k].reshape(n, n)
-                noise[k] += pack(f @ r.covariance_of(entered) @ f.T)
-                transition[k] = (f if through is None else f @ through).ravel()
+                noise[k] += pack((f * self._gaps[k]) @ f.T)
         before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
         found = Trace(
             prior_mean=before[:, :n],

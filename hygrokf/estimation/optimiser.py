@@ -52,6 +52,10 @@ AT_LIMIT = 1e-9
 BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
+RENEWALS = 8
+"""Most times that a climb goes on with the sub-steps of its end point."""
+INEXACT = 1e-3
+"""Change of ln L with sub-steps of half the length above which an estimate is not exact."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
@@ -74,7 +78,8 @@ class Estimate:
     """The best optimum of several climbs.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
-    `at_bounds` free parameters that ended at a bound.
+    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L with
+    sub-steps of half the length, 0 where steps are exact.
     """
 
     coordinates: Coordinates
@@ -86,6 +91,7 @@ class Estimate:
     message: str
     at_bounds: tuple[str, ...]
     others: tuple[tuple[float, dict[str, float]], ...] = ()
+    discretisation_error: float = 0.0
 
     def __repr__(self) -> str:
         rows = [
@@ -115,6 +121,14 @@ class Objective:
         self.coordinates = coordinates
         self._place = coordinates.place()
 
+    def at(self, z: np.ndarray) -> Objective:
+        """The objective that holds the sub-steps chosen at this point; itself where none resolve a step
+        there."""
+        try:
+            return Objective(self.likelihood.scheduled(self.coordinates.values(z)), self.coordinates)
+        except FloatingPointError:
+            return self
+
     def value(self, z: np.ndarray) -> float:
         try:
             value = self.likelihood.value(self.coordinates.values(z))
@@ -143,20 +157,20 @@ class _Metered:
 
     def __init__(self, objective: Objective, budget: float) -> None:
         self.coordinates = objective.coordinates
-        self._objective = objective
+        self.objective = objective
         self._budget = self._left = budget
         self.best = (-math.inf, np.empty(0))
 
     def value(self, z: np.ndarray) -> float:
         self._spend(z)
-        value = self._objective.value(z)
+        value = self.objective.value(z)
         self._keep(z, value)
         return value
 
     def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         self._spend(z)
         try:
-            value, gradient = self._objective.score(z)
+            value, gradient = self.objective.score(z)
         except FloatingPointError:
             return -math.inf, np.zeros_like(z)
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
@@ -166,13 +180,13 @@ class _Metered:
 
     def information(self, z: np.ndarray) -> Sensitivities:
         self._spend(z)
-        found = self._objective.information(z)
+        found = self.objective.information(z)
         self._keep(z, found.loglik)
         return found
 
     def _spend(self, z: np.ndarray) -> None:
         try:
-            steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
+            steps = self.objective.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
         self._left -= steps
@@ -201,9 +215,18 @@ def climb(
     `passes` steps, or `budget` filter steps per instant of the record, it ends, not converged, with the best
     point that it met.
     """
-    metered = _Metered(objective, budget)
+    metered = _Metered(objective.at(start), budget)
     try:
-        return _climb(metered, start, passes, tolerance)
+        found = _climb(metered, start, passes, tolerance)
+        for _ in range(RENEWALS):
+            if not found.converged or metered.objective.likelihood is objective.likelihood:
+                break
+            # sub-steps chosen at the end point: the climb goes on until they stay, or do not move it
+            metered.objective, begun = objective.at(found.z), found.z
+            found = _climb(metered, begun, passes, tolerance)
+            if np.array_equal(found.z, begun):
+                break
+        return found
     except _BudgetSpent as spent:
         value, z = metered.best
         return Optimum(z if z.size else start, value, False, str(spent))
@@ -508,14 +531,22 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         if best.converged
         else f"not converged: {best.message}; try more starts or other start values"
     )
+    loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
+    if error > INEXACT:
+        finer = 0.1 * likelihood.tolerance * INEXACT / error
+        message += (
+            f"; not exact: sub-steps of half the length change ln L by {error:.2g}; give the likelihood "
+            f"tolerance={finer:.0e}"
+        )
     return Estimate(
         coordinates=coordinates,
         z=best.z,
         values=values,
-        loglik=likelihood.value(values),
+        loglik=loglik,
         objective=best.objective,
         converged=best.converged,
         message=message,
         at_bounds=tuple(name for name, at in zip(coordinates.names, ends, strict=True) if at),
         others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
+        discretisation_error=error,
     )

@@ -160,6 +160,7 @@ class _Walk:
         z = np.clip(z, self.lower, self.upper)
         z[self.index] = self.estimate.z[self.index] + offset
         curvature, informed = self.curvature, False
+        self.objective = self.objective.at(z)  # the sub-steps of this point are held while it is re-estimated
         value, gradient = self._score(z)
         for _ in range(WALK_STEPS):
             if self.left < 0:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hygrokf.engine.long_steps import gap_variances
+from hygrokf.engine.gaps import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.smoother import observation
 from hygrokf.physics.holds import between

@@ -149,6 +149,7 @@ def to_filterpy(source: Source, given: Given | None = None) -> ExtendedKalmanFil
         )
     from filterpy.kalman import ExtendedKalmanFilter
 
+    likelihood = likelihood.scheduled(values)
 
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""
@@ -202,8 +203,8 @@ def transition(
     part = part.with_readings(np.full_like(part.y, np.nan))
     n = len(mean)
     start = Gaussian(mean, np.zeros((n, n)))
-    # the window keeps the sub-steps of the likelihood
-    found = replace(likelihood, timeline=part).trace(values, start=start)
+    held = likelihood.schedule and likelihood.schedule.window(k, k + 1)
+    found = replace(likelihood, timeline=part, schedule=held).trace(values, start=start)
     return found.prior_mean[0].copy(), found.transition[0].copy(), found.prior_covariance[0].copy()
 
 

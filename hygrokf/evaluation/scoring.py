@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
 from hygrokf.modelling.design import Design, accuracy_of
@@ -243,7 +244,7 @@ def bands(
     run: Run,
     predicted: Prediction,
     until_s: float | None,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Bands:
     """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without
     one)."""
@@ -251,7 +252,7 @@ def bands(
     late = masks["validation"] if masks["validation"].any() else masks["identification"]
     known = measured(run)
     result: dict[str, dict[str, Coverage]] = {}
-    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
+    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), tolerance=tolerance)
     for lead, by_quantity in found.items():
         result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}
     chosen = late & run.scored

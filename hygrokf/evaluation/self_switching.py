@@ -43,12 +43,6 @@ def switches_of(design: Design) -> dict[str, Throttle]:
     }
 
 
-def all_on(t: Timeline, switches: Mapping[str, Throttle]) -> Timeline:
-    """The run with all its switches on, so that the range by which sub-steps are chosen contains both
-    states."""
-    return t.with_inputs({name: np.ones(len(t)) for name in switches})
-
-
 def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
     """Lengths [h] of the pieces of a step in which switches decide, and the shares of the step at which they
     end.
@@ -116,13 +110,12 @@ def _self_switched(
 ) -> Run:
     t = run.timeline
     pieces = _pieces(model, run)
-    rate = Likelihood(model, all_on(t, switches)).rate(values)
     first = start or Likelihood(model, t).first_gaussian(values)
     controls = {
         Control(name, one.reads, model.averaged.get(one.reads, 0.0), one.idle): one.levels
         for name, one in switches.items()
     }
-    likelihood = Likelihood(model, pieces.timeline, initial=first, fastest=rate)
+    likelihood = Likelihood(model, pieces.timeline, initial=first)
     found = likelihood.controlled(values, controls, pieces.idle)
     shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
     return replace(run, timeline=t.with_inputs(shares))

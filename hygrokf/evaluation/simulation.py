@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
@@ -82,19 +83,19 @@ def run_on(
     return base, settled(base, values, model_inputs(base, record, beyond=beyond))
 
 
-def settled(design: Design, values: Mapping[str, float], run: Run, rate_step: float | None = None) -> Run:
+def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: float = TOLERANCE) -> Run:
     """The run with `scored` False also until the free run has forgotten the gaps of its inputs.
 
-    design, values: the model and its parameters, in their units.  rate_step: [1] as in `Likelihood`.
+    design, values: the model and its parameters, in their units.  tolerance: [1] as in `Likelihood`.
 
     A gap is forgotten where what its end adds to the variance of every predicted reading (see
-    `engine.long_steps`) is at most what the reading has without it.
+    `engine.gaps`) is at most what the reading has without it.
     """
     ends = gap_ends(run.scored)
     if not ends.any():
         return run
     with_gaps, without = (
-        Likelihood(design.model, replace(run.timeline, ends=one), rate_step=rate_step)
+        Likelihood(design.model, replace(run.timeline, ends=one), tolerance=tolerance)
         .trace(values, gain=False)
         .variance
         for one in (ends, ends[:0])
@@ -212,14 +213,14 @@ def free_run(
     values: Mapping[str, float],
     run: Run,
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Prediction:
     """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
     design, values: model and parameter values, in the parameters' units (`fit.design`, `fit.values`).
     run: of `model_inputs`, with T instants.
     covariance: (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
-    rate_step: [1] as in `Likelihood`.
+    tolerance: [1] as in `Likelihood`.
 
     Returns `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³], each as (mean, standard
     deviation), both (T,), or None where the model has no such output.  Switches follow the simulated readings
@@ -228,7 +229,7 @@ def free_run(
     """
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
-    likelihood = Likelihood(design.model, blind, rate_step=rate_step)
+    likelihood = Likelihood(design.model, blind, tolerance=tolerance)
     prediction = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return prediction
@@ -238,7 +239,7 @@ def free_run(
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    zero = Likelihood(design.model, zeros, rate_step=rate_step)
+    zero = Likelihood(design.model, zeros, tolerance=tolerance)
     _, slopes = zero.residuals(values, directions)
     rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
     warm = rows.get("cabinet_temperature")
@@ -274,7 +275,7 @@ def forecasts(
     first: int,
     leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
     count: int = 250,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """Forecasts from filtered states at instants of a run, compared with the readings that came.
 
@@ -282,7 +283,7 @@ def forecasts(
     run: of `model_inputs`.
     first, count: instant after which forecasts start, and how many of them, spread evenly.
     leads_h: [h] how far ahead.
-    rate_step: [1] as in `Likelihood`.
+    tolerance: [1] as in `Likelihood`.
 
     Inputs are those of the record (a perfect weather forecast); readings after a start are not used.
 
@@ -291,7 +292,7 @@ def forecasts(
     parameters that the model does not have.
     """
     t = run.timeline
-    likelihood = Likelihood(design.model, t, rate_step=rate_step)
+    likelihood = Likelihood(design.model, t, tolerance=tolerance)
     trace = likelihood.trace(values)
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
@@ -344,7 +345,6 @@ def ahead(
         part = t.window(start + 1, last)
         part = part.with_readings(np.full_like(part.y, np.nan))
         pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
-    fastest = likelihood.rate(values)
     for piece, state in zip(self_switched(design, values, pieces, states), states, strict=True):
-        own = replace(likelihood, timeline=piece.timeline, fastest=fastest)
+        own = replace(likelihood, timeline=piece.timeline, schedule=None)
         yield piece, predicted_readings(design, values, piece, own.trace(values, start=state))

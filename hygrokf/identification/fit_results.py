@@ -233,7 +233,8 @@ class FitResults(Scored):
     stated; `loglik` of the whole model at the reported values on the identification period, and `aic`, `bic`
     of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
     their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
-    `identified_on`: 0.1 and 99.9 % quantiles of the inputs.
+    `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L with
+    sub-steps of half the length.
     """
 
     name: str = ""
@@ -269,6 +270,7 @@ class FitResults(Scored):
     actuators: tuple[ActuatorEffect, ...] = ()
     innovations: Diagnosis = field(default_factory=Diagnosis)
     identified_on: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    discretisation_error: float = 0.0
 
     def to_frame(self) -> DataFrame:
         """The table of parameters, one row each, as a pandas data frame."""

@@ -51,9 +51,8 @@ PASSES = 15
 """Scoring passes after which a form's climb is stopped."""
 TOLERANCE = 0.02
 """Promised gain in ln L at which the climb ends: a fiftieth of a gain that changes a weight noticeably."""
-SEARCH_STEP = 0.85
-"""Largest product of the fastest rate and a sub-step while forms are compared, where the last digits do not
-matter."""
+STEP_TOLERANCE = 1e-5
+"""[1] `tolerance` of the sub-steps while forms are compared, where the last digits do not matter."""
 SCOUT_GAIN = -3.0
 """Change of ln L on the shorter stretch below which a form is not tried on the whole record."""
 UNSTATED = {
@@ -183,7 +182,7 @@ def weigh_forms(
     def try_form(one: Candidate) -> tuple[Form, float] | None:
         """A form and its evidence; None where the shorter stretch rules it out."""
         timeline = model_inputs(one.design, early).timeline
-        likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
+        likelihood = Likelihood(one.design.model, timeline, tolerance=STEP_TOLERANCE)
         found = _fitted(one, likelihood, estimate, scout, known)
         if found is None:
             return None

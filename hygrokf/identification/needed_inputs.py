@@ -36,8 +36,8 @@ TOLERANCE = 0.5
 """Gain in ln L of a further step below which they end; what is required is some ten times as much."""
 TRIED_DAYS = 10.0
 """[d] stretch of the record that is tried first: an input that is needed there is needed."""
-LONG_STEP = 2.0
-"""[1] `rate_step` of these models: ln L is right to a few hundredths."""
+STEP_TOLERANCE = 1e-4
+"""[1] `tolerance` of these models' sub-steps: ln L is right to a few hundredths."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,14 @@ def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> With
 
     def best(count: int) -> WithoutInput:
         part = whole.window(0, count)
-        own = Objective(Likelihood(model, part, rate_step=LONG_STEP), estimate.coordinates).value(estimate.z)
+        own = Objective(Likelihood(model, part, tolerance=STEP_TOLERANCE), estimate.coordinates).value(
+            estimate.z
+        )
         found = []
         for words, inputs, fixed in others:
             timeline = part.with_inputs({name: value[:count] for name, value in inputs.items()})
             coordinates = Coordinates(model.parameters, fixed)
-            objective = Objective(Likelihood(model, timeline, rate_step=LONG_STEP), coordinates)
+            objective = Objective(Likelihood(model, timeline, tolerance=STEP_TOLERANCE), coordinates)
             end = climb(objective, coordinates.start(estimate.values), PASSES, TOLERANCE)
             found.append(WithoutInput(words, 2.0 * (own - end.objective), required))
         return min(found, key=lambda one: one.gain)

@@ -16,6 +16,7 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
 from hygrokf.engine.parallel import mapped
+from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
@@ -277,9 +278,9 @@ def assemble_fit(
     simulated: Mapping[str, OutputError],
     criterion: str = "likelihood",
     say: Progress = lambda text: None,
-    rate_step: float | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
-    """A fit from its stages: free run, scores, bands and tables on the whole record; `rate_step` as in
+    """A fit from its stages: free run, scores, bands and tables on the whole record; `tolerance` as in
     `Likelihood`."""
     stages, whole, values = basis.stages, basis.whole, basis.values
     by_free_run = simulated if criterion == "simulation" else {}
@@ -291,9 +292,9 @@ def assemble_fit(
         for stage in stages
         for p in stage.estimate.coordinates.parameters
     }
-    run = settled(whole, values, model_inputs(whole, record), rate_step)
+    run = settled(whole, values, model_inputs(whole, record), tolerance)
     spread = _covariance(stages, whole, by_free_run, values)
-    predicted = free_run(whole, values, run, spread, rate_step)
+    predicted = free_run(whole, values, run, spread, tolerance)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
@@ -305,12 +306,12 @@ def assemble_fit(
         baselines=baselines(run, record.until_s),
         readings_sd=readings_sd(run, record.until_s),
         sensor_share=sensor_share(record, run, table),
-        bands=bands(whole, values, run, predicted, record.until_s, rate_step),
+        bands=bands(whole, values, run, predicted, record.until_s, tolerance),
         heat_release=basis.regression.thinned(),
         actuators=actuator_effects(whole, values, errors, run, record),
     )
     say("innovations")
-    series = _series(whole, values, run, predicted, record, rate_step)
+    series = _series(whole, values, run, predicted, record, tolerance)
     likelihood = likelihood_on(whole, record, IDENTIFICATION)
     results = replace(
         _searched(scored, stages, likelihood.trace(values).loglik, likelihood.timeline.n_readings),
@@ -366,6 +367,7 @@ def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: in
         n_obs=n,
         converged=all(stage.estimate.converged for stage in stages),
         message="; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
+        discretisation_error=sum(stage.estimate.discretisation_error for stage in stages),
         other_optima=tuple(
             Optimum(loglik + o - stage.estimate.objective, **{k: v[k] for k in TIME_CONSTANTS if k in v})
             for stage in stages
@@ -518,7 +520,7 @@ def _series(
     run: Run,
     predicted: Prediction,
     record: Record,
-    rate_step: float | None,
+    tolerance: float,
 ) -> dict[str, np.ndarray]:
     """The arrays of `series.npz`: readings, free run, standardised innovations, inputs."""
     t, known = run.timeline, measured(run)
@@ -530,7 +532,7 @@ def _series(
         simulated |= {f"{name}_simulated": value, f"{name}_sd": sd}
     # of the linear filter: whiteness and kurtosis mean nothing where a reading's influence is bounded
     linear = replace(base.model, bound=math.inf)
-    trace = Likelihood(linear, t, rate_step=rate_step).trace(values)
+    trace = Likelihood(linear, t, tolerance=tolerance).trace(values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
 
     def innovation(*names: str) -> np.ndarray:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.estimation.optimiser import INEXACT
 from hygrokf.evaluation.diagnosis import Autocorrelation, CrossCorrelation, OutputDiagnosis
 from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification.fit_results import FitResults, Interval, ParameterRow, Sampling, TimeConstant
@@ -142,6 +143,9 @@ def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
     elif not fit.converged:
         why = f" ({fit.message})" if fit.message else ""
         yield Reason("not_converged", REJECT, f"the estimation did not converge{why}")
+    if fit.discretisation_error > INEXACT:
+        change = f"sub-steps of half the length change ln L by {fit.discretisation_error:.2g}"
+        yield Reason("not_exact", REJECT, f"the filter's steps are not exact: {change}")
 
 
 def _interval(fit: FitResults, part: str) -> Iterator[Reason]:

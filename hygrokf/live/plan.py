@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.gate import REACH_S, REACH_STEPS, Scale
@@ -17,14 +15,12 @@ from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import USUAL_STEPS, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import HOLDS, Design, extended
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
-from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
-from hygrokf.physics.psychrometrics import absolute_humidity
 
 AMBIENT_HUMIDITIES = (
     "ambient_relative_humidity",
@@ -50,11 +46,6 @@ WANDERING = {
 Over hours an offset of the thermometer looks like a change of the heat release, and an offset of the humidity
 sensor like a scale error.  One of each pair is held almost constant; fault isolation varies it.
 """
-TEMPERATURES_K = (238.15, 253.15, 268.15, 283.15, 298.15, 313.15, 323.15)
-HUMIDITIES = (0.05, 0.5, 1.0)
-"""Climates for which the filter's sub-steps are chosen: −35 to 50 °C, dry to saturated."""
-MARGIN = 1.5
-"""Safety factor on the fastest rate in these climates, for conditions that the cabinet adds."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +84,14 @@ class Need:
 class Plan:
     """The constant data that a tracker of one turbine needs.
 
-    `design`, `values`: the model and its parameters; `fastest`: rate [1/h] for which sub-steps are chosen;
-    `lateness_s`: how much older than the newest reading a reading may be [s]; `forms`: signal → how its
-    source reports it; `site`, `rated_power_W`: of the turbine.
+    `design`, `values`: the model and its parameters; `lateness_s`: how much older than the newest reading a
+    reading may be [s]; `forms`: signal → how its source reports it; `site`, `rated_power_W`: of the
+    turbine.
     """
 
     name: str
     design: Design
     values: Mapping[str, float]
-    fastest: float
     lateness_s: float = LATENESS_S
     forms: Mapping[str, Form] = field(default_factory=dict)
     site: Site | None = None
@@ -112,8 +102,8 @@ class Plan:
         return self.design.model
 
     def likelihood(self, t: Timeline) -> Likelihood:
-        """The likelihood on a timeline, with the plan's sub-steps."""
-        return Likelihood(self.model, t, fastest=self.fastest)
+        """The likelihood on a timeline, of the plan's model."""
+        return Likelihood(self.model, t)
 
     def form(self, signal: str) -> Form:
         """The form of a signal; by default instantaneous readings."""
@@ -221,26 +211,8 @@ def plan(
         name=name or fit.name,
         design=design,
         values=values,
-        fastest=fastest_rate(design.model, values),
         lateness_s=lateness_s,
         forms=dict(forms or {}),
         site=site,
         rated_power_W=rated_power_W,
     )
-
-
-def fastest_rate(model: Model, values: Mapping[str, float]) -> float:
-    """Upper bound [1/h] of the model's rates in any climate, so that the sub-steps do not depend on the
-    record."""
-    kelvin, humidity, switched = (
-        grid.ravel() for grid in np.meshgrid(TEMPERATURES_K, HUMIDITIES, (0.0, 1.0), indexing="ij")
-    )
-    known = {
-        "ambient_temperature": kelvin,
-        "cabinet_temperature": kelvin + 20.0 * switched,
-        "ambient_absolute_humidity": 1e3 * absolute_humidity(humidity, kelvin),
-        "exchange_factor": exchange_factor(kelvin),
-    }
-    inputs = {name: known.get(name, switched) for name in model.inputs}
-    grid = timeline(model, np.arange(len(kelvin), dtype=float), inputs, {})
-    return MARGIN * Likelihood(model, grid).rate(values, inputs)

@@ -132,7 +132,6 @@ def digest(plan: Plan) -> str:
     said = {
         "design": plan.design.to_json(),
         "values": dict(plan.values),
-        "fastest": plan.fastest,
         "forms": {name: asdict(form) for name, form in sorted(plan.forms.items())},
     }
     return hashlib.sha256(json.dumps(said, sort_keys=True, default=str).encode()).hexdigest()

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.cases import STEP_H, VAPOUR, Case
-from hygrokf.engine.discretisation import RATE_STEP
 
 LOG_2PI = math.log(2.0 * math.pi)
 SONNTAG = (-6096.9385, 16.635794 + math.log(100.0), -2.711193e-2, 1.673952e-5, 2.433502)
@@ -101,7 +100,7 @@ class JointStep:
     def __init__(self, case: Case) -> None:
         v, u = case.values, case.inputs
         self.v = v
-        self.parts = math.ceil(STEP_H * case.likelihood.rate(v) / RATE_STEP - 1e-9)
+        self.parts = math.ceil(case.likelihood.steps_per_instant(v))
         self.ambient, self.vapour = u["ambient_temperature"], u["ambient_absolute_humidity"]
         self.factor = u["exchange_factor"]
         on = u["operating"]

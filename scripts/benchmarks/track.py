@@ -122,7 +122,7 @@ def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Ca
     line, last = course.run.timeline, len(course.run.timeline) - 1
     state = Gaussian(course.trace.mean[last], course.trace.covariance[last])
     values = [{**own.values, "hygric_k": 0.4 + 0.2 * number / count} for number in range(count)]
-    runs = SideBySide(own.model, values, [state] * count, [own.fastest] * count)
+    runs = SideBySide(own.model, values, [state] * count)
     inputs = {name: np.full(count, line.input(name)[last]) for name in own.model.inputs}
     readings = {name: np.full(count, line.y[last, place]) for place, name in enumerate(own.model.outputs)}
     runs.begin(inputs)

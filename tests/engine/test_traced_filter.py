@@ -223,10 +223,14 @@ def test_filterpy_on_the_models_own_steps_agrees_over_1000_partly_missing_readin
     case = request.getfixturevalue(kind)
     n = len(case.model.states)
     silent = case.timeline.with_readings(np.full_like(case.timeline.y, np.nan))
+    held = case.likelihood.scheduled(case.values).schedule
 
     def step(k: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         nothing = Gaussian(x.copy(), np.zeros((n, n)))
-        found = Likelihood(case.model, silent.window(k, k + 1)).trace(case.values, start=nothing)
+        own = held and held.window(k, k + 1)
+        found = Likelihood(case.model, silent.window(k, k + 1), schedule=own).trace(
+            case.values, start=nothing
+        )
         return found.prior_mean[0], found.transition[0], found.prior_covariance[0]
 
     found = case.likelihood.trace(case.values)

@@ -11,7 +11,7 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.data.record import Record, Series
-from hygrokf.engine.long_steps import gap_variances
+from hygrokf.engine.gaps import gap_variances
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.evaluation.simulation import settled
@@ -79,7 +79,7 @@ def test_a_run_continued_within_and_after_a_gap_is_the_whole_run(holed):
     t, trace = likelihood.timeline, likelihood.trace(values)
     for cut_at in (np.flatnonzero(t.ends)[0] - 5, *np.flatnonzero(t.ends)):
         first = replace(likelihood, timeline=t.window(0, cut_at)).trace(values).last
-        rest = replace(likelihood, timeline=t.window(cut_at, len(t)), fastest=likelihood.rate(values))
+        rest = replace(likelihood, timeline=t.window(cut_at, len(t)))
         again = rest.trace(values, start=Gaussian(first.mean, first.covariance))
         assert_array_equal(again.covariance, trace.covariance[cut_at:])
         assert_array_equal(again.mean, trace.mean[cut_at:])

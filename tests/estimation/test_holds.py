@@ -74,7 +74,7 @@ def test_the_plain_filter_and_many_runs_side_by_side_take_every_hold(hold: str) 
     trace = likelihood.trace(VALUES)
     assert_allclose(trace.mean[-1], states[-1].mean, atol=1e-6)
     first = [Gaussian(trace.mean[0], trace.covariance[0])] * 2
-    runs = SideBySide(model, [VALUES] * 2, first, [likelihood.rate(VALUES)] * 2)
+    runs = SideBySide(model, [VALUES] * 2, first)
     runs.begin({"u": np.full(2, run.input("u")[0])})
     for k in range(1, len(run)):
         step = np.full(2, run.time[k] - run.time[k - 1])

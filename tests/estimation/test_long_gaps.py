@@ -15,16 +15,14 @@ from builders.linear_oracles import van_loan
 from builders.scores import check_score
 from builders.switch_case import heated, weather
 from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import expm
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.climate.ensemble import simulate_years
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
-from hygrokf.engine import long_steps
 from hygrokf.engine.timeline import Timeline, timeline
-from hygrokf.estimation import likelihood as likelihoods
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
 from hygrokf.estimation.smoother import smoothed_states, transition
@@ -56,18 +54,6 @@ def gapped(case: object, hours: float, count: int = 120) -> object:
     readings = {name: np.where(np.arange(count) == AT, np.nan, v) for name, v in case.readings.items()}
     made = timeline(case.model, moved, case.inputs, readings, case.resets)
     return replace(case, timeline=made, readings=readings)
-
-
-@pytest.fixture
-def every_sub_step(monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """A function with the filter taking every sub-step of a gap, as of any other step."""
-
-    def taken(function: Callable) -> object:
-        with monkeypatch.context() as patch:
-            patch.setattr(likelihoods, "MOST", 10**9)
-            return function()
-
-    return taken
 
 
 def before_and_after(case: object, values: Mapping[str, float]) -> tuple[Trace, np.ndarray, np.ndarray]:
@@ -153,39 +139,6 @@ def test_the_joint_model_is_the_integrator_s(joint: object, joint_moments: Calla
     np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["cascade", "joint", "averaged"])
-def test_every_verb_gives_what_every_sub_step_gives(
-    name: str, request: pytest.FixtureRequest, every_sub_step: Callable
-) -> None:
-    """Months; the likelihood, its score, information and free run, and the moments."""
-    case = gapped(request.getfixturevalue(name), 3000.0)
-    values, eye = case.values, np.eye(len(case.values))
-    likelihood, plain = case.likelihood, every_sub_step
-    assert likelihood._steps(values).long == (AT,) and plain(lambda: likelihood._steps(values)).long == ()
-    assert likelihood.value(values) == pytest.approx(plain(lambda: likelihood.value(values)), rel=1e-11)
-    score, expected = likelihood.score(values)[1], plain(lambda: likelihood.score(values)[1])
-    np.testing.assert_allclose(score, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
-    found, expected = (
-        likelihood.sensitivities(values, eye),
-        plain(lambda: likelihood.sensitivities(values, eye)),
-    )
-    np.testing.assert_allclose(
-        found.information, expected.information, rtol=1e-8, atol=1e-9 * np.abs(expected.information).max()
-    )
-    errors, slopes = likelihood.residuals(values, eye)
-    plainly = plain(lambda: likelihood.residuals(values, eye))
-    np.testing.assert_allclose(errors, plainly[0], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(slopes, plainly[1], rtol=1e-7, atol=1e-7 * np.abs(slopes).max())
-    one, other = likelihood.trace(values), plain(lambda: likelihood.trace(values))
-    # a running mean over the gap itself, which nothing reads, is the integral of all that happened in it
-    own = len(case.model.own_states)
-    np.testing.assert_allclose(one.mean[:, :own], other.mean[:, :own], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(
-        one.covariance[:, :own, :own], other.covariance[:, :own, :own], rtol=1e-7, atol=1e-9
-    )
-    np.testing.assert_allclose(one.last.mean, other.last.mean, rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("name", ["thermal", "joint"])
 def test_the_score_after_ten_years_is_the_central_difference(
     name: str, request: pytest.FixtureRequest
@@ -215,8 +168,11 @@ def test_a_gap_is_the_same_with_instants_in_it(joint: object) -> None:
     end = case.timeline.time[AT]
     split = case.split(np.array([end - 5000.0, end - 900.0, end - 50.0]))
     one, other = (c.likelihood.trace(case.values) for c in (case, split))
-    np.testing.assert_allclose(one.prior_mean[AT], other.prior_mean[AT + 3], rtol=1e-9)
-    np.testing.assert_allclose(one.prior_covariance[AT], other.prior_covariance[AT + 3], rtol=1e-7)
+    # the sub-steps differ, and their errors of 1e-7 standard deviations
+    np.testing.assert_allclose(one.prior_mean[AT], other.prior_mean[AT + 3], rtol=1e-7, atol=1e-12)
+    spread = np.sqrt(np.diagonal(one.prior_covariance[AT]))
+    apart = (one.prior_covariance[AT] - other.prior_covariance[AT + 3]) / np.outer(spread, spread)
+    np.testing.assert_allclose(apart, 0.0, atol=1e-6)
 
 
 def test_what_was_known_before_is_forgotten(joint: object) -> None:
@@ -291,16 +247,15 @@ def test_runs_side_by_side_cross_gaps_of_their_own(joint: object) -> None:
     assert not joint.timeline.regimes
     lines = [t.with_readings(np.full_like(t.y, np.nan)) for t in lines]
     runs_of = [Likelihood(joint.model, t) for t in lines]
-    rates = [one.rate(values) for one, values in zip(runs_of, sets, strict=True)]
     starts = [one.first_gaussian(values) for one, values in zip(runs_of, sets, strict=True)]
-    side = SideBySide(joint.model, sets, starts, rates)
+    side = SideBySide(joint.model, sets, starts)
     side.begin({name: np.full(5, lines[0].input(name)[0]) for name in joint.model.inputs})
     for k, step in ((1, hours), (2, np.full(5, 0.25))):
         side.step(step, {name: np.full(5, lines[0].input(name)[k]) for name in joint.model.inputs})
     for i, (one, values) in enumerate(zip(runs_of, sets, strict=True)):
         expected = one.trace(values, start=starts[i]).last
-        np.testing.assert_allclose(side.mean[i], expected.mean, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(side.covariance[i], expected.covariance, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(side.mean[i], expected.mean, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(side.covariance[i], expected.covariance, rtol=1e-6, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -336,7 +291,7 @@ def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(
     offline = offline_course(model, record)
     assert not tracker.counts["late"]
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
-    there = Likelihood(model.model, offline.run.timeline.window(0, last), fastest=model.fastest)
+    there = Likelihood(model.model, offline.run.timeline.window(0, last))
     final = there.trace(model.values).last
     assert np.array_equal(tracker.point.state.mean, final.mean)
     assert np.array_equal(tracker.point.state.covariance, final.covariance)
@@ -399,30 +354,17 @@ def test_a_model_of_one_state() -> None:
     check_score(Likelihood(model, line), {"rate": 40.0})
 
 
-# -- what is no gap ------------------------------------------------------------------------------------------
-def test_ordinary_records_have_no_long_step(joint: object, short: Record) -> None:
-    """A month's gap is divided into sub-steps as it always was."""
-    assert gapped(joint, 720.0).likelihood._steps(joint.values).long == ()
-    model = planned(short)
-    t = model_inputs(model.design, short).timeline
-    assert Likelihood(model.model, t, fastest=model.fastest)._steps(model.values).long == ()
-
-
+# -- what no step resolves -----------------------------------------------------------------------------------
 def many_gaps(case: object, count: int) -> Timeline:
     hours = YEAR_H * np.arange(count)
     inputs = {name: np.full(count, v[0]) for name, v in case.inputs.items()}
     return timeline(case.model, hours, inputs, {}, origin_s=1.6e9)
 
 
-def test_rates_that_no_reading_resolves_are_told_with_gap_and_remedy(joint: object) -> None:
+def test_rates_that_no_reading_resolves_cost_no_more(joint: object) -> None:
     t = many_gaps(joint, 1200)
     fast = joint.values | {"thermal_time_constant": 1e-3}
-    with pytest.raises(
-        ValueError, match=r"3\.6 s.*found 1199 .*365 d.*the first until 2021-.*narrow the bounds"
-    ) as told:
-        Likelihood(joint.model, t).value(fast)
-    assert isinstance(told.value, RatesFault) and isinstance(told.value, FloatingPointError)
-    assert math.isfinite(Likelihood(joint.model, t.window(0, 40)).value(fast))
+    assert math.isfinite(Likelihood(joint.model, t).value(fast))
 
 
 def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -> None:
@@ -436,19 +378,3 @@ def test_a_time_constant_of_zero_is_a_rate_that_is_not_finite(thermal: object) -
 def test_a_model_that_grows_without_limit_is_minus_infinity(thermal: object) -> None:
     case = gapped(thermal, 10.0 * YEAR_H)
     assert case.likelihood.value(case.values | {"thermal_time_constant": -2.0}) == -math.inf
-
-
-def test_the_short_step_s_polynomials_are_exact_to_rounding() -> None:
-    random = np.random.default_rng(3)
-    a = random.normal(size=(5, 5)) - 4.0 * np.eye(5)
-    noise = np.eye(5)
-    for hours in (0.01, 1.0, 300.0):
-        rest = [np.ones((1, 5)), np.ones((1, 5))]
-        change, gained = long_steps._doubled(a[None], rest, noise[None], np.array([hours]))
-        e = expm(a * hours)
-        np.testing.assert_allclose(change[0, :5, :5], e - np.eye(5), atol=1e-13)
-        np.testing.assert_allclose(
-            change[0, :5, 5], np.linalg.solve(a, (e - np.eye(5)) @ np.ones(5)), atol=1e-13
-        )
-        end = solve_continuous_lyapunov(a, -noise)
-        np.testing.assert_allclose(gained[0], end - e @ end @ e.T, atol=1e-13)

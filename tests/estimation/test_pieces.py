@@ -51,20 +51,11 @@ def test_stop_checkpoint_resume_is_one_run_bit_for_bit(
 
 
 def test_pieces_are_one_run_wherever_the_rates_lie(joint: object) -> None:
-    """Sub-steps must not depend on what a piece of the run happens to hold.
-
-    The number of sub-steps of a ten-minute step jumps at multiples of one rate; the exchange is set so that a
-    jump lies between the rate bound of a piece and that of the whole.
-    """
-    whole = joint.likelihood
-    window = joint.timeline.window(0, 200)
-    low, high = sorted((Likelihood(joint.model, window).rate(joint.values), whole.rate(joint.values)))
-    # 40 values of k, so close that the bounds of piece and whole straddle every jump in between
-    factors = np.geomspace(0.5, 2.0, 40 + int(math.log(4.0) / max(math.log(high / low), 0.005)))
-    for factor in factors[:400]:
+    """Sub-steps must not depend on what a piece of the run happens to hold."""
+    for factor in np.geomspace(0.5, 2.0, 40):
         values = joint.values | {"hygric_k": joint.values["hygric_k"] * factor}
         mean = pieces(joint, values, [200])[0]
-        np.testing.assert_array_equal(mean, whole.trace(values).mean)
+        np.testing.assert_array_equal(mean, joint.likelihood.trace(values).mean)
 
 
 def test_a_window_keeps_the_step_that_leads_to_it(thermal: object) -> None:

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from plants import plant
 from plants.as_record import to_record
 
+from hygrokf.engine.schedule import TOLERANCE
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.modelling.design import design
@@ -18,7 +19,7 @@ from hygrokf.physics.model import Model
 
 
 def case(
-    kind: str, count: int, rate_step: float | None, wrong: tuple[int, ...] = ()
+    kind: str, count: int, step: float = TOLERANCE, wrong: tuple[int, ...] = ()
 ) -> tuple[Likelihood, dict[str, float]]:
     """A likelihood and parameter values; `wrong`: instants whose readings are far off."""
     record = to_record(plant(11, days=6))
@@ -28,19 +29,19 @@ def case(
     y[np.random.default_rng(3).random(y.shape) < 0.2] = np.nan
     y[list(wrong)] += np.array([30.0, 0.5])[: y.shape[1]]
     values = {p.name: p.start for p in made.model.parameters}
-    return Likelihood(made.model, line.with_readings(y), rate_step=rate_step), values
+    return Likelihood(made.model, line.with_readings(y), tolerance=step), values
 
 
 @pytest.mark.parametrize(
-    ("kind", "rate_step", "tolerance"),
+    ("kind", "step", "tolerance"),
     [
-        ("thermal", None, 1e-9),  # linear: the compiled steps are exact
-        ("joint", 0.01, 1e-9),  # short sub-steps: their error falls with the fourth power
-        ("joint", None, 1e-5),  # ordinary sub-steps: the stated error of the discretisation
+        ("thermal", TOLERANCE, 1e-9),  # linear: the compiled steps are exact
+        ("joint", 1e-12, 1e-9),  # short sub-steps
+        ("joint", TOLERANCE, 1e-6),  # ordinary sub-steps
     ],
 )
-def test_the_compiled_filter_is_the_plain_one(kind, rate_step, tolerance):
-    likelihood, values = case(kind, 150, rate_step, wrong=(70, 71, 110))
+def test_the_compiled_filter_is_the_plain_one(kind, step, tolerance):
+    likelihood, values = case(kind, 150, step, wrong=(70, 71, 110))
     total, states = reference_filter(likelihood, values)
     trace = likelihood.trace(values)
     assert total == pytest.approx(likelihood.value(values), rel=tolerance)
@@ -58,7 +59,7 @@ def test_the_compiled_filter_is_the_plain_one(kind, rate_step, tolerance):
 def test_the_influence_of_a_wrong_reading_is_bounded():
     """However far off a reading is, the state moves as for one at the bound; unbounded it moves 40 times as
     far."""
-    likelihood, values = case("joint", 150, None)
+    likelihood, values = case("joint", 150)
     place = 72 + int(np.flatnonzero(np.isfinite(likelihood.timeline.y[72:, 0]))[0])
     before = likelihood.trace(values)
     spread = np.sqrt(before.variance[place, 0])
@@ -76,7 +77,7 @@ def test_the_influence_of_a_wrong_reading_is_bounded():
 
 
 def test_the_score_of_bounded_readings_is_the_central_difference():
-    likelihood, values = case("joint", 150, None, wrong=(70, 71, 110))
+    likelihood, values = case("joint", 150, wrong=(70, 71, 110))
     names = [p.name for p in likelihood.model.parameters]
     _, score = likelihood.score(values)
     assert_allclose(likelihood.sensitivities(values, np.eye(len(names))).score, score, rtol=1e-8, atol=1e-8)

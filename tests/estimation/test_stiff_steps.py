@@ -128,10 +128,10 @@ def test_stiff_runs_side_by_side_are_the_single_ones() -> None:
         line.steps[1] = hours
         one = Likelihood(made, line)
         values = {"a": 0.5 + 0.2 * i}
-        runs.append((values, one.rate(values)))
+        runs.append(values)
         first.append(one.first_gaussian(values))
         expected.append(one.trace(values).last)
-    side = SideBySide(made, [v for v, _ in runs], first, [rate for _, rate in runs])
+    side = SideBySide(made, runs, first)
     side.step(lengths, {}, {"y": np.full(len(lengths), 0.3)})
     for i, one in enumerate(expected):
         np.testing.assert_allclose(side.mean[i], one.mean, rtol=1e-13)

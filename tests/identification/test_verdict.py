@@ -140,6 +140,7 @@ BOTH = ("identification", "validation")
 SILENT = _put(SIMULATION, {"value_h": 0.02, "lower_h": 0.0, "upper_h": None})
 CASES = {
     "not_converged": (_put("converged", False), REJECT, "did not converge"),
+    "not_exact": (_put("discretisation_error", 0.02), REJECT, "not exact"),
     "convergence_unknown": (_put("converged", None), CAUTION, "not stated"),
     "at_limit": (_put("at_bounds", ["thermal_time_constant"]), REJECT, "limit of the search, 1.50 h"),
     "input_not_needed": (
@@ -230,7 +231,7 @@ def test_each_rule_gives_its_reason_and_no_other(code: str) -> None:
     reason = next(one for one in found["thermal"].reasons if one.code == code)
     assert reason.verdict == verdict == found["thermal"].verdict
     assert words in reason.text
-    whole = code in ("not_converged", "convergence_unknown", "record_short")
+    whole = code in ("not_converged", "convergence_unknown", "not_exact", "record_short")
     assert {one.code for one in found["hygric"].reasons} == (
         {code} if whole and code != "record_short" else set()
     )

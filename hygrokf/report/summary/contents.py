@@ -140,6 +140,7 @@ REMEDIES = {
     "Run “hygrokf fit” again with more starts (--starts): the estimation has not ended.": (
         "not_converged", "convergence_unknown",
     ),
+    "Give the likelihood a smaller tolerance: the filter's steps are too long here.": ("not_exact",),
     LACKING: (
         "criteria_disagree", "worse_than_mean", "worse_than_rule", "band_failed", "innovations_correlated",
         "noise_not_as_modelled", "sensor_stretched", "forms_differ", "parts_differ",

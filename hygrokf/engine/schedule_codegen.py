@@ -1,0 +1,246 @@
+"""The loop that chooses the sub-steps of every step along the filtered course, as LLVM text.
+
+A step is bisected where its error is.  From the moments before an interval (i, l), of length 2^−l of the
+step and beginning at i 2^−l of it, one sub-step to (m, P) is compared with two of half the length to (m',
+P'), in standard deviations of every reading,
+
+    |h(m) − h(m')| / √S',
+
+and of every state, as far as the next half, with the transition E, does not forget the difference,
+
+    |E (m − m')|_i / (√P'_ii + ε |m'_i − x_i| + ε' |m'_i|),    |E (P − P') E'|_ij / √(P'_ii P'_jj),
+
+x the mean before the interval and ε = `CHANGE`, ε' = `VALUE`, which measure states without any variance.
+Within a step a fast state that follows slow ones thus counts by what it does to them; at its end, where
+readings may come, E is the identity.  An interval in which a comparison of the rates changes its result is
+halved until it is 2^−`KINK` of the step: no comparison of moments sees a kink behind the last node.  Up to
+the tolerance the one sub-step stands, otherwise its first half is tried; behind an interval the next one is
+as long, or twice as long where it may begin there.  The number of doublings follows from the rates at the
+beginning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hygrokf.engine.discretisation import SHARE, congruence
+from hygrokf.engine.llvm_writer import SCALAR, literal
+from hygrokf.engine.packing import place
+from hygrokf.engine.step_codegen import DOUBLINGS, Names, Stages
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.physics.expression import Expression, Value, is_zero, maximum, sqrt
+from hygrokf.physics.matrices import product
+
+WALKED = ("controlled", "schedule")
+"""Kinds of loops that choose their own sub-steps."""
+CHANGE, VALUE = 0.01, 0.001
+"""[1] shares of a state's change and value that count as its standard deviations."""
+ROUNDING = 1e-14
+"""[1] of a mean below which a difference is rounding."""
+KINK = 6
+"""Intervals across a kink are at most 2^−6 of a step."""
+DEEPEST = 24
+"""Smallest interval: 2^−24 of a step."""
+
+
+WORKSPACE = (DEEPEST + 2) * (DOUBLINGS + 1)
+"""Rows of the key table of a walk: one for each level and number of doublings."""
+
+
+def table_room(recursion: Recursion, kind: str) -> int:
+    """Numbers of the key table of a loop that chooses its own sub-steps, 1 for others."""
+    walked = kind in WALKED and not recursion.exact
+    return WORKSPACE * max(1, len(recursion.key_nodes)) if walked else 1
+
+
+class Walk:
+    """The walk through one step, in a loop of its own kind.
+
+    The loop has the arguments `tags` (i64, one for every row of the workspace, first −1): the key whose
+    values a row holds; and `tolerance` (1,).
+    """
+
+    def __init__(self, stages: Stages, slots: Names) -> None:
+        self.stages, self.slots = stages, slots
+        w, r = stages.writer, stages.recursion
+        self.i, self.level, self.pass_, self.times, self.going = (w.slot("i64") for _ in range(5))
+        self.worst = w.slot("i64", "-1")
+        self.origin = [w.slot(SCALAR) for _ in slots]
+        self.once = [w.slot(SCALAR) for _ in slots]
+        g, n = r.graph, r.n
+        self.before = [g.symbol(f"before:{i}") for i in range(n)]
+        self.single = [g.symbol(f"once:{i}") for i in range(len(r.state))]
+        self.ahead = {g.symbol(f"ahead:{i}").index: w.slot(SCALAR) for i in range(n * n)}
+        self.errors = self._errors()
+
+    def _errors(self) -> list[Expression]:
+        """The error of every state (n,) and reading (k,), a number that is not finite where a moment is
+        not, and the number of comparisons of the rates that the means before and after answer
+        differently."""
+        r = self.stages.recursion
+        g, n, one, two = r.graph, r.n, self.single, r.state
+
+        def size(value: Value) -> Expression:
+            return maximum(g.lift(value), -g.lift(value))
+
+        def beyond(value: Value, of: Value) -> Expression:
+            return maximum(size(value) - ROUNDING * size(of), 0.0)
+
+        ahead = [
+            [
+                g.symbol(f"ahead:{i * n + j}") if i == j or not is_zero(r.transition[i * n + j]) else 0.0
+                for j in range(n)
+            ]
+            for i in range(n)
+        ]
+        packed = [g.lift(r.uncertainty[i][j]) for i in range(n) for j in range(i + 1)]
+        single = g.substitute(packed, {e.index: s for e, s in zip(two, one, strict=True)})
+        apart = [p - q for p, q in zip([*one[:n], *single], [*r.mean, *packed], strict=True)]
+        later = [row[0] for row in product(ahead, [[value] for value in apart[:n]])]
+        spread = congruence(ahead, [[apart[n + place(i, j)] for j in range(n)] for i in range(n)])
+        sd = [sqrt(maximum(packed[place(i, i)], 0.0)) for i in range(n)]
+        found = []
+        for i in range(n):
+            change = size(two[i] - self.before[i])
+            scale = sd[i] + CHANGE * change + VALUE * size(two[i]) + 1e-300
+            error = beyond(later[i], two[i]) / scale
+            for j in range(n):
+                error = maximum(error, size(spread[i][j]) / (sd[i] * sd[j] + 1e-300))
+            found.append(error)
+        shown = [update[-3] for update in r.updates]
+        alone, begun = (
+            g.substitute(shown, {m.index: e for m, e in zip(r.mean, symbols, strict=False)})
+            for symbols in (one, self.before)
+        )
+        for a, b, c, update in zip(alone, shown, begun, r.updates, strict=True):
+            scale = sqrt(maximum(update[-2], 0.0)) + CHANGE * size(c - b) + 1e-300
+            found.append(beyond(a - b, b) / scale)
+        total = g.constant(0.0)
+        for value in apart:
+            total = total + value
+        begun = g.substitute(r.comparisons, {m.index: e for m, e in zip(r.mean, self.before, strict=True)})
+        changed = g.constant(0.0)
+        for a, b in zip(r.comparisons, begun, strict=True):
+            changed = changed + (a - b) * (a - b)
+        return [*found, total, changed]
+
+    def through(self, k: str, accept: Callable[[str, str, str], str | None]) -> None:
+        """Move the moments to instant k; `accept(i, level, doublings)` is told every sub-step, and returns
+        an i1 that ends the walk.  Where it does, or the deepest interval does not do, `worst` is the state
+        with the largest error, and the moments stay before that interval."""
+        w = self.stages.writer
+        key = self.stages.key_of(k)
+        self.known(key)
+        hours = w.load(
+            SCALAR, w.at(SCALAR, "%keys", w.integer("mul", key, len(self.stages.recursion.key_leaves)))
+        )
+        w.store("i64", "0", self.i)
+        w.store("i64", "0", self.level)
+        begun = w.value(f"fcmp ogt double {hours}, {literal(0.0)}")
+        w.store("i64", w.value(f"zext i1 {begun} to i64"), self.going)
+        with w.during(self.going):
+            self._copy(list(self.slots.values()), self.origin)
+            begin, level = w.load("i64", self.i), w.load("i64", self.level)
+            with w.loop("3") as trial:  # once over the interval, then over its halves
+                first = w.value(f"icmp eq i64 {trial}, 0")
+                with w.when(w.value(f"icmp eq i64 {trial}, 1")):
+                    self._copy(list(self.slots.values()), self.once)
+                    self._copy(self.origin, list(self.slots.values()))
+                deeper = w.value(f"select i1 {first}, i64 {level}, i64 {w.integer('add', level, 1)}")
+                place_ = w.integer("add", w.integer("mul", begin, 2), w.integer("sub", trial, 1))
+                at = w.value(f"select i1 {first}, i64 {begin}, i64 {place_}")
+                times = self._sub_step(k, key, hours, at, deeper)
+                with w.when(first):
+                    w.store("i64", times, self.times)
+            error, state, changed = self._judged(k, key)
+            tolerance = w.load(SCALAR, "%tolerance")
+            deep = w.value(f"icmp sge i64 {level}, {KINK}")
+            smooth = w.value(f"or i1 {deep}, {w.value(f'fcmp oeq double {changed}, {literal(0.0)}')}")
+            good = w.value(f"and i1 {smooth}, {w.value(f'fcmp ole double {error}, {tolerance}')}")
+            with w.when(good):
+                enough = accept(begin, level, w.load("i64", self.times))
+                self._copy(self.once, list(self.slots.values()))
+                after = w.integer("add", begin, 1)
+                whole = w.integer("shl", "1", level)
+                up = w.value(f"icmp sgt i64 {level}, 0")
+                even = w.value(f"icmp eq i64 {w.integer('and', after, 1)}, 0")
+                up = w.value(f"and i1 {up}, {even}")
+                one = w.value(f"zext i1 {up} to i64")
+                w.store("i64", w.integer("ashr", after, one), self.i)
+                w.store("i64", w.integer("sub", level, one), self.level)
+                left = w.value(f"icmp slt i64 {after}, {whole}")
+                w.store("i64", w.value(f"zext i1 {left} to i64"), self.going)
+                if enough is not None:
+                    self._stop(enough, state)
+            with w.when(w.value(f"xor i1 {good}, true")):
+                self._copy(self.origin, list(self.slots.values()))
+                w.store("i64", w.integer("mul", begin, 2), self.i)
+                w.store("i64", w.integer("add", level, 1), self.level)
+                self._stop(w.value(f"icmp sge i64 {level}, {DEEPEST}"), state)
+
+    def _stop(self, condition: str, state: str) -> None:
+        w = self.stages.writer
+        with w.when(condition):
+            w.store("i64", state, self.worst)
+            w.store("i64", "0", self.going)
+
+    def known(self, key: str) -> None:
+        """Make the values of a key known as row 0 of the workspace, which the updates read."""
+        self._row(key, "0", "0", self.stages.key_leaves(key))
+
+    def _row(self, key: str, row: str, times: str, leaves: Names) -> str:
+        """Where the values of a key table's row begin in the workspace; computed unless it holds them
+        already."""
+        s, w, r = self.stages, self.stages.writer, self.stages.recursion
+        start, tag = w.integer("mul", row, len(r.key_nodes)), w.at("i64", "%tags", row)
+        with w.when(w.value(f"icmp ne i64 {w.load('i64', tag)}, {key}")):
+            w.store("i64", key, tag)
+            for c, name in enumerate(s.early(leaves, times)):
+                w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", start, c)))
+        return start
+
+    def _copy(self, source: list[str], target: list[str]) -> None:
+        w = self.stages.writer
+        for a, b in zip(source, target, strict=True):
+            w.store(SCALAR, w.load(SCALAR, a), b)
+
+    def _sub_step(self, k: str, key: str, hours: str, at: str, level: str) -> str:
+        """Move the moments over an interval; returns its doublings."""
+        s, w, r = self.stages, self.stages.writer, self.stages.recursion
+        part = s.power(level)
+        left = w.real("fmul", w.value(f"sitofp i64 {at} to double"), part)
+        inputs = s.inputs_between(k, left, w.real("fadd", left, part))
+        leaves = s.key_leaves(key) | {r.h.index: w.real("fmul", hours, part)}
+        found = s.doublings(s.read(self.slots) | inputs | leaves, SHARE)
+        times = w.value(f"select i1 {w.value(f'icmp slt i64 {found}, 0')}, i64 0, i64 {found}")
+        leaves[r.share.index] = s.power(times)
+        row = w.integer("add", w.integer("mul", level, DOUBLINGS + 1), times)
+        start = self._row(key, row, times, leaves)
+        known = {
+            i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", start, c)))
+            for c, i in enumerate(r.key_nodes)
+        }
+        leaves |= known | s.at_parameters
+        s.advance(self.slots, times, s.read(self.slots) | leaves | inputs)
+        made = w.block(r.graph, r.transition, leaves | s.reading(s.registers, r.transition))
+        last = w.value(f"icmp eq i64 {w.integer('add', at, 1)}, {w.integer('shl', '1', level)}")
+        for c, (slot, (_, name)) in enumerate(zip(self.ahead.values(), made, strict=True)):
+            own = literal(1.0 if c % (r.n + 1) == 0 else 0.0)
+            w.store(SCALAR, w.value(f"select i1 {last}, double {own}, double {name}"), slot)
+        return times
+
+    def _judged(self, k: str, key: str) -> tuple[str, str, str]:
+        """The largest error, NaN where a moment is not finite; its state, or n and more for a reading; and
+        the number of comparisons that changed their result."""
+        s, w, r = self.stages, self.stages.writer, self.stages.recursion
+        leaves = s.read(self.slots) | s.read(self.ahead) | s.table(key) | s.inputs_at(k) | s.at_parameters
+        leaves[r.reading.index] = literal(0.0)
+        for symbols, slots in ((self.before, self.origin), (self.single, self.once)):
+            leaves |= {e.index: w.load(SCALAR, slot) for e, slot in zip(symbols, slots, strict=False)}
+        *each, total, changed = (name for _, name in w.block(r.graph, self.errors, leaves))
+        error, state = each[0], "0"
+        for i, name in enumerate(each[1:], 1):
+            larger = w.value(f"fcmp ogt double {name}, {error}")
+            error = w.value(f"select i1 {larger}, double {name}, double {error}")
+            state = w.value(f"select i1 {larger}, i64 {i}, i64 {state}")
+        return w.real("fadd", error, w.real("fmul", total, literal(0.0))), state, changed
