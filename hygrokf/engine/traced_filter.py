@@ -445,6 +445,18 @@ class Recursion:
         ]
         return [where(one, 1.0, 0.0) for one in made if depends_on(self.graph, one, states)]
 
+    def leaves_of(self, block: Sequence[Expression]) -> frozenset[int]:
+        """The symbols that a block reads."""
+        key = tuple(e.index for e in block)
+        if key not in self._leaves:
+            needed = self.graph.needed(block)
+            self._leaves[key] = frozenset(i for i in needed if self.graph.nodes[i][0] == "symbol")
+        return self._leaves[key]
+
+    @cached_property
+    def _leaves(self) -> dict[tuple[int, ...], frozenset[int]]:
+        return {}
+
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
