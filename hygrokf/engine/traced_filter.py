@@ -487,7 +487,7 @@ class Recursion:
     @cached_property
     def _blocks(self) -> list[Block]:
         late = [list(one.block) for one in operations(self.late)]
-        return [self.predict, *self.updates, self.gathered[1], *late, [] if self.exact else [*self.reach]]
+        return [self.predict, *self.updates, self.gathered[1], *late]
 
     @cached_property
     def key_nodes(self) -> list[int]:
@@ -508,7 +508,7 @@ class Recursion:
             found.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
         keys.extend(e for one in operations(self.early) for e in one.block)
-        keys.extend(self.reach if self.exact else [])
+        keys.extend(self.reach)
         found.update(self.boundary(keys, KEY)[0])
         found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
         found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)
@@ -528,7 +528,7 @@ class Recursion:
         content = (
             *(list(self.p), model.states, sorted(self.holds.items()), model.inputs),
             *(model.resets, self.unknown, self.factored, self.graph.nodes, outputs),
-            [e.index for e in self.transition],
+            [e.index for e in (*self.transition, *self.reach)],
             repr((self.early, self.late)),
         )
         return hashlib.sha256(repr(content).encode()).hexdigest()

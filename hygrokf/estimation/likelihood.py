@@ -131,7 +131,8 @@ class Likelihood:
     # -- sub-steps -------------------------------------------------------------------------------------------
     def scheduled(self, values: Mapping[str, float]) -> Likelihood:
         """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        return self if self.recursion.exact else self._chosen(values, True, None)
+        # with working memory of its own, so that one for another thread is none of this one's
+        return self if self.recursion.exact else replace(self._chosen(values, True, None))
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:
         """Change of ln L where every sub-step is halved; 0 where steps are exact."""

@@ -79,7 +79,7 @@ def test_bounds_hold_the_truth_where_rates_grow_along_the_course(
 ) -> None:
     """The rates at the first state are 50 and 250 times as slow as those that follow.  One seed of each; the
     coverage over many is the slow test below."""
-    likelihood = made(seed)
+    likelihood = replace(made(seed), tolerance=1e-7)
     found = fit_mle(likelihood, count=1)
     assert found.converged and found.discretisation_error < 1e-5, found.message
     bound = confidence_intervals(likelihood, found, [name], "wald")[name]
@@ -115,6 +115,22 @@ def test_the_score_under_held_sub_steps_is_the_central_difference() -> None:
     assert held.value(values) == likelihood.value(values)
 
 
+def test_states_that_act_on_each_other_at_constant_rates_have_a_score() -> None:
+    """A noise that follows an input divides their steps; at the first instant no time passes."""
+    network = linear_network(
+        "pair", [positive("k", 0.7), positive("s", 1.0, True)], ["x", "z"], ["u"],
+        lambda p, x, u: {"x": p.k * (x.z - x.x), "z": 0.3 * p.k * (x.x - x.z) - 0.1 * x.z},
+        {"y": lambda p, x, u: (x.x, 0.01)}, lambda p, u: {"x": (p.s * u.u) ** 2, "z": 0.0},
+        lambda p, u: {"x": (0.0, 1.0), "z": (0.0, 1.0)},
+    )  # fmt: skip
+    model, random = compose([network], {"u": "linear"}), np.random.default_rng(6)
+    line = timeline(
+        model, np.arange(20.0), {"u": random.uniform(0.5, 1.0, 20)}, {"y": random.normal(size=20)}
+    )
+    values = {"k": 0.7, "s": 1.0}
+    check_score(Likelihood(model, line).scheduled(values), values)
+
+
 # -- stiff states --------------------------------------------------------------------------------------------
 def relaxation() -> Model:
     """Van der Pol's oscillator with μ = 1000: x' = v, v' = μ (1 − x²) v − x."""
@@ -130,7 +146,7 @@ def relaxation() -> Model:
 def test_a_stiff_oscillator_is_scipys() -> None:
     """Between the jumps, a thousandth of a unit long, x creeps for 800: rates of 3,000 and of 0.001."""
     model, times = relaxation(), np.array([0.0, 10.0, 400.0, 800.0, 1000.0])
-    likelihood = Likelihood(model, timeline(model, times, {}, {"y": np.full(5, np.nan)}))
+    likelihood = Likelihood(model, timeline(model, times, {}, {"y": np.full(5, np.nan)}), tolerance=1e-7)
     found = likelihood.trace({"mu": 1000.0}).mean
     expected = solve_ivp(
         lambda t, z: [z[1], 1000.0 * (1.0 - z[0] ** 2) * z[1] - z[0]], (0.0, 1000.0), [2.0, 0.0], "Radau",
