@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import Operation, Step, congruence, operations, step
+from hygrokf.engine.discretisation import Operation, Step, operations, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
 from hygrokf.engine.timeline import Timeline
@@ -45,7 +45,7 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
-from hygrokf.physics.matrices import add, dot, product, transpose
+from hygrokf.physics.matrices import add, congruence, dot, product, transpose
 from hygrokf.physics.model import Model, Values
 
 UNSEEN = 1e-10

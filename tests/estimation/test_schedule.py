@@ -79,7 +79,7 @@ def test_bounds_hold_the_truth_where_rates_grow_along_the_course(
 ) -> None:
     """The rates at the first state are 50 and 250 times as slow as those that follow.  One seed of each; the
     coverage over many is the slow test below."""
-    likelihood = replace(made(seed), tolerance=1e-7)
+    likelihood = made(seed)
     found = fit_mle(likelihood, count=1)
     assert found.converged and found.discretisation_error < 1e-5, found.message
     bound = confidence_intervals(likelihood, found, [name], "wald")[name]
@@ -146,7 +146,7 @@ def relaxation() -> Model:
 def test_a_stiff_oscillator_is_scipys() -> None:
     """Between the jumps, a thousandth of a unit long, x creeps for 800: rates of 3,000 and of 0.001."""
     model, times = relaxation(), np.array([0.0, 10.0, 400.0, 800.0, 1000.0])
-    likelihood = Likelihood(model, timeline(model, times, {}, {"y": np.full(5, np.nan)}), tolerance=1e-7)
+    likelihood = Likelihood(model, timeline(model, times, {}, {"y": np.full(5, np.nan)}))
     found = likelihood.trace({"mu": 1000.0}).mean
     expected = solve_ivp(
         lambda t, z: [z[1], 1000.0 * (1.0 - z[0] ** 2) * z[1] - z[0]], (0.0, 1000.0), [2.0, 0.0], "Radau",
