@@ -56,7 +56,17 @@ from hygrokf.physics.expression import (
     sqrt,
     where,
 )
-from hygrokf.physics.matrices import add, dot, identity, product, scale, transpose
+from hygrokf.physics.matrices import (
+    add,
+    congruence,
+    dot,
+    identity,
+    product,
+    scale,
+    symmetric,
+    transpose,
+    zeros,
+)
 from hygrokf.physics.model import Values
 
 CONSTANT_SHARE, SHARE = 0.25, 0.5
@@ -180,36 +190,16 @@ def step(
             for q, rise in zip(spreads, rises, strict=True)
         ]
 
-    # states whose rates, and those of all that act on them, are constant: their matrices are known early
-    reach = closure(omega)
     changing = [*changing, *(graph.nodes[e.index][1] for one in operations(late) for e in one.into)]
-    own = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
-    fixed = [own[i] and all(own[j] for j in range(n) if reach[i][j]) for i in range(n)]
-    steady = not any(depends_on(graph, v, changing) for row in intensities[0] for v in row)
-    both = [one and steady for one in fixed]  # with constant noise too
     driven = [j for j in range(n) if not (is_zero(b1[j]) and is_zero(b2[j]))]
     rising = [j for j in driven if not _same(b1[j], b2[j])]
     columns = [  # of Γ and W; the corrections add columns
         {*one, *(k for k in range(n) if any(not is_zero(difference[k][j]) for j in one))}
         for one in (driven, rising)
     ]
-    kept = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
-    alone = [
-        [v if both[i] and both[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spreads[0])
-    ]
-    known = [{j for j in one if fixed[j]} for one in columns]
-    early, matrices = _doubled(graph, "", share, kept, [alone], known, CONSTANT_ORDER, decays)
-    if not all(both):
-        order = CONSTANT_ORDER if all(fixed) else ORDER
-        made, whole = _doubled(graph, "late:", share, omega, spreads, columns, order, decays)
-        late = [*late, *made]
-        matrices = [
-            [
-                [p[i][j] if fixed[i] and (name != "N" or both[j]) else q[i][j] for j in range(n)]
-                for i in range(n)
-            ]
-            for name, p, q in zip("DGWEN", matrices, whole, strict=True)
-        ]
+    own = [not any(depends_on(graph, v, changing) for a in (a1, a2) for v in a[i]) for i in range(n)]
+    steady = not any(depends_on(graph, v, changing) for row in intensities[0] for v in row)
+    early, made, matrices = _matrices(graph, share, omega, spreads, columns, own, steady, decays)
     d, g, w, squared, accumulated = matrices
     decay = exponential = add(d, identity(n))
     if decays:
@@ -230,10 +220,42 @@ def step(
         decay=decay,
         share=share,
         early=tuple(early),
-        late=tuple(late),
+        late=(*late, *made),
         exact=constant_rates(graph, [*a1, *intensities[0]], changing, field.f, drives),
         reach=_reach(graph, before, h),
     )
+
+
+def _matrices(
+    graph: Graph,
+    share: Expression,
+    omega: Matrix,
+    spreads: Sequence[Matrix],
+    columns: Sequence[set[int]],
+    own: Sequence[bool],
+    steady: bool,
+    decays: bool,
+) -> tuple[list[Operation], list[Operation], list[Matrix]]:
+    """Early and late operations, and D, Γ, W, E and N: early for states whose rates, and those of all that
+    act on them, are constant (`own`), N only where the noise is `steady` too."""
+    n, reach = len(omega), closure(omega)
+    fixed = [own[i] and all(own[j] for j in range(n) if reach[i][j]) for i in range(n)]
+    both = [one and steady for one in fixed]
+    kept = [[v if fixed[i] else 0.0 for v in row] for i, row in enumerate(omega)]
+    alone = [
+        [v if both[i] and both[j] else 0.0 for j, v in enumerate(row)] for i, row in enumerate(spreads[0])
+    ]
+    known = [{j for j in one if fixed[j]} for one in columns]
+    early, matrices = _doubled(graph, "", share, kept, [alone], known, CONSTANT_ORDER, decays)
+    if all(both):
+        return early, [], matrices
+    order = CONSTANT_ORDER if all(fixed) else ORDER
+    late, whole = _doubled(graph, "late:", share, omega, spreads, columns, order, decays)
+    chosen = [
+        [[p[i][j] if fixed[i] and (name != "N" or both[j]) else q[i][j] for j in range(n)] for i in range(n)]
+        for name, p, q in zip("DGWEN", matrices, whole, strict=True)
+    ]
+    return early, late, chosen
 
 
 def constant_rates(
@@ -319,15 +341,15 @@ def _doubled(
         "E": [(i, j) for i, j in everywhere if decays and near[i][j]],
         **dict.fromkeys(slopes, spread),
     }
-    matrices = {name: _zeros(n, n) for name in places}
+    matrices = {name: zeros(n, n) for name in places}
     for name, found in places.items():
         for i, j in found:
             matrices[name][i][j] = graph.symbol(f"{prefix}{name}{i}.{j}")
     d, g, w, e = (matrices[name] for name in "DGWE")
-    moments = [_symmetric(matrices[name]) for name in slopes]
+    moments = [symmetric(matrices[name]) for name in slopes]
 
     x, inverse = scale(share, omega), [1.0 / f for f in _factorials(order + 3)]
-    first = {"D": _zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
+    first = {"D": zeros(n, n), "G": scale(share, identity(n)), "W": scale(0.5 * share, identity(n))}
     power = identity(n)
     for k in range(1, order + 1):
         power = product(power, x) if k > 1 else x
@@ -368,7 +390,7 @@ def _derivatives(start: Matrix, middle: Matrix, end: Matrix) -> list[list[Matrix
 
 def _integral(x: Matrix, share: Expression, curve: Sequence[Matrix], order: int) -> Matrix:
     """∫₀ᶜ e^{Ωσ} q(σ) e^{Ω'σ} dσ of a polynomial q with coefficients `curve`, c the `share`, x = c Ω."""
-    n, total = len(x), _zeros(len(x), len(x))
+    n, total = len(x), zeros(len(x), len(x))
     inverse = [1.0 / f for f in _factorials(order + 1)]
     for m, coefficient in enumerate(curve, 1):
         term = coefficient
@@ -377,7 +399,7 @@ def _integral(x: Matrix, share: Expression, curve: Sequence[Matrix], order: int)
         for k in range(order + 1):
             if k > 0:
                 half = product(x, term)
-                term = _symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
+                term = symmetric([[half[i][j] + half[j][i] for j in range(i + 1)] for i in range(n)])
             total = add(total, scale(inverse[k] / (k + m), term))
     return total
 
@@ -449,7 +471,7 @@ def _pushed(
     d = [[graph.symbol(f"{prefix}D{i}.{j}") if powers[i][j] else 0.0 for j in range(n)] for i in range(n)]
     v, y, w = symbols("v", rate), symbols("y", rise), symbols("w", rise)
     x, inverse = scale(share, omega), [1.0 / f for f in _factorials(NODE_ORDER + 3)]
-    power, change = identity(n), _zeros(n, n)
+    power, change = identity(n), zeros(n, n)
     for k in range(1, NODE_ORDER + 1):
         power = product(power, x) if k > 1 else x
         change = add(change, scale(inverse[k], power))
@@ -485,7 +507,7 @@ def _reach(graph: Graph, matrix: Matrix, h: Expression) -> list[Expression]:
     Only entries on a cycle of states count; what acts one way does not move the eigenvalues.
     """
     n, powers = len(matrix), closure(matrix)
-    sizes: Matrix = _zeros(n, n)
+    sizes: Matrix = zeros(n, n)
     for i in range(n):
         for j in range(n):
             if not is_zero(matrix[i][j]) and (i == j or powers[j][i]):
@@ -551,27 +573,6 @@ def _between(start: Inputs, end: Inputs, c: float) -> dict[str, Expression]:
     }
 
 
-def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:
-    """F P F' + Q; the lower triangle is computed and mirrored."""
-    n = len(f)
-    q = _zeros(n, n) if q is None else q
-    fp = product(f, p)
-    alone = [[k for k, v in enumerate(row) if not is_zero(v)] for row in f]
-
-    def entry(i: int, j: int) -> Value:
-        if len(alone[i]) == 1 and len(alone[j]) == 1:
-            (k,), (m,) = alone[i], alone[j]
-            return (f[i][k] * f[j][m]) * p[k][m]
-        return dot(fp[i], f[j])
-
-    return _symmetric([[entry(i, j) + q[i][j] for j in range(i + 1)] for i in range(n)])
-
-
-def _symmetric(lower: Matrix) -> Matrix:
-    n = len(lower)
-    return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-
-
 def _difference(a: Matrix, b: Matrix) -> Matrix:
     return [[_minus(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
 
@@ -589,10 +590,6 @@ def _mean(x: Value, y: Value) -> Value:
 
 def _any(a: Matrix) -> bool:
     return not all(is_zero(x) for row in a for x in row)
-
-
-def _zeros(n: int, m: int) -> Matrix:
-    return [[0.0] * m for _ in range(n)]
 
 
 def _factorials(count: int) -> list[float]:

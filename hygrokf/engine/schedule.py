@@ -16,7 +16,8 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion
 
 TOLERANCE = 1e-7
-"""[1] largest error of a sub-step, in standard deviations of a mean and as a share of a covariance."""
+"""[1] largest error of a sub-step, in standard deviations of a mean and as a share of a covariance: a
+cabinet's ln L is right to 8e-6 in 10,000 instants."""
 MOST = 2_000_000
 """Most sub-steps of a run, besides a hundred for every instant."""
 

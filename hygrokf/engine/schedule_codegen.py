@@ -23,13 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hygrokf.engine.discretisation import SHARE, congruence
+from hygrokf.engine.discretisation import SHARE
 from hygrokf.engine.llvm_writer import SCALAR, literal
 from hygrokf.engine.packing import place
 from hygrokf.engine.step_codegen import DOUBLINGS, Names, Stages
 from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Expression, Value, is_zero, maximum, sqrt
-from hygrokf.physics.matrices import product
+from hygrokf.physics.matrices import congruence, product
 
 WALKED = ("controlled", "schedule")
 """Kinds of loops that choose their own sub-steps."""

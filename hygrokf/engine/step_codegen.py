@@ -192,7 +192,7 @@ class Stages:
 
     def reading(self, slots: Names, block: Sequence[Expression]) -> Names:
         """The values of those symbols in slots that a block needs."""
-        needed = set(self.recursion.graph.needed(block))
+        needed = self.recursion.leaves_of(block)
         return {i: self.writer.load(SCALAR, s) for i, s in slots.items() if i in needed}
 
     @staticmethod

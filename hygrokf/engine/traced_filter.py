@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.discretisation import Operation, Step, congruence, operations, step
+from hygrokf.engine.discretisation import Operation, Step, operations, step
 from hygrokf.engine.packing import pack, place, unpack
 from hygrokf.engine.square_root import corrected, factored, factors, orthogonalised, square_root
 from hygrokf.engine.timeline import Timeline
@@ -45,7 +45,7 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, PREVIOUS, REGIME
-from hygrokf.physics.matrices import add, dot, product, transpose
+from hygrokf.physics.matrices import add, congruence, dot, product, transpose
 from hygrokf.physics.model import Model, Values
 
 UNSEEN = 1e-10
@@ -445,6 +445,18 @@ class Recursion:
         ]
         return [where(one, 1.0, 0.0) for one in made if depends_on(self.graph, one, states)]
 
+    def leaves_of(self, block: Sequence[Expression]) -> frozenset[int]:
+        """The symbols that a block reads."""
+        key = tuple(e.index for e in block)
+        if key not in self._leaves:
+            needed = self.graph.needed(block)
+            self._leaves[key] = frozenset(i for i in needed if self.graph.nodes[i][0] == "symbol")
+        return self._leaves[key]
+
+    @cached_property
+    def _leaves(self) -> dict[tuple[int, ...], frozenset[int]]:
+        return {}
+
     def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
@@ -475,7 +487,7 @@ class Recursion:
     @cached_property
     def _blocks(self) -> list[Block]:
         late = [list(one.block) for one in operations(self.late)]
-        return [self.predict, *self.updates, self.gathered[1], *late, [] if self.exact else [*self.reach]]
+        return [self.predict, *self.updates, self.gathered[1], *late]
 
     @cached_property
     def key_nodes(self) -> list[int]:
@@ -496,7 +508,7 @@ class Recursion:
             found.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
         keys.extend(e for one in operations(self.early) for e in one.block)
-        keys.extend(self.reach if self.exact else [])
+        keys.extend(self.reach)
         found.update(self.boundary(keys, KEY)[0])
         found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
         found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)

@@ -9,6 +9,7 @@ Shapes: d parameters of the joint likelihood, m of the model, T instants of all 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -152,8 +153,9 @@ class JointLikelihood:
         return max(one.tolerance for one in self.parts)
 
     def scheduled(self, values: Mapping[str, float]) -> JointLikelihood:
-        """The likelihood that holds the sub-steps chosen for these values."""
-        return replace(self, parts=[one.scheduled(own) for one, own in records_of(self, values)])
+        """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
+        parts = [one.scheduled(own) for one, own in records_of(self, values)]
+        return self if all(map(operator.is_, parts, self.parts)) else replace(self, parts=parts)
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:
         """Largest change of ln L where every sub-step is halved."""

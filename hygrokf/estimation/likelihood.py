@@ -119,15 +119,20 @@ class Likelihood:
         """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         theta = np.array([*known, *self.recursion.constants], dtype=float)
-        found, t = self.recursion.variances, self.timeline
-        inputs = {name: t.input(name) for name in (*t.varying, *t.regimes) if found.doubtful}
-        found.check(theta, self.recursion.symbols(values, (), inputs) if found.doubtful else {})
+        found = self.recursion.variances
+        found.check(theta, self.recursion.symbols(values, (), self._inputs) if found.doubtful else {})
         return theta
+
+    @cached_property
+    def _inputs(self) -> dict[str, np.ndarray]:
+        t = self.timeline
+        return {name: t.input(name) for name in (*t.varying, *t.regimes)}
 
     # -- sub-steps -------------------------------------------------------------------------------------------
     def scheduled(self, values: Mapping[str, float]) -> Likelihood:
         """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        return self if self.recursion.exact else self._chosen(values, True, None)
+        # with working memory of its own, so that one for another thread is none of this one's
+        return self if self.recursion.exact else replace(self._chosen(values, True, None))
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:
         """Change of ln L where every sub-step is halved; 0 where steps are exact."""

@@ -52,8 +52,6 @@ AT_LIMIT = 1e-9
 BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
-RENEWALS = 8
-"""Most times that a climb goes on with the sub-steps of its end point."""
 INEXACT = 1e-3
 """Change of ln L with sub-steps of half the length above which an estimate is not exact."""
 NOISE_SPREAD = 5.0
@@ -153,24 +151,30 @@ class Objective:
 
 
 class _Metered:
-    """An objective during one climb: counts its filter steps and keeps the best point met."""
+    """An objective during one climb: holds its sub-steps, counts its filter steps and keeps the best point
+    met."""
 
-    def __init__(self, objective: Objective, budget: float) -> None:
+    def __init__(self, objective: Objective, start: np.ndarray, budget: float) -> None:
         self.coordinates = objective.coordinates
-        self.objective = objective
+        self._free, self._held = objective, objective.at(start)
         self._budget = self._left = budget
         self.best = (-math.inf, np.empty(0))
 
+    def renewed(self, z: np.ndarray) -> bool:
+        """Hold the sub-steps chosen at this point; False where they are those held already."""
+        before, self._held = self._held.likelihood, self._free.at(z)
+        return self._held.likelihood is not before
+
     def value(self, z: np.ndarray) -> float:
         self._spend(z)
-        value = self.objective.value(z)
+        value = self._held.value(z)
         self._keep(z, value)
         return value
 
     def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         self._spend(z)
         try:
-            value, gradient = self.objective.score(z)
+            value, gradient = self._held.score(z)
         except FloatingPointError:
             return -math.inf, np.zeros_like(z)
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
@@ -180,13 +184,13 @@ class _Metered:
 
     def information(self, z: np.ndarray) -> Sensitivities:
         self._spend(z)
-        found = self.objective.information(z)
+        found = self._held.information(z)
         self._keep(z, found.loglik)
         return found
 
     def _spend(self, z: np.ndarray) -> None:
         try:
-            steps = self.objective.likelihood.steps_per_instant(self.coordinates.values(z))
+            steps = self._held.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
         self._left -= steps
@@ -213,20 +217,11 @@ def climb(
 
     It has converged where two points in succession promise less than `tolerance` of log-likelihood.  After
     `passes` steps, or `budget` filter steps per instant of the record, it ends, not converged, with the best
-    point that it met.
+    point that it met.  Sub-steps are held on the way, and chosen anew at the end point until it stays.
     """
-    metered = _Metered(objective.at(start), budget)
+    metered = _Metered(objective, start, budget)
     try:
-        found = _climb(metered, start, passes, tolerance)
-        for _ in range(RENEWALS):
-            if not found.converged or metered.objective.likelihood is objective.likelihood:
-                break
-            # sub-steps chosen at the end point: the climb goes on until they stay, or do not move it
-            metered.objective, begun = objective.at(found.z), found.z
-            found = _climb(metered, begun, passes, tolerance)
-            if np.array_equal(found.z, begun):
-                break
-        return found
+        return _climb(metered, start, passes, tolerance)
     except _BudgetSpent as spent:
         value, z = metered.best
         return Optimum(z if z.size else start, value, False, str(spent))
@@ -246,6 +241,11 @@ def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float
             return Optimum(z, value, True, "converged: every free parameter is at a bound")
         reach = reach_of(objective.coordinates, z)
         promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
+        if promised < tolerance and settled and objective.renewed(z):
+            value, gradient = objective.score(z)
+            if not math.isfinite(value):
+                return Optimum(z, value, False, "no sub-steps resolve the rates at the end point")
+            promised = bounded_step(curvature, gradient, free, z, lower, upper, 1e-9, reach)[1]
         if promised < tolerance and settled:
             return Optimum(z, value, True, "converged")
         if count == passes:

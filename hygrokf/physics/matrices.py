@@ -39,3 +39,28 @@ def identity(n: int) -> Matrix:
 
 def transpose(a: Matrix) -> Matrix:
     return [list(row) for row in zip(*a, strict=True)]
+
+
+def zeros(n: int, m: int) -> Matrix:
+    return [[0.0] * m for _ in range(n)]
+
+
+def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:
+    """F P F' + Q; the lower triangle is computed and mirrored."""
+    n = len(f)
+    q = zeros(n, n) if q is None else q
+    fp = product(f, p)
+    alone = [[k for k, v in enumerate(row) if not is_zero(v)] for row in f]
+
+    def entry(i: int, j: int) -> Value:
+        if len(alone[i]) == 1 and len(alone[j]) == 1:
+            (k,), (m,) = alone[i], alone[j]
+            return (f[i][k] * f[j][m]) * p[k][m]
+        return dot(fp[i], f[j])
+
+    return symmetric([[entry(i, j) + q[i][j] for j in range(i + 1)] for i in range(n)])
+
+
+def symmetric(lower: Matrix) -> Matrix:
+    n = len(lower)
+    return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from builders.linear_oracles import linear_hold, van_loan
 
-from hygrokf.engine.discretisation import CONSTANT_SHARE, Step, congruence, step
+from hygrokf.engine.discretisation import CONSTANT_SHARE, Step, step
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.physics.expression import Graph
+from hygrokf.physics.matrices import congruence
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter

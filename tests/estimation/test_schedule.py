@@ -115,6 +115,22 @@ def test_the_score_under_held_sub_steps_is_the_central_difference() -> None:
     assert held.value(values) == likelihood.value(values)
 
 
+def test_states_that_act_on_each_other_at_constant_rates_have_a_score() -> None:
+    """A noise that follows an input divides their steps; at the first instant no time passes."""
+    network = linear_network(
+        "pair", [positive("k", 0.7), positive("s", 1.0, True)], ["x", "z"], ["u"],
+        lambda p, x, u: {"x": p.k * (x.z - x.x), "z": 0.3 * p.k * (x.x - x.z) - 0.1 * x.z},
+        {"y": lambda p, x, u: (x.x, 0.01)}, lambda p, u: {"x": (p.s * u.u) ** 2, "z": 0.0},
+        lambda p, u: {"x": (0.0, 1.0), "z": (0.0, 1.0)},
+    )  # fmt: skip
+    model, random = compose([network], {"u": "linear"}), np.random.default_rng(6)
+    line = timeline(
+        model, np.arange(20.0), {"u": random.uniform(0.5, 1.0, 20)}, {"y": random.normal(size=20)}
+    )
+    values = {"k": 0.7, "s": 1.0}
+    check_score(Likelihood(model, line).scheduled(values), values)
+
+
 # -- stiff states --------------------------------------------------------------------------------------------
 def relaxation() -> Model:
     """Van der Pol's oscillator with μ = 1000: x' = v, v' = μ (1 − x²) v − x."""
