@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from hygrokf.data.ambient import at_times, bridge_h, place_absolute_humidity
 from hygrokf.data.clocks import source_of
@@ -35,6 +36,8 @@ FEWEST = 14 * 96
 """Quarters of an hour in common, 14 days, below which nothing is compared."""
 LONGEST = 120 * 96
 """Quarters of an hour that are compared at most; more would tell no more about a clock."""
+PIECE = 1024 - 2 * REACH
+"""Quarters of an hour of the pieces over which correlations are summed."""
 _FINE = 3
 _BRIDGE_H = 3.0
 _RIDGE = 1e-8
@@ -117,8 +120,6 @@ _HEAT_INPUTS = ("ambient_temperature", "global_horizontal_irradiance", "wind_spe
 
 
 def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> Relation | None:
-    from scipy.fft import next_fast_len
-
     known = [one.known[0] for one in (target, *(group[0] for group in inputs.values()))]
     if any(len(one) < 2 for one in known):
         return None
@@ -129,14 +130,13 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
     # the middle of a long record
     spare = max(count - LONGEST, 0)
     first, count = first + spare // 2 * QUARTER_S, count - spare
-    length = int(next_fast_len(count, real=True))
     every = max(1, round(modal_step(target.known[0])[0] / QUARTER_S))
-    value, there = _means(target, first, length)
+    value, there = _means(target, first, count)
     if every > 1:  # once a reading
-        there &= np.isin(np.arange(length), (centred(target).known[0] - first) // QUARTER_S)
+        there &= np.isin(np.arange(count), (centred(target).known[0] - first) // QUARTER_S)
     rows, columns = there.copy(), {}
     for signal, group in inputs.items():
-        means = [_means(one, first, length) for one in group]
+        means = [_means(one, first, count) for one in group]
         rows &= means[0][1]
         filled = np.column_stack([_standardised(*one) for one in means])
         if len(kept := np.flatnonzero(filled.std(axis=0) > 0.0)):
@@ -148,7 +148,7 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
         return None
     return Relation(
         name,
-        first + QUARTER_S * (np.arange(length) + 0.5),
+        first + QUARTER_S * (np.arange(count) + 0.5),
         np.where(there, value - value[there].mean(), 0.0),
         rows,
         every,
@@ -247,30 +247,38 @@ def shift_logliks(
 
 def _all_shifts(relation: Relation, phi: np.ndarray, fixed: np.ndarray, going: np.ndarray) -> np.ndarray:
     """ln L (K,) with the columns `going` at every shift beside the `fixed` ones."""
-    from scipy.fft import irfft, rfft
-
     rows = relation.rows.astype(float)
     target = relation.whitened(relation.target, phi) * rows
-    kept, still, count = fixed.shape[1], fixed * rows[:, None], len(rows)
-    shifts = np.arange(-REACH, REACH + 1)
+    kept, still = fixed.shape[1], fixed * rows[:, None]
     upper = np.triu_indices(going.shape[1])
-
-    def correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Σ one(t) other(t − shift), (K, a, b)."""
-        spectrum = rfft(one, axis=0)[:, :, None] * rfft(other, axis=0)[:, None, :].conj()
-        return np.asarray(irfft(spectrum, count, axis=0)[shifts])
-
-    against = correlations(np.column_stack([still, target]), going)
-    among = correlations(rows[:, None], going[:, upper[0]] * going[:, upper[1]])[:, 0]
-    products = np.empty((len(shifts), kept + going.shape[1], kept + going.shape[1]))
+    against = _correlations(np.column_stack([still, target]), going)
+    among = _correlations(rows[:, None], going[:, upper[0]] * going[:, upper[1]])[:, 0]
+    products = np.empty((len(against), kept + going.shape[1], kept + going.shape[1]))
     products[:, :kept, :kept] = still.T @ fixed
     products[:, :kept, kept:] = against[:, :kept]
     products[:, kept:, :kept] = against[:, :kept].transpose(0, 2, 1)
     products[:, kept + upper[0], kept + upper[1]] = products[:, kept + upper[1], kept + upper[0]] = among
-    aims = np.hstack([np.broadcast_to(target @ fixed, (len(shifts), kept)), against[:, kept]])
+    aims = np.hstack([np.broadcast_to(target @ fixed, (len(against), kept)), against[:, kept]])
     diagonal = np.einsum("kii->ki", products)
     diagonal *= 1.0 + _RIDGE
     explained = np.einsum("ki,ki->k", np.linalg.solve(products, aims[:, :, None])[:, :, 0], aims)
     least = _EXACT * float(relation.target**2 @ rows)
     number = rows.sum()
     return -0.5 * number * np.log(np.maximum(target @ target - explained, least) / number) - 0.5 * number
+
+
+def _correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Σ one(t) other(t − shift) of columns (N, a) and (N, b), (K, a, b); the first are 0 within a reach of
+    both ends.
+
+    The sum is taken over pieces of the record: what is within reach of a piece is short to transform.
+    """
+    count = -(-len(one) // PIECE)
+    padded = np.zeros((count * PIECE + 2 * REACH, one.shape[1] + other.shape[1]))
+    padded[REACH : REACH + len(one)] = np.hstack([one, other])
+    pieces = sliding_window_view(padded, PIECE + 2 * REACH, axis=0)[::PIECE].copy()  # (pieces, a + b, t)
+    pieces[:, : one.shape[1], :REACH] = pieces[:, : one.shape[1], -REACH:] = 0.0
+    spectra = np.fft.rfft(pieces).transpose(2, 1, 0)
+    first, second = np.split(spectra, [one.shape[1]], axis=1)
+    found = np.fft.irfft(first @ second.conj().transpose(0, 2, 1), PIECE + 2 * REACH, axis=0)
+    return found[np.arange(-REACH, REACH + 1)]

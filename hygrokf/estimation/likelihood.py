@@ -41,6 +41,7 @@ from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.engine.wide_recursion import recursion_of
 from hygrokf.estimation.gaussian import Gaussian as Gaussian
 from hygrokf.estimation.gaussian import expect_initial
+from hygrokf.estimation.moments import End as End
 from hygrokf.estimation.moments import Sensitivities as Sensitivities
 from hygrokf.estimation.moments import Trace as Trace
 from hygrokf.estimation.moments import checked_loglik, covariances, loglik_of
@@ -337,10 +338,22 @@ class Likelihood:
     # -- verbs -----------------------------------------------------------------------------------------------
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter breaks down (a variance that is not positive)."""
-        state = self.first_state(values)
-        steps = self._steps(values)
-        value = self._loglik([self._run(values, steps, part, state) for part in steps.pieces(self._whole)])
+        value = self._through(values, self.first_state(values))
         return self._in_factors.value(values) if math.isnan(value) else value
+
+    def end(self, values: Mapping[str, float]) -> End:
+        """ln L and the Gaussian to continue from: those of the `trace`, without what lies between."""
+        state = self.first_state(values)
+        value, r = self._through(values, state), self.recursion
+        if math.isnan(value):
+            return self._in_factors.end(values)
+        last = Gaussian(state[: r.n].copy(), covariances(r, state), float(self.timeline.time[-1]))
+        return End(value, last)
+
+    def _through(self, values: Mapping[str, float], state: np.ndarray) -> float:
+        """ln L, NaN where the run has to be repeated in factors; moves `state` through it."""
+        steps = self._steps(values)
+        return self._loglik([self._run(values, steps, part, state) for part in steps.pieces(self._whole)])
 
     def _run(
         self, values: Mapping[str, float], steps: SubSteps, part: slice, state: np.ndarray

@@ -37,6 +37,14 @@ class Sensitivities:
 
 
 @dataclass(frozen=True)
+class End:
+    """ln L of one filter run, and the Gaussian to continue from."""
+
+    loglik: float
+    last: Gaussian
+
+
+@dataclass(frozen=True)
 class Trace:
     """All moments of one filter run: `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of
     an instant, `mean`, `covariance` after them; `prediction` (T, k) and `variance` (T, k) of every output,

@@ -14,13 +14,14 @@ filter; Allik et al. 2016, doi:10.1109/TCST.2015.2432155; moments of a truncated
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from hygrokf.data.readings import SATURATED
-from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.estimation.likelihood import End, Gaussian, Likelihood, Trace
 
 HUMIDITY = "cabinet_relative_humidity"
 
@@ -34,20 +35,42 @@ def censored_trace(
     A timeline may be filtered in pieces: starting each piece from the last state of the previous one gives
     the same bits.
     """
+    found = list(_pieces(likelihood, start, lambda one, begin: one.trace(values, start=begin), values))
+    return found[0] if len(found) == 1 else joined(found)
+
+
+def censored_end(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> End:
+    """ln L and the last state of the `censored_trace`, without what lies between."""
+
+    def run(one: Likelihood, begin: Gaussian | None) -> End:
+        return (one if begin is None else replace(one, initial=begin)).end(values)
+
+    found = list(_pieces(likelihood, start, run, values))
+    return End(sum(one.loglik for one in found), found[-1].last)
+
+
+Ended = TypeVar("Ended", End, Trace)
+
+
+def _pieces(
+    likelihood: Likelihood, start: Gaussian | None, run: Callable[[Likelihood, Gaussian | None], Ended],
+    values: Mapping[str, float],
+) -> Iterator[Ended | Trace]:  # fmt: skip
+    """The runs of the pieces between censored readings, and the traces of these."""
     t = likelihood.timeline
-    places = np.flatnonzero(t.reading(HUMIDITY) >= SATURATED) if HUMIDITY in t.outputs else ()
-    if not len(places):
-        return likelihood.trace(values, start=start)
-    found: list[Trace] = []
+    humidity = t.reading(HUMIDITY) if HUMIDITY in t.outputs else np.zeros(0)
+    places: list[int] = np.flatnonzero(humidity >= SATURATED).tolist()
     first = 0
     for place in (*places, len(t)):
         if place > first:
-            found.append(replace(likelihood, timeline=t.window(first, place)).trace(values, start=start))
-            start = found[-1].last
+            whole = place - first == len(t)
+            one = run(likelihood if whole else replace(likelihood, timeline=t.window(first, place)), start)
+            yield one
+            start = one.last
         if place < len(t):
-            found.append(_censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start))
-            start, first = found[-1].last, place + 1
-    return joined(found)
+            at = _censored(replace(likelihood, timeline=t.window(place, place + 1)), values, start)
+            yield at
+            start, first = at.last, place + 1
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:

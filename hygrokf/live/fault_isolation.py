@@ -24,7 +24,7 @@ import numpy as np
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.ceiling import censored_trace
+from hygrokf.live.ceiling import censored_end, censored_trace
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.properties import ParameterShift, TrackedState, lasting_s
 from hygrokf.live.tracker import SAME_S, Point
@@ -142,26 +142,29 @@ def isolate(
             raise ValueError("no readings since the stated change")
         start = _still_state(plan, wide, reference.state)
     likelihood = wide.likelihood(t)
-    base = censored_trace(likelihood, still, start).loglik
+    base = censored_end(likelihood, still, start).loglik
     gains: dict[str, Explanation] = {}
     evidence: dict[str, float] = {}
     for cause, options in STATES.items():
-        departed = departures(record, sisters, AMBIENT.get(cause, ""))
+        best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
         for state, rates in options:
             if state not in wide.model.states:
                 continue
             place = wide.model.states.index(state)
             for rate in rates:
                 begin = None if start is None else _with_variance(start, place, rate**2)
-                found = censored_trace(likelihood, {**still, f"{state}_rate": rate}, begin)
+                values = {**still, f"{state}_rate": rate}
+                found = censored_end(likelihood, values, begin)
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
-                    x = found.mean[:, place]
-                    sd = float(np.sqrt(max(found.covariance[-1, place, place], 0.0)))
-                    gains[cause] = Explanation(gain, state, float(x[-1]), sd)
-                    if departed is not None:
-                        evidence[cause] = departed.support(t.seconds, x, sd)
+                    sd = float(np.sqrt(max(found.last.covariance[place, place], 0.0)))
+                    gains[cause] = Explanation(gain, state, float(found.last.mean[place]), sd)
+                    best = values, begin, place
                 yield None
+        departed = departures(record, sisters, AMBIENT.get(cause, ""))
+        if departed is not None and best is not None:
+            error = censored_trace(likelihood, *best[:2]).mean[:, best[2]]
+            evidence[cause] = departed.support(t.seconds, error, gains[cause].sd)
     yield finding_from(gains, float(t.seconds[-1]), evidence)
 
 
