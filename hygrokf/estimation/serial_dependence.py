@@ -48,7 +48,7 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
     is enlarged by the square of Student's over the normal 95 % quantile, for the number of its blocks.
     Columns that are too short (`needed` above 1) have the variance of as many blocks as there are.
     """
-    from scipy.special import ndtri, stdtrit
+    from scipy.stats import norm, t
 
     n, f = terms.shape
     if n < FEWEST_TERMS:
@@ -60,7 +60,7 @@ def long_run_covariance(terms: np.ndarray) -> LongRun:
         length = min(math.ceil(LONGER * optimal), n // FEWEST_BLOCKS) if optimal > 1.0 else 1
         sums = _block_sums(column[:, None], length)[:, 0]
         freedom = len(sums) - 1
-        enlarged = (stdtrit(freedom, 0.975) / ndtri(0.975)) ** 2 * len(sums) / freedom
+        enlarged = (t.ppf(0.975, freedom) / norm.ppf(0.975)) ** 2 * len(sums) / freedom
         missed = min(max(beyond / length, 0.0), MOST_MISSED)
         deviations[j] = math.sqrt(enlarged * float(sums @ sums) / (1.0 - missed))
         # the optimal length grows with the cube root of the series' length
