@@ -28,9 +28,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
-from hygrokf.discovery.discovery_results import DiscoveryResults
-from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.results import Discovered
+from hygrokf.discovery.results import Discovered, Discovery, DiscoveryResults
 from hygrokf.evaluation.course import Course
 from hygrokf.evaluation.scoring import Errors
 from hygrokf.fleet.results import FleetResults
@@ -102,7 +100,7 @@ def discovered() -> Discovered:
 
 
 def discovery() -> Discovery:
-    return Discovery(fit(), None, discovery_results(), residuals_case())
+    return Discovery(discovery_results(), residuals_case(), base=fit())
 
 
 @cache

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.residuals import NORMAL_95, Hours, date_text, displayed, run_lengths, words
+from hygrokf.discovery.results import Settings
 from hygrokf.evaluation.bootstrap import block_h
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.discovery.conditions import Condition, conditions, dummies, step_at
-from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import (
     QUANTITIES,
     UNITS,
@@ -21,6 +20,7 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
+from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
 
 LEVEL = 0.05

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.forms import (
     Form,
     Ground,
@@ -35,6 +34,7 @@ from hygrokf.discovery.forms import (
     wall,
     wind,
 )
+from hygrokf.discovery.results import Settings
 from hygrokf.modelling.derived_inputs import without_settings
 from hygrokf.modelling.registry import is_package_feature, is_package_mechanism
 from hygrokf.physics.model import Feature, Mechanism

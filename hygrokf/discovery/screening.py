@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.clocks import Shift
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered, loss
 from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes, weighted
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.repeats import joined
+from hygrokf.discovery.results import Settings
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter

@@ -21,10 +21,10 @@ from hygrokf.discovery.candidates import (
     lead,
     water,
 )
-from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, acting, estimate_at, fitted
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
+from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import (
     Screened,
     added,

@@ -7,7 +7,10 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
 
-from hygrokf.discovery.discovery_results import (
+from hygrokf.discovery.forms import IN_SUMMER
+from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
+from hygrokf.discovery.repeats import repeated_text
+from hygrokf.discovery.results import (
     CauseFound,
     CauseParameter,
     DiscoveryResults,
@@ -16,9 +19,6 @@ from hygrokf.discovery.discovery_results import (
     Line,
     Settings,
 )
-from hygrokf.discovery.forms import IN_SUMMER
-from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
-from hygrokf.discovery.repeats import repeated_text
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (

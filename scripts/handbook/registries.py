@@ -11,7 +11,7 @@ from handbook.docstrings import heading, prose_and_equations, rst, table
 from hygrokf.discovery.forms import Ground
 from hygrokf.discovery.library import LIBRARY as CAUSES
 from hygrokf.discovery.library import Cause
-from hygrokf.discovery.plugin_validation import trial_ground
+from hygrokf.discovery.own_causes import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism

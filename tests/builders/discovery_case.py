@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from hygrokf.data.structured import structured
-from hygrokf.discovery.discovery_results import DiscoveryResults
+from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
 
 ORIGIN_S = 1594771200.0
