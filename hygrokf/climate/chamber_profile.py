@@ -81,11 +81,11 @@ def joined(parts: Sequence[Days]) -> Days:
     return Days(*(np.concatenate([getattr(p, name) for p in parts]) for name in Days.__dataclass_fields__))
 
 
-def thinned(days: Days, most: int = MOST_DAYS) -> Days:
-    """At most so many days, evenly from all."""
-    if len(days) <= most:
+def thinned(days: Days) -> Days:
+    """At most `MOST_DAYS` days, evenly from all."""
+    if len(days) <= MOST_DAYS:
         return days
-    return days.take(np.linspace(0, len(days) - 1, most).round().astype(int))
+    return days.take(np.linspace(0, len(days) - 1, MOST_DAYS).round().astype(int))
 
 
 def places_in(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:

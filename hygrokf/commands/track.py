@@ -132,26 +132,23 @@ def _track(options: argparse.Namespace) -> int:
     load_causes(options.library)
     config = _demo_config(options) if options.demo else tracked_config(options)
 
-    def tell(text: str, **beside: object) -> None:
+    def tell(what: str, words: str, **beside: object) -> None:
         """Print a message for the user; with a JSON log, write it as a log entry."""
         if options.log == "json":
-            LOG.info(text.partition(":")[0], extra=beside)
+            LOG.info(what, extra=beside)
         else:
-            activity().note(text)
+            activity().note(f"{what}: {words}")
 
     def begun(service: Service, page: str | None) -> None:
         names = ", ".join(list(config.turbines)[:5]) + (" …" if len(config.turbines) > 5 else "")
-        tell(
-            f"tracking: {names} ({len(config.turbines)}); store {config.store}",
-            turbines=len(config.turbines),
-            store=config.store,
-        )
+        count, store = len(config.turbines), config.store
+        tell("tracking", f"{names} ({count}); store {store}", turbines=count, store=store)
         if page is not None:
-            tell(f"page: {page}", url=page)
+            tell("page", page, url=page)
 
     service = track(config, with_page=not options.no_page, until_ended=options.until_ended, begun=begun)
     counted = service.health.deliveries
-    tell(f"done: {counted} deliveries, all committed", deliveries=counted)
+    tell("done", f"{counted} deliveries, all committed", deliveries=counted)
     return 0
 
 

@@ -424,9 +424,8 @@ def start_variances(course: Course, residual: np.ndarray) -> np.ndarray:
 
 
 def maximised(
-    course: Course, residual: np.ndarray, largest: float, start: np.ndarray | None = None,
-    bound: float = HUBER,
-) -> np.ndarray:  # fmt: skip
+    course: Course, residual: np.ndarray, largest: float, start: np.ndarray | None = None
+) -> np.ndarray:
     """Variances (7,) of the greatest likelihood of an error (T,), by Fisher scoring.
 
     largest: variance of the readings; no part may vary more than that at the output.  The eight lanes are
@@ -440,7 +439,7 @@ def maximised(
     lowest = np.log(LEAST * upper)
     usual = np.log(np.maximum(common, LEAST * upper))
     z = np.clip(np.log(np.maximum(np.where(active, begun, 1.0), 1e-300)), lowest, np.log(upper))
-    damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active, bound)
+    damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active)
     near = False
     for _ in range(_STEPS):
         outward = ((z <= lowest + 1e-9) & (gradient > 0)) | ((z >= np.log(upper) - 1e-9) & (gradient < 0))
@@ -457,7 +456,7 @@ def maximised(
         if near and step.max() < _STEP:
             break
         moved = np.clip(z + step, lowest, np.log(upper))
-        trial = _scores(course, residual, moved, active, bound)
+        trial = _scores(course, residual, moved, active)
         if not trial[0] < value:
             damping *= 8.0
             if damping > 1e6:
@@ -471,7 +470,7 @@ def maximised(
 
 
 def _scores(
-    course: Course, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float
+    course: Course, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float = HUBER
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """−2 ln L, its gradient (7,) and its expected information (7, 7) in the log variances."""
     lanes = np.repeat(np.where(active, np.exp(z), 0.0)[:, None], LANES, axis=1)

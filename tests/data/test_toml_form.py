@@ -14,7 +14,7 @@ from builders.documents import document
 from hygrokf.cases.form import CaseForm, StatedColumn, StatedPeriod, StatedSource, StatedWeather
 from hygrokf.climate.chamber import ProfileForm
 from hygrokf.climate.limits import LimitForm
-from hygrokf.climate.region import PowerCurveForm, ShearForm
+from hygrokf.climate.region import PowerCurve, Shear
 from hygrokf.data.record import Site
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import (
@@ -176,7 +176,7 @@ FORMS = [
     ("case_file.md", (CaseForm, Site, StatedPeriod, StatedSource, StatedColumn)),
     ("weather.md", (StatedWeather,)),
     ("fleet.md", (FleetForm, TurbineForm)),
-    ("climate.md", (PowerCurveForm, ShearForm)),
+    ("climate.md", (PowerCurve, Shear)),
     ("climate.md", (LimitForm,)),
     ("climate_test.toml", (ProfileForm, *(kind for _, _, kind in keys_of(ProfileForm).values()))),
 ]
