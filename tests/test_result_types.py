@@ -36,7 +36,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.turbine_type import TurbineType, pool_types
-from hygrokf.transfer.comparison import Column, Comparison, ComparisonResults, compare
+from hygrokf.transfer.comparison import Comparison, ComparisonColumn, ComparisonResults, compare
 from hygrokf.transfer.results import Transfer, TransferResult, TransferResults
 
 GOLDEN = Path(__file__).parent / "golden" / "references" / "demo.json.xz"
@@ -127,7 +127,7 @@ def transfer() -> Transfer:
     return Transfer(transfer_result(), made_column("any", 1).course, fit())
 
 
-def column() -> Column:
+def column() -> ComparisonColumn:
     return made_column("first", 1)
 
 

@@ -18,7 +18,7 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.fleet.job import Job, Outcome, Row, Work
-from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
 from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS, ClimateOptions, DiscoverOptions, FitOptions
@@ -39,7 +39,7 @@ ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humi
 
 
 def run_fleet(
-    plan: Plan,
+    plan: FleetPlan,
     out: Path,
     *,
     workers: int | None = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ from hygrokf.commands.console import (
     system_words,
 )
 from hygrokf.commands.inputs import load_causes
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.verb import Verb, add_json, add_library, reader, within
 from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
@@ -86,22 +87,11 @@ def _track_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed",
-        type=_factor,
+        type=reader("a number above 0, up to 1e6", lambda text: within(math.ulp(0.0), float(text), 1e6)),
         default=1800.0,
         help="speed of the demo, relative to real time (default 1800)",
     )
     add_library(parser)
-
-
-def _factor(text: str) -> float:
-    """A number above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"expected a number above 0 and below 1e6, found {text!r}")
-    return value
 
 
 def _logged(options: argparse.Namespace) -> int:

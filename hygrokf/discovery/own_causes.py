@@ -28,7 +28,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.estimate import Errors, Estimate
+from hygrokf.discovery.estimate import Calibration, ErrorModels
 from hygrokf.discovery.forms import Form, Ground, ground_of
 from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.results import Settings
@@ -80,14 +80,14 @@ def trial_record() -> Record:
 
 
 @lru_cache(maxsize=1)
-def trial_estimate() -> Estimate:
+def trial_estimate() -> Calibration:
     """The base model on the trial record, at its start values: nothing is estimated."""
     record = trial_record()
     heat, vapour = base_designs(record)
     simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
     theta = simulator.vector({p.name: p.start for p in simulator.parameters})
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in simulator.scene.readings}
-    return Estimate(simulator, Errors({}, {}), theta, {}, simulated)
+    return Calibration(simulator, ErrorModels({}, {}), theta, {}, simulated)
 
 
 def trial_ground() -> Ground:
@@ -241,7 +241,9 @@ def _faults_of(form: Form) -> list[str]:
     return faults
 
 
-def _nesting_faults(one: Estimate, wider: Simulator, form: Form, start: Mapping[str, float]) -> Iterator[str]:
+def _nesting_faults(
+    one: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
+) -> Iterator[str]:
     """Faults of a form that is not nested in the base, or has no effect beside it."""
     own = added(one, wider)
     null = {p.name: p.null for p in own if p.null is not None}
@@ -278,7 +280,7 @@ def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, n
     return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
 
 
-def _departures(one: Estimate, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+def _departures(one: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
     """Largest difference of each quantity's simulation from the base's, as a share of that one's spread;
     infinite where a simulation is not finite."""
     made, found = _simulated(wider, values), {}

@@ -16,7 +16,7 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
-from hygrokf.discovery.estimate import Estimate
+from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import ground_of
@@ -25,22 +25,22 @@ from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.results import (
+    CauseEvidence,
     CauseFound,
     CauseParameter,
     Discovery,
     DiscoveryResults,
-    Evidence,
+    ErrorGain,
     Exclusion,
-    Gain,
-    Line,
     ModelScores,
     Refuted,
     Rejected,
+    SearchCost,
     Settings,
+    SpectralLine,
     Verdict,
-    Work,
 )
-from hygrokf.discovery.search import Accepted, Found, Search, foreseen, needed
+from hygrokf.discovery.search import Accepted, Search, SearchEnd, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
@@ -150,7 +150,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
             for one, judged in ended.refuted
         ),
         lines=tuple(left),
-        work=Work(start.simulator.work.simulations, budget, found.not_judged),
+        work=SearchCost(start.simulator.work.simulations, budget, found.not_judged),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
         own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
@@ -161,7 +161,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     return Discovery(results, before, after if extended else None, base=base, extended=extended)
 
 
-def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
+def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
     """What is left overrules a name; a name with rivals is ambiguous."""
     if left:
         return "unexplained"
@@ -171,7 +171,7 @@ def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
 
 
 def _rejected(
-    found: Found, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+    found: SearchEnd, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
     told = {one.candidate.cause for one in ended.accepted} | {one.cause for one, _ in ended.refuted}
@@ -251,9 +251,9 @@ def confidence(in_days: float, lead: float) -> float:
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
-def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> Evidence:
+def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> CauseEvidence:
     """The evidence of a candidate."""
-    return Evidence(
+    return CauseEvidence(
         dict(one.gains), one.constants, searched.get(one.cause, 0), one.evidence, one.in_days, lead
     )
 
@@ -308,7 +308,7 @@ QUANTITY = {"temperature": "temperature", "humidity": "vapour"}
 """A quantity of residuals → of the search."""
 
 
-def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[Gain, ...]:
+def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[ErrorGain, ...]:
     """The gains by quantity: on held-out readings where there are any, else on those that identified.
 
     before, after: residuals of both models' free runs; the same ones without an extended model.
@@ -360,7 +360,7 @@ def _driven(
     if quantity == "temperature":
         return math.nan, math.nan
 
-    def error(one: Estimate) -> float:
+    def error(one: Calibration) -> float:
         r = one.simulator.scene.readings[quantity]
         chosen = np.where(r.identified != held_out, r.value - one.simulated[quantity], np.nan)
         return root_mean_square(_outside(r.time_s, chosen, spans))
@@ -370,9 +370,9 @@ def _driven(
 
 def _gain(
     quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
-) -> Gain:
+) -> ErrorGain:
     lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
-    return Gain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
+    return ErrorGain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:

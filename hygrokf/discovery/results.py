@@ -87,7 +87,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A line that is left in a spectrum: its quantity, its period [h], and the chance [1] of one without an
     effect; cause: the named one in whose daily scores it stands, "" in the errors themselves."""
 
@@ -98,7 +98,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Gain:
+class ErrorGain:
     """Errors of the base and of the extended model's free run: root mean squares [K] or [g/m³], and the 95 %
     bounds of their difference.
 
@@ -118,7 +118,7 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CauseEvidence:
     """Evidence of a cause's best form.
 
     gains: [1] 2 ln L by quantity, a difference of maxima; constants: free ones that it adds; searched:
@@ -190,7 +190,7 @@ class CauseFound:
     statement: str = ""
     parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
-    evidence: Evidence = field(default_factory=Evidence)
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
     ambiguous_with: tuple[str, ...] = ()
     separate_by: str = ""
@@ -208,7 +208,7 @@ class Rejected:
 
     cause: str
     form: str = ""
-    evidence: Evidence = field(default_factory=Evidence)
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
 
 
@@ -218,12 +218,12 @@ class Refuted:
 
     cause: str
     form: str = ""
-    evidence: Evidence = field(default_factory=Evidence)
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
 
 
 @dataclass(frozen=True)
-class Work:
+class SearchCost:
     """What the search cost: simulations, those that it was allowed, and the causes that it therefore did not
     judge."""
 
@@ -271,13 +271,13 @@ class DiscoveryResults:
     synthetic: bool = False
     extended: ModelScores | None = None
     estimator: str = ""
-    gains: tuple[Gain, ...] = ()
+    gains: tuple[ErrorGain, ...] = ()
     held_out_days: int = 0
     causes: tuple[CauseFound, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     refuted: tuple[Refuted, ...] = ()
-    lines: tuple[Line, ...] = ()
-    work: Work = field(default_factory=Work)
+    lines: tuple[SpectralLine, ...] = ()
+    work: SearchCost = field(default_factory=SearchCost)
     repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     saturated: float = math.nan
     own_causes: Mapping[str, Any] = field(default_factory=dict)

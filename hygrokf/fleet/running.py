@@ -39,7 +39,7 @@ from hygrokf.fleet.job import (
     perform,
 )
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import CSV, PARQUET, FleetResults, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
@@ -53,7 +53,7 @@ EVERY_S = 2.0
 
 
 def run_jobs(
-    plan: Plan,
+    plan: FleetPlan,
     out: Path,
     work: Work,
     *,
@@ -95,7 +95,7 @@ def run_jobs(
     return _written(plan, out, [found[name] for name in jobs])
 
 
-def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
+def _written(plan: FleetPlan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
     """Write the table as CSV, Parquet and JSON; returns it."""
     rows = [one.row for one in outcomes]
     write_text_whole(out / CSV, table_csv(plan.task, rows))
@@ -120,7 +120,7 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults
     return results
 
 
-def _type_of(plan: Plan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | None, list[str]]:
+def _type_of(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | None, list[str]]:
     """The type of turbine pooled from a fleet's fits, also written as `type.json`, and the turbines left out.
 
     Turbines whose time constants depart from the others' are left out; the type is None where the fits share

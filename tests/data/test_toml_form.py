@@ -29,7 +29,7 @@ from hygrokf.data.toml_form import (
     read_toml_form,
     setting,
 )
-from hygrokf.fleet.plan import FleetForm, TurbineForm
+from hygrokf.fleet.plan import FleetForm, FleetTurbineForm
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def test_a_file_is_read_or_missed(tmp_path: Path) -> None:
 FORMS = [
     ("case_file.md", (CaseForm, Site, StatedPeriod, StatedSource, StatedColumn)),
     ("weather.md", (StatedWeather,)),
-    ("fleet.md", (FleetForm, TurbineForm)),
+    ("fleet.md", (FleetForm, FleetTurbineForm)),
     ("climate.md", (PowerCurve, Shear)),
     ("climate.md", (LimitForm,)),
     ("climate_test.toml", (ProfileForm, *(kind for _, _, kind in keys_of(ProfileForm).values()))),
