@@ -28,9 +28,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
-from hygrokf.discovery.discovery_results import DiscoveryResults
-from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.results import Discovered
+from hygrokf.discovery.results import Discovered, Discovery, DiscoveryResults
 from hygrokf.evaluation.course import Course
 from hygrokf.evaluation.scoring import Errors
 from hygrokf.fleet.results import FleetResults
@@ -38,7 +36,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import Evaluation, SimulationSummary
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.turbine_type import TurbineType, pool_types
-from hygrokf.transfer.comparison import Column, Comparison, ComparisonResults, compare
+from hygrokf.transfer.comparison import Comparison, ComparisonColumn, ComparisonResults, compare
 from hygrokf.transfer.results import Transfer, TransferResult, TransferResults
 
 GOLDEN = Path(__file__).parent / "golden" / "references" / "demo.json.xz"
@@ -102,7 +100,7 @@ def discovered() -> Discovered:
 
 
 def discovery() -> Discovery:
-    return Discovery(fit(), None, discovery_results(), residuals_case())
+    return Discovery(discovery_results(), residuals_case(), base=fit())
 
 
 @cache
@@ -129,7 +127,7 @@ def transfer() -> Transfer:
     return Transfer(transfer_result(), made_column("any", 1).course, fit())
 
 
-def column() -> Column:
+def column() -> ComparisonColumn:
     return made_column("first", 1)
 
 

@@ -36,14 +36,14 @@ for number in range(1, 5):
 settings = {"processes": False, "n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
 with LocalCluster(**settings) as cluster:
     plan, address = read_plan(folder / "fleet.toml"), cluster.scheduler_address
-    run = hygrokf.run_fleet(plan, folder / "out", cluster=address)
-print(run.results)
+    found = hygrokf.run_fleet(plan, folder / "out", cluster=address)
+print(found)
 
 # %%
 # The table of the run as a picture: time constants with bounds, beside the values that they were made
 # with.
 
-rows = sorted((row for row in run.results.rows if row["status"] == "done"), key=lambda row: row["turbine"])
+rows = sorted((row for row in found.rows if row["status"] == "done"), key=lambda row: row["turbine"])
 figure, axis = plt.subplots(figsize=(8, 3.6))
 for place, row in enumerate(rows):
     low, high = (float(row[f"thermal_{end}_h"]) for end in ("lower", "upper"))
@@ -53,6 +53,6 @@ for place, row in enumerate(rows):
     axis.plot(truth[row["turbine"]], place, "x", color="C3", label="made with" if place == 0 else None)
 axis.set_yticks(range(len(rows)), [row["turbine"] for row in rows])
 axis.set_xlabel("thermal time constant [h]")
-axis.set_title(str(run.results))
+axis.set_title(str(found))
 axis.legend(loc="upper right")
 figure.tight_layout()

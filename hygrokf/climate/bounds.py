@@ -19,7 +19,7 @@ DIGITS = 6
 
 
 @dataclass(frozen=True)
-class Bounded:
+class BoundedMean:
     """A number with its bounds, in the unit that its name states.
 
     `value`: mean over members and years.  `lower`, `upper`: bounds of a single year.  `mean_lower`,
@@ -34,15 +34,15 @@ class Bounded:
     mean_upper: float
     between_years: float
 
-    def rounded(self) -> Bounded:
+    def rounded(self) -> BoundedMean:
         """The same to `DIGITS` significant digits."""
-        return Bounded(*rounded(np.array(list(vars(self).values()))).tolist())
+        return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class BoundedArray:
     """Numbers of one kind with their bounds: arrays of one shape, with the meaning that they have in
-    `Bounded`."""
+    `BoundedMean`."""
 
     value: np.ndarray
     lower: np.ndarray
@@ -52,7 +52,7 @@ class BoundedArray:
     between_years: np.ndarray
 
 
-def bounded(values: np.ndarray, level: float = LEVEL) -> Bounded:
+def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
     """The bounds of a number from its values (years, N).
 
     Quantiles are expected values of order statistics (k/(n+1)): a further draw lies between them with the
@@ -62,16 +62,16 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> Bounded:
     values = np.asarray(values, dtype=float)
     known = ~np.isnan(values)
     if not known.any():
-        return Bounded(*[np.nan] * 6)
+        return BoundedMean(*[np.nan] * 6)
     if known.all():
-        return Bounded(*(float(one) for one in vars(bounded_array(values, level)).values()))
+        return BoundedMean(*(float(one) for one in vars(bounded_array(values, level)).values()))
     means, by_year = (
         np.array([row[there].mean() for row, there in zip(rows, knowns, strict=True) if there.any()])
         for rows, knowns in ((values.T, known.T), (values, known))
     )
     all_years, mean = (bounded(part[None, :], level) for part in (values[known], means))
     between = float(by_year.std(ddof=1)) if len(by_year) > 1 else 0.0
-    return Bounded(all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, between)
+    return BoundedMean(all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, between)
 
 
 def bounded_array(values: np.ndarray, level: float = LEVEL) -> BoundedArray:

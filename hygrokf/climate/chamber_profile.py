@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.bounds import Bounded
+from hygrokf.climate.bounds import BoundedMean
 from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
@@ -81,11 +81,11 @@ def joined(parts: Sequence[Days]) -> Days:
     return Days(*(np.concatenate([getattr(p, name) for p in parts]) for name in Days.__dataclass_fields__))
 
 
-def thinned(days: Days, most: int = MOST_DAYS) -> Days:
-    """At most so many days, evenly from all."""
-    if len(days) <= most:
+def thinned(days: Days) -> Days:
+    """At most `MOST_DAYS` days, evenly from all."""
+    if len(days) <= MOST_DAYS:
         return days
-    return days.take(np.linspace(0, len(days) - 1, most).round().astype(int))
+    return days.take(np.linspace(0, len(days) - 1, MOST_DAYS).round().astype(int))
 
 
 def places_in(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
@@ -309,7 +309,7 @@ class ChamberProfile(ChamberSequence):
 
 
 def build_profile(
-    days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
+    days: Days, plan: ProfilePlan, ageing: BoundedMean, service_cycles: np.ndarray
 ) -> ChamberProfile:
     """The test profile from all days of a climate; arguments as for `chamber_sequence` and `closeness`."""
     made = chamber_sequence(days, ageing.value, plan)
@@ -391,7 +391,7 @@ def _in_si(celsius: np.ndarray, percent: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def closeness(
-    sequence: ChamberSequence, days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
+    sequence: ChamberSequence, days: Days, plan: ProfilePlan, ageing: BoundedMean, service_cycles: np.ndarray
 ) -> Closeness:
     """What a test profile reproduces of the site, and how closely.
 

@@ -312,7 +312,7 @@ def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
         np.array(model.initial(fit.values, inputs)[0], dtype=float), np.zeros((len(model.states),) * 2)
     )
     runs = SideBySide(model, [fit.values], [first])
-    walk = _Walk(
+    walk = _EnsembleWalk(
         runs, {name: np.full(2, value) for name, value in inputs.items()}, np.array([0.0, STEP_H]), None
     )
     walk.through(range(1))
@@ -367,7 +367,7 @@ def simulate_years(
     spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None
-    walk = _Walk(runs, inputs, t.time, random if process else None, rare, board, ~made.operating)
+    walk = _EnsembleWalk(runs, inputs, t.time, random if process else None, rare, board, ~made.operating)
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
     at = 0
@@ -407,7 +407,7 @@ def years_of(time_h: np.ndarray) -> list[np.ndarray]:
     return long or groups[:1]
 
 
-class _Walk:
+class _EnsembleWalk:
     """The states of all members on their way through the instants."""
 
     def __init__(

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.climate.bounds import Bounded, bounded
+from hygrokf.climate.bounds import BoundedMean, bounded
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of, steepness
 from hygrokf.data.toml_form import across, read_toml_form, setting
@@ -35,7 +35,7 @@ _RATE_OF = {
 
 
 @dataclass(frozen=True)
-class Limit:
+class ClimateLimit:
     """A limit: at most `hours_a_year` of `quantity` above (`side`) or below `level`, `during` a scope of the
     year."""
 
@@ -95,9 +95,9 @@ class LimitForm:
         if "rate" in self.quantity and self.below is not None:
             yield "a rate is limited from above; write above = …"
 
-    def stated(self) -> Limit:
+    def stated(self) -> ClimateLimit:
         """The limit."""
-        made = Limit(self.name, self.quantity, self.side, self.level, self.hours_a_year, self.during)
+        made = ClimateLimit(self.name, self.quantity, self.side, self.level, self.hours_a_year, self.during)
         return made if self.name else replace(made, name=made.words())
 
 
@@ -115,21 +115,21 @@ class LimitsForm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exceedance(Limit):
+class Exceedance(ClimateLimit):
     """A limit and how a climate keeps to it.
 
     `hours` [h] and `number` of exceedances in a year, `longest_h` the longest.  `why` says what prevents a
     verdict, or is empty.
     """
 
-    hours: Bounded
-    number: Bounded
-    longest_h: Bounded
+    hours: BoundedMean
+    number: BoundedMean
+    longest_h: BoundedMean
     verdict: Literal["pass", "undecided", "fail"]
     why: str = ""
 
 
-def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
+def read_limits(path: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     """Limits from a TOML file; raises FormFault with everything that is wrong."""
     return tuple(one.stated() for one in read_toml_form(LimitsForm, path).limit)
 
@@ -154,10 +154,10 @@ class ClimateClass:
     lacking: tuple[str, ...]
 
     @property
-    def limits(self) -> tuple[Limit, ...]:
+    def limits(self) -> tuple[ClimateLimit, ...]:
         """The limits, each named after the class."""
-        made = (Limit("", quantity, side, level) for quantity, side, level in self.levels)
-        return tuple(Limit(f"{self.name}: {one.words()}", one.quantity, one.side, one.level) for one in made)
+        made = (ClimateLimit("", quantity, side, level) for quantity, side, level in self.levels)
+        return tuple(replace(one, name=f"{self.name}: {one.words()}") for one in made)
 
 
 CLASSES = (
@@ -181,7 +181,7 @@ CLASSES = (
 """The known classes; docs/how_to/climate.md shows them with their sources."""
 
 
-def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
+def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     """Limits of a file or of a class.
 
     given: path of a TOML file, or the name of a class, with or without its standard: "IEC 60721-3-3 3K3",
@@ -205,20 +205,20 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[Limit, ...]:
     )
 
 
-def _doubled(limits: Sequence[Limit]) -> list[str]:
+def _doubled(limits: Sequence[ClimateLimit]) -> list[str]:
     names = [one.name for one in limits]
     return [
         f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
     ]
 
 
-def expect_names(limits: Sequence[Limit]) -> None:
+def expect_names(limits: Sequence[ClimateLimit]) -> None:
     """Refuse limits of one name, maybe of several files; raises ValueError."""
     if faults := _doubled(limits):
         raise ValueError("; ".join(faults))
 
 
-def beyond(year: Year, limit: Limit) -> np.ndarray | None:
+def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:
     """Instants (N, T) at which a year is beyond a limit; None where the model lacks the quantity."""
     quantity = _RATE_OF.get(limit.quantity, limit.quantity)
     values = courses(year).get(quantity)
@@ -234,7 +234,7 @@ def beyond(year: Year, limit: Limit) -> np.ndarray | None:
     return outside & chosen
 
 
-def exceeded(year: Year, limit: Limit) -> np.ndarray | None:
+def exceeded(year: Year, limit: ClimateLimit) -> np.ndarray | None:
     """Hours a year, number a year and longest exceedance [h] of every member (N, 3)."""
     found = beyond(year, limit)
     if found is None:
@@ -244,7 +244,7 @@ def exceeded(year: Year, limit: Limit) -> np.ndarray | None:
     return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
-def judge_limit(limit: Limit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
+def judge_limit(limit: ClimateLimit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
     """The verdict on a limit from the members' numbers (N, 3) in every year.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hygrokf.climate.bounds import LEVEL, Bounded, bounded, bounded_array, held, rounded
+from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, held, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, joined, thinned
 from hygrokf.climate.ensemble import (
@@ -26,7 +26,7 @@ from hygrokf.climate.ensemble import (
     shots_of,
     simulate_years,
 )
-from hygrokf.climate.limits import Limit, exceeded, expect_names, judge_limit
+from hygrokf.climate.limits import ClimateLimit, exceeded, expect_names, judge_limit
 from hygrokf.climate.region import PowerCurve, Region, driven
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars, wetness_class
 from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimate, Study, YearSpan
@@ -93,7 +93,7 @@ def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
     return counted.reshape(-1, rows, columns) * (YEAR_H / celsius.shape[1])
 
 
-class Span(NamedTuple):
+class SimulatedYear(NamedTuple):
     """A year: first and last instant [s since 1970, UTC], known hours [h], and their share in operation."""
 
     begin_s: float
@@ -114,7 +114,7 @@ class Gathered:
     weather: list[dict[str, float]] = field(default_factory=list)
     weather_curves: list[Curves] = field(default_factory=list)
     days: list[Days] = field(default_factory=list)
-    spans: list[Span] = field(default_factory=list)
+    spans: list[SimulatedYear] = field(default_factory=list)
 
     @property
     def part(self) -> str:
@@ -130,7 +130,7 @@ class Gathered:
         """Whether any hour of any year belongs to a scope."""
         return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
 
-    def add(self, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
+    def add(self, year: Year, limits: Sequence[ClimateLimit], law: Acceleration, members: int) -> None:
         """Reduce one more year of an ensemble of so many members."""
         for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
             self.scalars[scope].append(scalars(year, law, scope))
@@ -148,7 +148,7 @@ class Gathered:
             chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
             self.days.append(thinned(days_of(year, chosen)))
         operating = float(year.operating[year.known].mean())
-        self.spans.append(Span(year.time_s[0], year.time_s[-1], year.hours, operating))
+        self.spans.append(SimulatedYear(year.time_s[0], year.time_s[-1], year.hours, operating))
 
     def outside(self) -> dict[str, float]:
         """The numbers of the weather, means over the years."""
@@ -196,7 +196,7 @@ def is_whole(year: Year) -> bool:
     return year.hours >= WHOLE * YEAR_H
 
 
-def summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Bounded]:
+def summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, BoundedMean]:
     """The numbers of all years with their bounds, by name."""
     return {name: bounded(np.array([year[name] for year in years])) for name in years[0]}
 
@@ -211,7 +211,7 @@ def climate_profile(
     regions: Sequence[Region],
     power: Record | PowerCurve | None = None,
     *,
-    limits: Sequence[Limit] = (),
+    limits: Sequence[ClimateLimit] = (),
     plan: ProfilePlan | None = None,
     members: int = MEMBERS,
     seed: int = 1,
@@ -289,7 +289,7 @@ def _region(
     ensemble: _Ensemble,
     region: Region,
     power: Record | PowerCurve | None,
-    limits: Sequence[Limit],
+    limits: Sequence[ClimateLimit],
     plan: ProfilePlan,
 ) -> RegionClimate:
     fit, members = ensemble.fit, len(ensemble.members)
@@ -359,7 +359,7 @@ def _region(
 
 def _standstill(
     ensemble: _Ensemble, region: Region, rare: Sequence[Shots], plan: ProfilePlan
-) -> dict[str, Bounded]:
+) -> dict[str, BoundedMean]:
     """The numbers of the years if the turbine stood still all the time."""
     record, _ = driven(ensemble.fit, region.weather, None)
     rows: dict[bool, list[dict[str, np.ndarray]]] = {True: [], False: []}
@@ -421,7 +421,7 @@ def member_words(members: int, years: int) -> list[str]:
     ]
 
 
-def limit_words(limits: Sequence[Limit], gathered: Gathered) -> list[str]:
+def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]:
     """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
     said = []
     for one in limits:
@@ -473,7 +473,7 @@ def weather_words(gathered: Gathered, found: int) -> list[str]:
     return said
 
 
-def saturation_words(found: Mapping[str, Bounded]) -> list[str]:
+def saturation_words(found: Mapping[str, BoundedMean]) -> list[str]:
     """A doubt where the simulated air is supersaturated for long."""
     hours = found.get("saturation_h")
     if hours is None or hours.value < DRIPPING_H:

@@ -41,52 +41,9 @@ class PowerFault(HygrokfError):
 
 
 @dataclass(frozen=True)
-class PowerCurve:
-    """Power (k,) [W] over wind speed (k,) [m/s] at `hub_height_m`, for wind known at `wind_height_m`.
-
-    `law` "power": v_hub = v (z_hub/z)^number; "log": v_hub = v ln(z_hub/number)/ln(z/number), the number a
-    roughness length [m].  `rated_power_W` of the turbine.
-    """
-
-    wind_speed: np.ndarray
-    power_W: np.ndarray
-    hub_height_m: float
-    wind_height_m: float
-    law: str
-    number: float
-    rated_power_W: float
-
-    @property
-    def factor(self) -> float:
-        """Wind speed at hub height over that at the height of the weather's wind [1]."""
-        if self.law == "power":
-            return (self.hub_height_m / self.wind_height_m) ** self.number
-        return math.log(self.hub_height_m / self.number) / math.log(self.wind_height_m / self.number)
-
-    def power(self, wind_speed: np.ndarray) -> np.ndarray:
-        """Power [W] of the wind speeds [m/s] that the weather has; NaN stays NaN, 0 beyond the ends of the
-        curve."""
-        hub = np.asarray(wind_speed, dtype=float) * self.factor
-        found = np.interp(hub, self.wind_speed, self.power_W, left=0.0, right=0.0)
-        return np.where(np.isnan(hub), np.nan, found)
-
-    def words(self) -> str:
-        """How the curve turns the weather's wind into power."""
-        how = (
-            f"power law, exponent {self.number:g}"
-            if self.law == "power"
-            else f"log law, roughness {self.number:g} m"
-        )
-        return (
-            f"power follows the power curve from the weather's wind at {self.wind_height_m:g} m, brought to "
-            f"{self.hub_height_m:g} m by the {how} (factor {self.factor:.3f}); it has no faults, curtailment "
-            "or wakes"
-        )
-
-
-@dataclass(frozen=True)
-class ShearForm:
-    """How the wind grows with height."""
+class Shear:
+    """How the wind grows with height: "power": v_hub = v (z_hub/z)^exponent; "log": v_hub = v
+    ln(z_hub/roughness)/ln(z/roughness)."""
 
     law: str = setting(help="power: v ∝ z^exponent; log: v ∝ ln(z/roughness_m)", choices=tuple(LAWS))
     exponent: float | None = setting(None, "of the power law", least=-0.5, most=1.0)
@@ -105,17 +62,23 @@ class ShearForm:
         """Exponent or roughness length [m]."""
         return getattr(self, LAWS[self.law])
 
+    def factor(self, hub_height_m: float, wind_height_m: float) -> float:
+        """Wind speed [1] at hub height over that at the height of the weather's wind."""
+        if self.law == "power":
+            return (hub_height_m / wind_height_m) ** self.number
+        return math.log(hub_height_m / self.number) / math.log(wind_height_m / self.number)
+
 
 @dataclass(frozen=True)
-class PowerCurveForm:
-    """A file of a power curve."""
+class PowerCurve:
+    """Power over wind speed at hub height, for wind known at `wind_height_m`: a file of a power curve."""
 
     rated_power_kW: float = setting(help="the rated power of the turbine", above=0.0)
     wind_speed_m_s: tuple[float, ...] = setting(help="speeds at hub height, rising", least=0.0)
     power_kW: tuple[float, ...] = setting(help="the power at these speeds", least=0.0)
     hub_height_m: float = setting(help="the height of the hub", above=0.0)
     wind_height_m: float = setting(help="the height of the weather's wind", above=0.0)
-    shear: ShearForm = setting(help="how the wind grows with height")
+    shear: Shear = setting(help="how the wind grows with height")
 
     @across("wind_speed_m_s", "power_kW")
     def lengths(self) -> str | None:
@@ -152,19 +115,40 @@ class PowerCurveForm:
             return None
         return f"shear: roughness_m must be below both heights, found {self.shear.number:g}"
 
+    @property
+    def rated_power_W(self) -> float:
+        """Rated power [W] of the turbine."""
+        return 1e3 * self.rated_power_kW
+
+    @property
+    def factor(self) -> float:
+        """Wind speed at hub height over that at the height of the weather's wind [1]."""
+        return self.shear.factor(self.hub_height_m, self.wind_height_m)
+
+    def power(self, wind_speed: np.ndarray) -> np.ndarray:
+        """Power [W] of the wind speeds [m/s] that the weather has; NaN stays NaN, 0 beyond the ends of the
+        curve."""
+        hub = np.asarray(wind_speed, dtype=float) * self.factor
+        found = np.interp(hub, self.wind_speed_m_s, 1e3 * np.array(self.power_kW), left=0.0, right=0.0)
+        return np.where(np.isnan(hub), np.nan, found)
+
+    def words(self) -> str:
+        """How the curve turns the weather's wind into power."""
+        how = (
+            f"power law, exponent {self.shear.number:g}"
+            if self.shear.law == "power"
+            else f"log law, roughness {self.shear.number:g} m"
+        )
+        return (
+            f"power follows the power curve from the weather's wind at {self.wind_height_m:g} m, brought to "
+            f"{self.hub_height_m:g} m by the {how} (factor {self.factor:.3f}); it has no faults, curtailment "
+            "or wakes"
+        )
+
 
 def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
     """A power curve from TOML; raises FormFault with everything that is wrong."""
-    form = read_toml_form(PowerCurveForm, path)
-    return PowerCurve(
-        np.array(form.wind_speed_m_s),
-        1e3 * np.array(form.power_kW),
-        form.hub_height_m,
-        form.wind_height_m,
-        form.shear.law,
-        form.shear.number,
-        1e3 * form.rated_power_kW,
-    )
+    return read_toml_form(PowerCurve, path)
 
 
 def power_from_wind(curve: PowerCurve, record: Record) -> Series:
@@ -390,7 +374,5 @@ def _hourly(series: Series) -> Series:
     steps = series.steps_s
     if not len(steps) or steps[len(steps) // 2] <= 1.01 * HOUR_S:
         return series
-    import numpy as np
-
     time = np.arange(np.ceil(middle.time[0] / HOUR_S), np.floor(middle.time[-1] / HOUR_S) + 1.0) * HOUR_S
     return replace(middle, time=time, value=at_times(middle, time, bridge_h(middle, AMBIENT_BRIDGE_H)))

@@ -127,7 +127,7 @@ def cycles_from(values: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Hours:
+class ScopeHours:
     """The known hours of a year in a scope, with the courses that several statistics are made from."""
 
     year: Year
@@ -172,7 +172,7 @@ class Hours:
 
 
 @dataclass(frozen=True)
-class Statistic:
+class YearNumber:
     """One number of a year: `name` in climate.json, `words` and `unit` on the page.
 
     `of` computes it for every member (N,); None where the model lacks the quantity.  `table`: "scope" for a
@@ -184,30 +184,30 @@ class Statistic:
     name: str
     words: str
     unit: str
-    of: Callable[[Hours], np.ndarray | None]
+    of: Callable[[ScopeHours], np.ndarray | None]
     table: Literal["scope", "excursion", "rate"] = "scope"
     weather: bool = True
     compared: bool = False
 
 
-def _mean(hours: Hours, quantity: str) -> np.ndarray | None:
+def _mean(hours: ScopeHours, quantity: str) -> np.ndarray | None:
     value = hours.courses.get(quantity)
     if value is None:
         return None
     return value[:, hours.chosen].mean(axis=1) if hours.chosen.any() else np.full(len(value), np.nan)
 
 
-def _more_humid(hours: Hours, percent: float) -> np.ndarray | None:
+def _more_humid(hours: ScopeHours, percent: float) -> np.ndarray | None:
     value = hours.courses.get("relative_humidity_percent")
     return None if value is None else value > percent
 
 
-def _wetness(hours: Hours) -> np.ndarray | None:
+def _wetness(hours: ScopeHours) -> np.ndarray | None:
     humid = _more_humid(hours, WET_PERCENT)
     return None if humid is None else hours.count(humid & (hours.courses["temperature_degC"] > 0.0))
 
 
-def _ageing(hours: Hours) -> np.ndarray | None:
+def _ageing(hours: ScopeHours) -> np.ndarray | None:
     humidity = hours.year.relative_humidity
     if humidity is None and hours.law.humid:
         return None
@@ -215,7 +215,7 @@ def _ageing(hours: Hours) -> np.ndarray | None:
     return hours.law.rate(hours.year.temperature_K[:, hours.chosen], damp).sum(axis=1) * hours.per_year
 
 
-EXCURSIONS: dict[str, tuple[str, Callable[[Hours], np.ndarray | None]]] = {
+EXCURSIONS: dict[str, tuple[str, Callable[[ScopeHours], np.ndarray | None]]] = {
     "humidity_above_80": ("humidity above 80 %", partial(_more_humid, percent=80.0)),
     "humidity_above_95": ("humidity above 95 %", partial(_more_humid, percent=95.0)),
     "temperature_above_40": ("temperature above 40 °C", lambda h: h.courses["temperature_degC"] > 40.0),
@@ -232,7 +232,7 @@ EXCURSION_PARTS = {
 """The numbers of each excursion: ending of the name, and heading of the column."""
 
 
-def _of_excursion(hours: Hours, name: str, part: str) -> np.ndarray | None:
+def _of_excursion(hours: ScopeHours, name: str, part: str) -> np.ndarray | None:
     if part == "h":
         return hours.count(EXCURSIONS[name][1](hours))
     if name not in hours.stretches:
@@ -243,51 +243,51 @@ def _of_excursion(hours: Hours, name: str, part: str) -> np.ndarray | None:
     return mean if part == "mean_length_h" else longest
 
 
-def _rate(hours: Hours, quantity: str, share: float) -> np.ndarray | None:
+def _rate(hours: ScopeHours, quantity: str, share: float) -> np.ndarray | None:
     steep = hours.steep.get(quantity)
     if steep is None:
         return None
     return np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
 
 
-def _cycles_from(place: int) -> Callable[[Hours], np.ndarray]:
+def _cycles_from(place: int) -> Callable[[ScopeHours], np.ndarray]:
     return lambda hours: hours.cycles[:, place] * hours.per_year / hours.year.step_h
 
 
-STATISTICS: tuple[Statistic, ...] = (
-    Statistic("hours", "hours", "h/a",
+STATISTICS: tuple[YearNumber, ...] = (
+    YearNumber("hours", "hours", "h/a",
         lambda hours: np.full(len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year),
         weather=False),
-    Statistic("mean_temperature_degC", "mean temperature", "°C", partial(_mean, quantity="temperature_degC"),
+    YearNumber("mean_temperature_degC", "mean temperature", "°C", partial(_mean, quantity="temperature_degC"),
         compared=True),
-    Statistic("mean_relative_humidity_percent", "mean relative humidity", "%",
+    YearNumber("mean_relative_humidity_percent", "mean relative humidity", "%",
         partial(_mean, quantity="relative_humidity_percent"), compared=True),
-    Statistic("mean_absolute_humidity_g_m3", "mean absolute humidity", "g/m³",
+    YearNumber("mean_absolute_humidity_g_m3", "mean absolute humidity", "g/m³",
         partial(_mean, quantity="absolute_humidity_g_m3")),
-    Statistic("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness, compared=True),
-    Statistic("saturation_h", "relative humidity above 100 %", "h/a",
+    YearNumber("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness, compared=True),
+    YearNumber("saturation_h", "relative humidity above 100 %", "h/a",
         lambda hours: hours.count(_more_humid(hours, 100.0))),
-    Statistic("condensation_h", "condensation on the cold surface", "h/a",
+    YearNumber("condensation_h", "condensation on the cold surface", "h/a",
         lambda hours: hours.count(hours.year.condensing), compared=True),
-    Statistic("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing, weather=False,
+    YearNumber("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing, weather=False,
         compared=True),
     *(
-        Statistic(f"{name}_{part}", words, unit, partial(_of_excursion, name=name, part=part),
+        YearNumber(f"{name}_{part}", words, unit, partial(_of_excursion, name=name, part=part),
             "excursion")
         for name, (words, _) in EXCURSIONS.items()
         for part, unit in EXCURSION_PARTS.items()
         if (name, part) != ("condensation", "h")  # it is in every scope
     ),
-    Statistic("temperature_rate_99_K_per_h", "rate of temperature, exceeded 1 % of the time", "K/h",
+    YearNumber("temperature_rate_99_K_per_h", "rate of temperature, exceeded 1 % of the time", "K/h",
         partial(_rate, quantity="temperature_degC", share=0.99), "rate"),
-    Statistic("temperature_rate_largest_K_per_h", "largest rate of temperature", "K/h",
+    YearNumber("temperature_rate_largest_K_per_h", "largest rate of temperature", "K/h",
         partial(_rate, quantity="temperature_degC", share=1.0), "rate"),
-    Statistic("relative_humidity_rate_99_percent_per_h", "rate of humidity, exceeded 1 % of the time", "%/h",
+    YearNumber("relative_humidity_rate_99_percent_per_h", "rate of humidity, exceeded 1 % of the time", "%/h",
         partial(_rate, quantity="relative_humidity_percent", share=0.99), "rate"),
-    Statistic("relative_humidity_rate_largest_percent_per_h", "largest rate of humidity", "%/h",
+    YearNumber("relative_humidity_rate_largest_percent_per_h", "largest rate of humidity", "%/h",
         partial(_rate, quantity="relative_humidity_percent", share=1.0), "rate"),
     *(
-        Statistic(f"temperature_cycles_from_{least:g}_K_number",
+        YearNumber(f"temperature_cycles_from_{least:g}_K_number",
             f"temperature cycles of {least:g} K and more", "1/a", _cycles_from(place), "rate")
         for place, least in enumerate(CYCLE_RANGES_K)
     ),
@@ -304,7 +304,7 @@ def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.n
     """
     if not year.known.any():
         raise ValueError("neither weather nor power is known at any instant of this year; check the files")
-    hours = Hours(year, law, scope)
+    hours = ScopeHours(year, law, scope)
     wanted = [one for one in STATISTICS if one.table == "scope" or scope == "all"]
     return {one.name: value for one in wanted if (value := one.of(hours)) is not None}
 

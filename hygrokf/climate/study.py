@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hygrokf.climate.bounds import Bounded, BoundedArray
+from hygrokf.climate.bounds import BoundedArray, BoundedMean
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
@@ -101,7 +101,7 @@ class RegionClimate:
     years: tuple[YearSpan, ...]
     wetness_class: str | None
     wetness_class_bounds: tuple[str, str] | None
-    scopes: Mapping[str, Mapping[str, Bounded]]
+    scopes: Mapping[str, Mapping[str, BoundedMean]]
     outside: Mapping[str, float]
     duration: Mapping[str, DurationCurve]
     rates: Mapping[str, DurationCurve]
@@ -114,7 +114,7 @@ class RegionClimate:
             raise ValueError("expected at least one year, and numbers of all of it in scopes.all")
 
     @property
-    def year(self) -> Mapping[str, Bounded]:
+    def year(self) -> Mapping[str, BoundedMean]:
         """The numbers of the whole year by name."""
         return self.scopes["all"]
 
@@ -126,7 +126,8 @@ class RegionClimate:
 
 
 class StudyRow(NamedTuple):
-    """One number of a study, as a row of climate.csv; `outside` is NaN where the weather has none."""
+    """One number of a study, as a row of climate.csv, and its unit; `outside` is NaN where the weather has
+    none."""
 
     region: str
     scope: str
@@ -138,6 +139,7 @@ class StudyRow(NamedTuple):
     mean_upper: float
     between_years: float
     outside: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,11 +176,12 @@ class Study:
             for scope, numbers in region.scopes.items():
                 for name, one in numbers.items():
                     weather = region.outside.get(name, math.nan) if scope == "all" else math.nan
-                    yield StudyRow(region.name, scope, name, **vars(one), outside=weather)
+                    unit = UNITS.get(name, "1")
+                    yield StudyRow(region.name, scope, name, **vars(one), outside=weather, unit=unit)
             for limit in region.limits:
-                for part in LIMIT_UNITS:
+                for part, unit in LIMIT_UNITS.items():
                     name, numbers = f"{limit.name}: {part}", vars(getattr(limit, part))
-                    yield StudyRow(region.name, "limit", name, **numbers, outside=math.nan)
+                    yield StudyRow(region.name, "limit", name, **numbers, outside=math.nan, unit=unit)
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
@@ -196,10 +199,6 @@ class Study:
         import pandas as pd
 
         frame = pd.DataFrame(list(self.rows()), columns=StudyRow._fields)
-        frame["unit"] = [
-            LIMIT_UNITS[name.rpartition(": ")[2]] if scope == "limit" else UNITS.get(name, "1")
-            for scope, name in zip(frame.scope, frame.statistic, strict=True)
-        ]
         return with_units(frame.set_index(list(StudyRow._fields[:3])), {})
 
 
@@ -237,7 +236,7 @@ def climate_csv(study: Study) -> str:
     """All single numbers, one row for each region, scope and statistic; limits with scope "limit"."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(StudyRow._fields)
+    writer.writerow(StudyRow._fields[:-1])
     for row in study.rows():
         numbers = ["" if one != one else f"{one:.6g}" for one in row[3:9]]
         writer.writerow([*row[:3], *numbers, "" if row.outside != row.outside else row.outside])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,19 +18,14 @@ from hygrokf.commands.console import (
     show_reported,
 )
 from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, add_out, whole
+from hygrokf.commands.verb import Verb, add_json, add_out, reader, whole, within
 from hygrokf.data.files import FIT
 
 
 def _degrees(text: str) -> tuple[float, float]:
     """Latitude and longitude."""
-    try:
-        latitude, longitude = map(float, text.split(","))
-    except ValueError:
-        latitude = longitude = 999.0
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise ArgumentTypeError(f"expected degrees such as 52.4,-0.95, found {text!r}")
-    return latitude, longitude
+    latitude, longitude = map(float, text.split(","))
+    return within(-90.0, latitude, 90.0), within(-180.0, longitude, 180.0)
 
 
 def _init_arguments(parser: ArgumentParser) -> None:
@@ -42,7 +37,10 @@ def _init_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--turbine", metavar="NAME", help="of exports that hold several turbines")
     parser.add_argument(
-        "--site", type=_degrees, metavar="LAT,LON", help="in degrees, as in --site=52.4,-0.95"
+        "--site",
+        type=reader("degrees such as 52.4,-0.95", _degrees),
+        metavar="LAT,LON",
+        help="in degrees, as in --site=52.4,-0.95",
     )
     add_json(parser)
 

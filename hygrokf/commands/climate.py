@@ -16,12 +16,12 @@ from hygrokf.commands.console import (
     show_reported,
 )
 from hygrokf.commands.inputs import stored_fit
-from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, reader, whole, within
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
     from hygrokf.climate.chamber import ProfilePlan
-    from hygrokf.climate.limits import Limit
+    from hygrokf.climate.limits import ClimateLimit
     from hygrokf.climate.region import PowerCurve, Region
     from hygrokf.data.record import Record
     from hygrokf.identification.fit import Fit
@@ -63,7 +63,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=whole(0), default=1, help="seed of the ensemble (default 1)")
     parser.add_argument(
         "--surface",
-        type=_surface,
+        type=reader("a number within 0 … 1 and maybe an offset in K, such as 0.3,-1", _surface),
         default=None,
         metavar="FOLLOWS[,OFFSET_K]",
         help="the coldest surface: 0 as cold as outside, 1 as warm as the cabinet air (default 0.3)",
@@ -77,15 +77,9 @@ def _surface(text: str) -> Surface:
     """A cold surface from its share of the cabinet air temperature and its offset [K]."""
     from hygrokf.physics.cold_surface import Surface
 
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not 1 <= len(numbers) <= 2 or not 0.0 <= numbers[0] <= 1.0 or not abs(numbers[-1]) < 50.0:
-        raise argparse.ArgumentTypeError(
-            f"expected a number within 0 … 1 and maybe an offset in K, such as 0.3,-1, found {text!r}"
-        )
-    return Surface(*numbers)
+    share, *offset = (float(part) for part in text.split(","))
+    within(0, len(offset), 1)
+    return Surface(within(0.0, share, 1.0), *(within(-50.0, one, 50.0) for one in offset))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -111,7 +105,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _inputs(
     options: argparse.Namespace,
-) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[Limit, ...], ProfilePlan | None]:
+) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[ClimateLimit, ...], ProfilePlan | None]:
     """What the files of a command line hold.  Raises UserFault with the faults of all of them."""
     from hygrokf.climate.chamber import read_test_plan
     from hygrokf.climate.limits import limits_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import FOUND, Progress, UserFault, expect_own_directory, show_reported
 from hygrokf.commands.verb import Verb, add_json, add_out, whole
-from hygrokf.data.files import FLEET
+from hygrokf.data.files import FLEET, REPORT
 
 if TYPE_CHECKING:
     from hygrokf.fleet.job import Outcome
@@ -43,8 +43,8 @@ def _run(options: Namespace) -> int:
             progress(found.turbine)
 
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
-    data = {"rows": [dict(row) for row in found.results.rows]}
-    show_reported(found.page, data, fleet_blocks(found.results), options.json)
+    data = {"rows": [dict(row) for row in found.rows]}
+    show_reported(options.out / REPORT, data, fleet_blocks(found), options.json)
     return FOUND if found.missing else 0
 
 

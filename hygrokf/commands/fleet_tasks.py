@@ -18,8 +18,9 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.fleet.job import Job, Outcome, Row, Work
-from hygrokf.fleet.plan import Plan
-from hygrokf.fleet.running import FleetRun, run_jobs
+from hygrokf.fleet.plan import FleetPlan
+from hygrokf.fleet.results import FleetResults
+from hygrokf.fleet.running import run_jobs
 from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS, ClimateOptions, DiscoverOptions, FitOptions
 from hygrokf.identification.fit import write_fit
 from hygrokf.modelling.design import PARTS
@@ -38,13 +39,13 @@ ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humi
 
 
 def run_fleet(
-    plan: Plan,
+    plan: FleetPlan,
     out: Path,
     *,
     workers: int | None = None,
     cluster: str | None = None,
     say: Callable[[Outcome, bool], None] = lambda found, known: None,
-) -> FleetRun:
+) -> FleetResults:
     """Do what a plan states for every turbine.
 
     plan: of a fleet's file (`fleet.plan.read_plan`).
@@ -56,8 +57,8 @@ def run_fleet(
 
     Work with the same files, options and version is not repeated; failures are tried again.
 
-    Returns the table (`results`, the same on processes and on a cluster), the outcomes, and the path of the
-    page.  Raises FleetFault where there is no cluster, ClassFault for limits of an unknown class.
+    Returns the table, the same on processes and on a cluster.  Raises FleetFault where there is no cluster,
+    ClassFault for limits of an unknown class.
     """
     from hygrokf.climate.limits import limits_of
 

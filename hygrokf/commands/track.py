@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ from hygrokf.commands.console import (
     system_words,
 )
 from hygrokf.commands.inputs import load_causes
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.verb import Verb, add_json, add_library, reader, within
 from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
@@ -86,22 +87,11 @@ def _track_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--speed",
-        type=_factor,
+        type=reader("a number above 0, up to 1e6", lambda text: within(math.ulp(0.0), float(text), 1e6)),
         default=1800.0,
         help="speed of the demo, relative to real time (default 1800)",
     )
     add_library(parser)
-
-
-def _factor(text: str) -> float:
-    """A number above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"expected a number above 0 and below 1e6, found {text!r}")
-    return value
 
 
 def _logged(options: argparse.Namespace) -> int:
@@ -132,26 +122,23 @@ def _track(options: argparse.Namespace) -> int:
     load_causes(options.library)
     config = _demo_config(options) if options.demo else tracked_config(options)
 
-    def tell(text: str, **beside: object) -> None:
+    def tell(what: str, words: str, **beside: object) -> None:
         """Print a message for the user; with a JSON log, write it as a log entry."""
         if options.log == "json":
-            LOG.info(text.partition(":")[0], extra=beside)
+            LOG.info(what, extra=beside)
         else:
-            activity().note(text)
+            activity().note(f"{what}: {words}")
 
     def begun(service: Service, page: str | None) -> None:
         names = ", ".join(list(config.turbines)[:5]) + (" …" if len(config.turbines) > 5 else "")
-        tell(
-            f"tracking: {names} ({len(config.turbines)}); store {config.store}",
-            turbines=len(config.turbines),
-            store=config.store,
-        )
+        count, store = len(config.turbines), config.store
+        tell("tracking", f"{names} ({count}); store {store}", turbines=count, store=store)
         if page is not None:
-            tell(f"page: {page}", url=page)
+            tell("page", page, url=page)
 
     service = track(config, with_page=not options.no_page, until_ended=options.until_ended, begun=begun)
     counted = service.health.deliveries
-    tell(f"done: {counted} deliveries, all committed", deliveries=counted)
+    tell("done", f"{counted} deliveries, all committed", deliveries=counted)
     return 0
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, _SubParsersAction
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from hygrokf.commands.console import Loudness
+
+T = TypeVar("T")
+N = TypeVar("N", int, float)
 
 
 @dataclass(frozen=True)
@@ -30,19 +35,28 @@ def parsers_of(parser: ArgumentParser) -> dict[str, ArgumentParser]:
     return dict(commands.choices)
 
 
+def reader(expected: str, convert: Callable[[str], T]) -> Callable[[str], T]:
+    """A reader of an argument; where `convert` raises ValueError, the fault says what was expected."""
+
+    def read(text: str) -> T:
+        try:
+            return convert(text)
+        except (ValueError, OverflowError):
+            raise ArgumentTypeError(f"expected {expected}, found {text!r}") from None
+
+    return read
+
+
+def within(low: float, value: N, high: float = math.inf) -> N:
+    """A value from `low` to `high`; raises ValueError for another one."""
+    if not low <= value <= high:
+        raise ValueError
+    return value
+
+
 def whole(least: int) -> Callable[[str], int]:
     """A reader of whole numbers not below `least`."""
-
-    def number(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            raise ArgumentTypeError(f"expected a whole number from {least} on, found {text!r}")
-        return value
-
-    return number
+    return reader(f"a whole number from {least} on", lambda text: within(least, int(text)))
 
 
 def add_out(parser: ArgumentParser, help: str) -> None:

@@ -17,8 +17,8 @@ import numpy as np
 from hygrokf.discovery.estimate import (
     LIGHT,
     POLISH,
+    Calibration,
     Columns,
-    Estimate,
     acting,
     estimate_at,
     fitted,
@@ -53,7 +53,7 @@ class Candidate:
 
     form: Form
     setting: Setting
-    estimate: Estimate
+    estimate: Calibration
     gains: Mapping[str, float]
     constants: int
     evidence: float
@@ -99,13 +99,13 @@ def brought(form: Form, simulator: Simulator) -> frozenset[str]:
 
 
 def estimated(
-    parent: Estimate,
+    parent: Calibration,
     form: Form,
     setting: Setting,
     values: Mapping[str, float],
     effort: tuple[int, float],
     kept: Columns | None = None,
-) -> Estimate:
+) -> Calibration:
     """A form beside a parent, fitted from values; what it does not act on stays as it is."""
     wider = widened(parent, form, setting)
     sizes = frozenset(p.name for p in amplitudes(added(parent, wider)))
@@ -114,7 +114,9 @@ def estimated(
     return fitted(one, acting(one, acts(form, one.quantities)), effort, kept)
 
 
-def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, searched: int) -> Candidate:
+def candidate(
+    parent: Calibration, one: Calibration, form: Form, setting: Setting, searched: int
+) -> Candidate:
     """What a child is worth beside its parent; evidence in days only where the evidence would do."""
     new = added(parent, one.simulator)
     gains, number, lacking = {}, 0, False
@@ -132,7 +134,7 @@ def candidate(parent: Estimate, one: Estimate, form: Form, setting: Setting, sea
     return Candidate(form, setting, one, gains, number, evidence, evidence / factor, lacking)
 
 
-def day_factor(parent: Estimate, one: Estimate) -> float:
+def day_factor(parent: Calibration, one: Calibration) -> float:
     """tr(H⁻¹ J)/k of the k added parameters, at least 1: H their information beside all others, J the sum of
     squares of the days' scores."""
     new = {p.name for p in added(parent, one.simulator)}
@@ -154,7 +156,7 @@ def day_factor(parent: Estimate, one: Estimate) -> float:
     return max(1.0, float(np.trace(np.linalg.pinv(information, rcond=1e-8) @ spread)) / mine.sum())
 
 
-def _factor_of_gains(parent: Estimate, one: Estimate) -> float:
+def _factor_of_gains(parent: Calibration, one: Calibration) -> float:
     """The same of a child without parameters of its own, from the days' gains: with independent readings the
     variance of their sum is four times the sum."""
     gains = [_daily(one, parent, q) for q in one.quantities]
@@ -163,7 +165,7 @@ def _factor_of_gains(parent: Estimate, one: Estimate) -> float:
     return max(1.0, spread / (4.0 * total)) if total > 0.0 else 1.0
 
 
-def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
+def jumped(parent: Calibration, best: Candidate, searched: int) -> Candidate:
     """The candidate after jumps of its size, its shapes and its settings, while they improve it.
 
     All jumps are run; those that promise to be no worse, if all other parameters follow by one chord step,
@@ -194,7 +196,7 @@ def jumped(parent: Estimate, best: Candidate, searched: int) -> Candidate:
 
 
 def _jumps(
-    parent: Estimate, best: Candidate, steps: Mapping[tuple[str, str], float]
+    parent: Calibration, best: Candidate, steps: Mapping[tuple[str, str], float]
 ) -> Iterator[tuple[Setting, dict[str, float]]]:
     values, setting = best.estimate.values, best.setting
     new = added(parent, best.estimate.simulator)
@@ -227,7 +229,7 @@ def _within(p: Parameter, value: float) -> float:
     return float(np.clip(value, p.lower if p.null is None else min(p.lower, p.null), p.upper))
 
 
-def grafted(parent: Estimate, one: Candidate) -> Estimate:
+def grafted(parent: Calibration, one: Candidate) -> Calibration:
     """A candidate of an earlier parent beside one that differs in the other quantity alone."""
     wider = widened(parent, one.form, one.setting)
     mine = acts(one.form, parent.quantities)
@@ -248,7 +250,7 @@ def alike(best: Candidate, rival: Candidate) -> bool:
     return float(daily.sum() / (math.sqrt(len(daily)) * max(daily.std(), 1e-12))) < CLOSE_Z
 
 
-def _daily(best: Estimate, rival: Estimate, quantity: str) -> np.ndarray:
+def _daily(best: Calibration, rival: Calibration, quantity: str) -> np.ndarray:
     """(days,) by how much −2 ln L of the rival exceeds that of the best."""
     terms = rival.filtered[quantity].terms - best.filtered[quantity].terms
     return best.simulator.scene.readings[quantity].by_day(terms)

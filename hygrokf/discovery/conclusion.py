@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.candidates import Candidate, acts, brought
-from hygrokf.discovery.discovery_results import HeldOutTest, Line
-from hygrokf.discovery.estimate import Estimate, frame, slopes
+from hygrokf.discovery.estimate import Calibration, frame, slopes
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fitted_by
 from hygrokf.discovery.judgement import NOTICED, scores
+from hygrokf.discovery.results import HeldOutTest, SpectralLine
 from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import Accepted, Found, composed, effect_of, foreseen, tested
+from hygrokf.discovery.search import Accepted, SearchEnd, composed, effect_of, foreseen, tested
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Conclusion:
     refuted: tuple[tuple[Candidate, HeldOutTest], ...]
 
 
-def concluded(found: Found) -> Conclusion:
+def concluded(found: SearchEnd) -> Conclusion:
     """The sets with which a search ends."""
     accepted, refuted, one = list(found.accepted), list(found.refuted), found.final
     while accepted:
@@ -57,7 +57,7 @@ def concluded(found: Found) -> Conclusion:
 
 
 def _judged(
-    start: Estimate,
+    start: Calibration,
     base: FinalSet,
     accepted: Sequence[Accepted],
     name: Accepted,
@@ -89,7 +89,7 @@ CYCLES = 4
 FEWEST_DAYS = 30
 
 
-def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
+def lines(one: Calibration, causes: Mapping[str, tuple[str, ...]]) -> list[SpectralLine]:
     """Significant lines of an estimate, the least likely first; causes: cause → its own parameters."""
     found = [line for q in one.quantities if (line := _in_errors(one, q)) is not None]
     scores = _daily_scores(one)
@@ -97,13 +97,13 @@ def lines(one: Estimate, causes: Mapping[str, tuple[str, ...]]) -> list[Line]:
         for (q, name), daily in scores.items():
             if name in names and (line := _in_days(q, cause, daily)) is not None:
                 found.append(line)
-    best: dict[tuple[str, str], Line] = {}
+    best: dict[tuple[str, str], SpectralLine] = {}
     for line in sorted(found, key=lambda line: line.p):
         best.setdefault((line.quantity, line.cause), line)
     return list(best.values())
 
 
-def _in_errors(one: Estimate, quantity: str) -> Line | None:
+def _in_errors(one: Calibration, quantity: str) -> SpectralLine | None:
     """The strongest line of the whitened errors, against the mean of its neighbours."""
     known, r = one.filtered[quantity], one.simulator.scene.readings[quantity]
     seen = np.isfinite(known.innovation)
@@ -127,10 +127,10 @@ def _in_errors(one: Estimate, quantity: str) -> Line | None:
     # the neighbours' mean is itself uncertain: F with 2 and 2 (neighbours − 1) degrees of freedom
     alone = (1.0 + ratio[best] / (NEIGHBOURS - 1)) ** (1.0 - NEIGHBOURS)
     p = -math.expm1(len(power) * math.log1p(-min(alone, 1.0 - 1e-16)))
-    return Line(quantity, width * len(mean) / (best + 1), p) if p < SIGNIFICANT else None
+    return SpectralLine(quantity, width * len(mean) / (best + 1), p) if p < SIGNIFICANT else None
 
 
-def _daily_scores(one: Estimate) -> dict[tuple[str, str], np.ndarray]:
+def _daily_scores(one: Calibration) -> dict[tuple[str, str], np.ndarray]:
     """(days,) sums of the scores of every parameter, by quantity and name."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
     found = {}
@@ -146,7 +146,7 @@ def _daily_scores(one: Estimate) -> dict[tuple[str, str], np.ndarray]:
     return found
 
 
-def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
+def _in_days(quantity: str, cause: str, daily: np.ndarray) -> SpectralLine | None:
     """The strongest line of daily scores by Fisher's g: the largest share of one ordinate."""
     if len(daily) < FEWEST_DAYS:
         return None
@@ -158,10 +158,10 @@ def _in_days(quantity: str, cause: str, daily: np.ndarray) -> Line | None:
     share = float(power.max() / power.sum())
     p = min(len(power) * (1.0 - share) ** (len(power) - 1), 1.0)
     period = 24.0 * len(daily) / (int(np.argmax(power)) + CYCLES)
-    return Line(quantity, period, p, cause) if p < SIGNIFICANT else None
+    return SpectralLine(quantity, period, p, cause) if p < SIGNIFICANT else None
 
 
-def what_is_left(ended: Conclusion) -> list[Line]:
+def what_is_left(ended: Conclusion) -> list[SpectralLine]:
     """What is left in the errors of the last model, and in the daily scores of what is named."""
     one, own = (ended.extended or ended.base).estimate, {}
     for accepted in ended.accepted:

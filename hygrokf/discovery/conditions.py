@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.residuals import NORMAL_95, Hours, date_text, displayed, run_lengths, words
+from hygrokf.discovery.results import Settings
 from hygrokf.evaluation.bootstrap import block_h
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
@@ -54,7 +54,7 @@ Phrase = Callable[[int, int], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Condition:
+class Stratum:
     """A condition on which errors may depend.
 
     kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
@@ -127,7 +127,7 @@ class Condition:
         return {"axis": self.axis} | {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
 
-def conditions(hours: Hours) -> list[Condition]:
+def conditions(hours: Hours) -> list[Stratum]:
     """All conditions that a record can show: those that hold for at least six hours."""
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
@@ -140,18 +140,18 @@ def conditions(hours: Hours) -> list[Condition]:
     return [one for one in made if not one.flag or _held(one, hours.step_h)]
 
 
-def _held(one: Condition, step_h: float) -> bool:
+def _held(one: Stratum, step_h: float) -> bool:
     inside = float((one.bins == 0).sum()) * step_h
     return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
 
 
 def _flag(
     kind: str, flag: np.ndarray, where: str, when: str = "", share: np.ndarray | None = None
-) -> Condition:
+) -> Stratum:
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     column = flag.astype(float) if share is None else share
     bins = np.where(flag, 0, 1)
-    return Condition(kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True)
+    return Stratum(kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:
@@ -172,7 +172,7 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
     return flag
 
 
-def _regimes(hours: Hours) -> list[Condition]:
+def _regimes(hours: Hours) -> list[Stratum]:
     """Standstill, its longer episodes, the hours after starts, hours since the last change."""
     count, step, running = len(hours), hours.step_h, hours.operating
     if running.all() or not running.any():
@@ -200,11 +200,11 @@ def _regimes(hours: Hours) -> list[Condition]:
             return where, f"{edges[a]:g} to {edges[b + 1]:g} h after the {change}"
 
         basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
-        made.append(Condition("since", "", basis, bins, since, phrase, f"hours after the {change}"))
+        made.append(Stratum("since", "", basis, bins, since, phrase, f"hours after the {change}"))
     return made
 
 
-def _preheating(hours: Hours) -> list[Condition]:
+def _preheating(hours: Hours) -> list[Stratum]:
     """Pre-heating, after long standstills and after any, and the hours after it."""
     count, step = len(hours), hours.step_h
     heated = run_lengths(hours.preheating)
@@ -231,17 +231,17 @@ def _preheating(hours: Hours) -> list[Condition]:
 # --- clock and calendar ----------------------------------------------------------------------
 
 
-def _hour(hours: Hours) -> Condition:
+def _hour(hours: Hours) -> Stratum:
     angle = 2.0 * math.pi * hours.hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
     bins = np.floor(hours.hour).astype(int)
-    return Condition(
+    return Stratum(
         "hour", "", basis, bins, hours.hour, lambda a, b: ("", f"from {a % 24} to {(b + 1) % 24} h UTC"),
         "hour of the day [UTC]", circular=True,
     )  # fmt: skip
 
 
-def _calendar(hours: Hours) -> list[Condition]:
+def _calendar(hours: Hours) -> list[Stratum]:
     """Months and a straight drift."""
     count, step = len(hours), hours.step_h
     month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
@@ -260,14 +260,14 @@ def _calendar(hours: Hours) -> list[Condition]:
 
     made = []
     if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
-        made.append(Condition("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
+        made.append(Stratum("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
     days, third = step * np.arange(count) / 24.0, np.minimum(3 * np.arange(count) // count, 2)
     trend = np.linspace(-1.0, 1.0, count)[:, None]
-    made.append(Condition("drift", "", trend, third, days, thirds, "days since the start"))
+    made.append(Stratum("drift", "", trend, third, days, thirds, "days since the start"))
     return made
 
 
-def step_at(hours: Hours, first: int, sharp: bool) -> Condition:
+def step_at(hours: Hours, first: int, sharp: bool) -> Stratum:
     """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
     date = hours.start_s + 3600.0 * hours.step_h * first
     words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
@@ -278,7 +278,7 @@ def step_at(hours: Hours, first: int, sharp: bool) -> Condition:
 # --- drivers ---------------------------------------------------------------------------------
 
 
-def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Condition]:
+def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Stratum]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]
@@ -306,7 +306,7 @@ def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Condition]:
     return made
 
 
-def _direction(name: str, value: np.ndarray) -> Condition:
+def _direction(name: str, value: np.ndarray) -> Stratum:
     basis = np.column_stack([wave(k * value) for k in (1, 2) for wave in (np.cos, np.sin)])
     degrees = np.degrees(value)
     width = 360.0 / SECTORS
@@ -316,12 +316,12 @@ def _direction(name: str, value: np.ndarray) -> Condition:
         low, high = width * (a % SECTORS), width * (b % SECTORS + 1)
         return f"while the {words(name)} is between {low:.0f} and {high:.0f}°", ""
 
-    return Condition("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
+    return Stratum("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
 
 
 def _binned(
     kind: str, name: str, value: np.ndarray, quantiles: tuple[float, ...], opening: str
-) -> Condition | None:
+) -> Stratum | None:
     """A condition by bins between quantiles of a value; its basis is the standardised value itself."""
     known = value[np.isfinite(value)]
     if len(known) < 48 or not known.std() > 1e-9 * max(1.0, float(np.abs(known).max())):
@@ -347,7 +347,7 @@ def _binned(
     x, _ = displayed(name, value, rate)
     axis = f"{'change of ' if rate else ''}{words(name)} [{unit.strip() or '1'}]"
     scaled = (value - known.mean()) / known.std()
-    return Condition(kind, name, scaled[:, None], bins, x, phrase, axis)
+    return Stratum(kind, name, scaled[:, None], bins, x, phrase, axis)
 
 
 def _changing(marks: np.ndarray, a: int, b: int, last: int, unit: str) -> str:

@@ -52,7 +52,7 @@ _STEPS = 60
 
 
 @dataclass(frozen=True)
-class Course:
+class Instants:
     """When an error is seen, and what its law needs of that.
 
     time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance that Var n has beside the
@@ -73,8 +73,8 @@ class Course:
 def course(
     time_h: np.ndarray, tau_h: float, added: np.ndarray, shape: np.ndarray | None = None,
     there: np.ndarray | None = None,
-) -> Course:  # fmt: skip
-    """The course of an error at instants (T,) [h]; `added`, `shape` (T,) as in `Course`."""
+) -> Instants:  # fmt: skip
+    """The course of an error at instants (T,) [h]; `added`, `shape` (T,) as in `Instants`."""
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
     if there is None:
@@ -83,7 +83,7 @@ def course(
         there = np.array([FEWEST_STEPS * usual <= t <= LONGEST_SHARE * span for t in TIMES_H])
     table = np.stack([coefficients(length, tau_h) for length in lengths.tolist()])
     shape = np.ones(len(time_h)) if shape is None else np.ascontiguousarray(shape, dtype=float)
-    return Course(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape)
+    return Instants(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape)
 
 
 def coefficients(step_h: float, tau_h: float) -> np.ndarray:
@@ -170,7 +170,7 @@ class _Traced:
 _ARRAYS = ("key", "table", "variances", "share", "residual", "seen", "added", "shape")
 
 
-class _Emission:
+class _FilterEmission:
     """Text of the passes: the same recursion, with numbers or with vectors of LANES."""
 
     def __init__(self, name: str, arguments: Sequence[str], wide: bool) -> None:
@@ -205,7 +205,7 @@ def _filter_text(name: str, wide: bool) -> str:
     error (T,) and the state after each reading (T, n).
     """
     outputs = ("innovation", "variance", *(() if wide else ("reach", "predicted", "state")))
-    e = _Emission(name, (*_ARRAYS, *outputs), wide)
+    e = _FilterEmission(name, (*_ARRAYS, *outputs), wide)
     t, w = e.traced, e.w
     known = {one.index: e.load("variances", i) for i, one in enumerate(t.variances)}
     known |= {one.index: e.load("share", j, SCALAR) for j, one in enumerate(t.share)}
@@ -248,7 +248,7 @@ def _filter_text(name: str, wide: bool) -> str:
 def _whiten_text() -> str:
     """`whiten(count, key, table, gain, scale, columns)`: innovations, in place, of LANES columns (T, LANES)
     under known gains (T, n), times `scale` (T,)."""
-    e = _Emission("whiten", ("key", "table", "gain", "scale", "columns"), True)
+    e = _FilterEmission("whiten", ("key", "table", "gain", "scale", "columns"), True)
     t, w = e.traced, e.w
     state = {one.index: w.slot(e.kind, "zeroinitializer") for one in t.x}
     vectors = [t.residual.index, *state]
@@ -272,7 +272,7 @@ def _whiten_text() -> str:
 def _smooth_text() -> str:
     """`smooth(count, key, table, gain, share, innovation, reach, smoothed)`: adds to the predicted errors in
     `smoothed` (T,) what later readings tell, backwards."""
-    e = _Emission("smooth", ("key", "table", "gain", "share", "innovation", "reach", "smoothed"), False)
+    e = _FilterEmission("smooth", ("key", "table", "gain", "share", "innovation", "reach", "smoothed"), False)
     t, w = e.traced, e.w
     state = {one.index: w.slot(SCALAR, "0.0") for one in t.x}
     reach = [t.graph.symbol(f"c{i}") for i in range(_STATES)]
@@ -313,7 +313,7 @@ class Filtered:
     after it.
     """
 
-    course: Course
+    course: Instants
     variances: np.ndarray
     innovation: np.ndarray
     variance: np.ndarray
@@ -392,7 +392,7 @@ def _deviance(innovation: np.ndarray, variance: np.ndarray, bound: float) -> np.
     return np.sum(np.log(v) + loss(innovation[seen] / np.sqrt(v), bound), axis=0)
 
 
-def filtered(course: Course, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:
+def filtered(course: Instants, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:
     """Filter an error (T,), NaN where there is no reading, under variances (7,)."""
     count = len(residual)
     innovation, variance, predicted = (np.empty(count) for _ in range(3))
@@ -404,7 +404,7 @@ def filtered(course: Course, variances: np.ndarray, residual: np.ndarray, bound:
 
 
 def _given(
-    course: Course, variances: np.ndarray, residual: np.ndarray
+    course: Instants, variances: np.ndarray, residual: np.ndarray
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     seen = np.isfinite(residual)
     arrays = (
@@ -414,7 +414,7 @@ def _given(
     return arrays, seen
 
 
-def start_variances(course: Course, residual: np.ndarray) -> np.ndarray:
+def start_variances(course: Instants, residual: np.ndarray) -> np.ndarray:
     """(7,) a twentieth of the error's variance as noise, the rest spread over the flow."""
     total = max(float(np.nanvar(residual)), 1e-12)
     found = np.zeros(VARIANCES)
@@ -424,9 +424,8 @@ def start_variances(course: Course, residual: np.ndarray) -> np.ndarray:
 
 
 def maximised(
-    course: Course, residual: np.ndarray, largest: float, start: np.ndarray | None = None,
-    bound: float = HUBER,
-) -> np.ndarray:  # fmt: skip
+    course: Instants, residual: np.ndarray, largest: float, start: np.ndarray | None = None
+) -> np.ndarray:
     """Variances (7,) of the greatest likelihood of an error (T,), by Fisher scoring.
 
     largest: variance of the readings; no part may vary more than that at the output.  The eight lanes are
@@ -440,7 +439,7 @@ def maximised(
     lowest = np.log(LEAST * upper)
     usual = np.log(np.maximum(common, LEAST * upper))
     z = np.clip(np.log(np.maximum(np.where(active, begun, 1.0), 1e-300)), lowest, np.log(upper))
-    damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active, bound)
+    damping, value, gradient, information = 1e-3, *_scores(course, residual, z, active)
     near = False
     for _ in range(_STEPS):
         outward = ((z <= lowest + 1e-9) & (gradient > 0)) | ((z >= np.log(upper) - 1e-9) & (gradient < 0))
@@ -457,7 +456,7 @@ def maximised(
         if near and step.max() < _STEP:
             break
         moved = np.clip(z + step, lowest, np.log(upper))
-        trial = _scores(course, residual, moved, active, bound)
+        trial = _scores(course, residual, moved, active)
         if not trial[0] < value:
             damping *= 8.0
             if damping > 1e6:
@@ -471,7 +470,7 @@ def maximised(
 
 
 def _scores(
-    course: Course, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float
+    course: Instants, residual: np.ndarray, z: np.ndarray, active: np.ndarray, bound: float = HUBER
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """−2 ln L, its gradient (7,) and its expected information (7, 7) in the log variances."""
     lanes = np.repeat(np.where(active, np.exp(z), 0.0)[:, None], LANES, axis=1)
@@ -492,7 +491,7 @@ def _scores(
     return value, gradient, information
 
 
-def ahead(course: Course, horizon_h: np.ndarray) -> np.ndarray:
+def ahead(course: Instants, horizon_h: np.ndarray) -> np.ndarray:
     """(h, n) weights of the state in the error expected after times (h,) [h]."""
     rows = np.stack([coefficients(float(one), course.tau_h) for one in horizon_h])
     return np.column_stack([rows[:, len(TIMES_H) : -1], rows[:, -1]])

@@ -19,8 +19,8 @@ import numpy as np
 from hygrokf.discovery.error_model import (
     HUBER,
     VARIANCES,
-    Course,
     Filtered,
+    Instants,
     course,
     filtered,
     loss,
@@ -43,20 +43,20 @@ LIGHT, POLISH = (3, 0.3), (10, 0.05)
 
 
 @dataclass(frozen=True)
-class Errors:
+class ErrorModels:
     """The error models of a scene's quantities: their courses, and the largest variance of any part."""
 
-    courses: Mapping[str, Course]
+    courses: Mapping[str, Instants]
     largest: Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Calibration:
     """Parameters and variances of a simulator: theta (P,); variances (7,) and simulated readings (T,) by
     quantity; linear: parameters that are estimated as they are, whatever their coordinate elsewhere."""
 
     simulator: Simulator
-    errors: Errors
+    errors: ErrorModels
     theta: np.ndarray
     variances: Mapping[str, np.ndarray]
     simulated: Mapping[str, np.ndarray]
@@ -142,16 +142,16 @@ def frame(parameters: Sequence[Parameter], free: Collection[str], linear: Collec
 
 
 def estimate_at(
-    simulator: Simulator, errors: Errors, theta: np.ndarray, linear: frozenset[str] = frozenset(),
+    simulator: Simulator, errors: ErrorModels, theta: np.ndarray, linear: frozenset[str] = frozenset(),
     variances: Mapping[str, np.ndarray] | None = None, plain: bool = False,
-) -> Estimate:  # fmt: skip
+) -> Calibration:  # fmt: skip
     """The estimate at given parameters, its variances maximised unless they are given."""
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors.courses}
-    made = Estimate(simulator, errors, theta, variances or {}, simulated, linear, plain)
+    made = Calibration(simulator, errors, theta, variances or {}, simulated, linear, plain)
     return made if variances else with_variances(made)
 
 
-def with_variances(one: Estimate, block: Sequence[str] | None = None) -> Estimate:
+def with_variances(one: Calibration, block: Sequence[str] | None = None) -> Calibration:
     """The estimate with the variances of some quantities (all) at their maximum."""
     found = dict(one.variances)
     for q in one.quantities if block is None else block:
@@ -170,11 +170,11 @@ Columns = Mapping[str, Mapping[str, np.ndarray]]
 
 
 def fitted(
-    one: Estimate,
+    one: Calibration,
     free: Collection[str] | None = None,
     effort: tuple[int, float] = POLISH,
     kept: Columns | None = None,
-) -> Estimate:
+) -> Calibration:
     """The estimate with the free parameters (all) and the variances at their maximum.
 
     Quantities that share no parameter are fitted one after the other.  kept: slopes of a point nearby that
@@ -191,12 +191,12 @@ def fitted(
     return one
 
 
-def acting(one: Estimate, quantities: Collection[str]) -> list[str]:
+def acting(one: Calibration, quantities: Collection[str]) -> list[str]:
     """The parameters that act on some quantities."""
     return [name for name in one.simulator.names if set(one.simulator.affects(name)) & set(quantities)]
 
 
-def _blocks(one: Estimate, free: set[str]) -> list[tuple[str, ...]]:
+def _blocks(one: Calibration, free: set[str]) -> list[tuple[str, ...]]:
     """The quantities that free parameters act on, together where one acts on several."""
     acting = [set(one.simulator.affects(name)) & set(one.quantities) for name in free]
     if any(len(group) > 1 for group in acting):
@@ -204,7 +204,7 @@ def _blocks(one: Estimate, free: set[str]) -> list[tuple[str, ...]]:
     return [(q,) for q in one.quantities if {q} in acting]
 
 
-def _stepped(one: Estimate, free: set[str], block: tuple[str, ...], kept: Columns) -> Estimate:
+def _stepped(one: Calibration, free: set[str], block: tuple[str, ...], kept: Columns) -> Calibration:
     """Up to `STEPS` Gauss–Newton steps under fixed variances."""
     mine = {name for name in free if set(one.simulator.affects(name)) & set(block)}
     for _ in range(STEPS):
@@ -226,7 +226,7 @@ def _stepped(one: Estimate, free: set[str], block: tuple[str, ...], kept: Column
 
 
 def _trials(
-    one: Estimate, theta: np.ndarray, block: Sequence[str]
+    one: Calibration, theta: np.ndarray, block: Sequence[str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """−2 ln L (n,), infinite where they diverge, and readings (T, n) of runs with parameters (P, n) under the
     estimate's variances."""
@@ -247,7 +247,7 @@ def _trials(
 
 
 def slopes(
-    one: Estimate, f: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
+    one: Calibration, f: Frame, block: Sequence[str] | None = None, kept: Columns | None = None
 ) -> dict[str, np.ndarray]:
     """(T, d) slopes of the simulated readings in the coordinates, by quantity (all); those that are `kept`
     are not run again."""
@@ -270,7 +270,7 @@ def slopes(
     return found
 
 
-def weighted(one: Estimate, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weighted(one: Calibration, quantity: str, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Whitened columns (T, c) and errors (T,), both times the roots of the readings' weights."""
     known = one.filtered[quantity]
     root = np.sqrt(known.weight)
@@ -280,7 +280,7 @@ def weighted(one: Estimate, quantity: str, columns: np.ndarray) -> tuple[np.ndar
 
 
 def _normal_equations(
-    one: Estimate, f: Frame, block: Sequence[str], kept: Columns
+    one: Calibration, f: Frame, block: Sequence[str], kept: Columns
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gauss–Newton matrix (d, d) and gradient (d,) of half of −2 ln L."""
     d = len(f.place)
@@ -298,7 +298,7 @@ def _normal_equations(
     return matrix, gradient
 
 
-def of_priors(one: Estimate, f: Frame) -> tuple[np.ndarray, np.ndarray]:
+def of_priors(one: Calibration, f: Frame) -> tuple[np.ndarray, np.ndarray]:
     """(d,) information of the priors in the coordinates, and slopes of their log densities."""
     information, slope = np.zeros((2, len(f.place)))
     for i, place in enumerate(f.place):
@@ -331,7 +331,7 @@ def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, dam
     return np.clip(step, -reach, reach)
 
 
-def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> Errors:
+def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> ErrorModels:
     """The error models of a round: the low pass has the time constants of parameters (P,)."""
     values = dict(zip(simulator.names, theta.tolist(), strict=True))
     courses, largest = {}, {}
@@ -340,4 +340,4 @@ def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]
         shape = (r.saturated / np.mean(r.saturated)) ** 2
         courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape)
         largest[q] = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
-    return Errors(courses, largest)
+    return ErrorModels(courses, largest)

@@ -24,7 +24,7 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.estimate import (
     POLISH,
     TIME_CONSTANT,
-    Estimate,
+    Calibration,
     acting,
     errors_of,
     estimate_at,
@@ -39,8 +39,7 @@ from hygrokf.discovery.judgement import levelled
 from hygrokf.estimation.confidence import Uncertainty, wald_bounds
 from hygrokf.estimation.likelihood import Likelihood, RatesFault
 from hygrokf.estimation.moments import DigitsFault
-from hygrokf.estimation.optimiser import Estimate as FilterEstimate
-from hygrokf.estimation.optimiser import Objective, climb
+from hygrokf.estimation.optimiser import Estimate, Objective, climb
 from hygrokf.identification.estimation import LEVEL, TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.needed_inputs import CHANCE, WithoutInput, alternatives
@@ -67,7 +66,7 @@ class FinalSet:
     (logarithms of positive parameters); at_bounds, flat: parameters that ended at a limit, and those that the
     readings do not determine."""
 
-    estimate: Estimate
+    estimate: Calibration
     estimator: Estimator
     names: tuple[str, ...]
     covariance: np.ndarray
@@ -91,7 +90,7 @@ class FinalSet:
         return value - reach, value + reach
 
 
-def final_estimator(*models: Estimate) -> Estimator:
+def final_estimator(*models: Calibration) -> Estimator:
     """The estimator with which the models' free runs predict the last third of the identification period
     better."""
     ratios = []
@@ -110,7 +109,7 @@ def final_estimator(*models: Estimate) -> Estimator:
     return "output-error" if ratios and math.exp(np.mean(ratios)) < BETTER else "likelihood"
 
 
-def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
+def final_set(one: Calibration, estimator: Estimator) -> FinalSet:
     """The set of an estimator on the whole identification period, with the sandwich covariance by days."""
     made = fitted_by(one, estimator)
     names, covariance, flat = sandwich(
@@ -124,7 +123,7 @@ def final_set(one: Estimate, estimator: Estimator) -> FinalSet:
     return FinalSet(made, estimator, names, covariance, at, flat)
 
 
-def fitted_by(one: Estimate, estimator: Estimator, moved: Collection[str] | None = None) -> Estimate:
+def fitted_by(one: Calibration, estimator: Estimator, moved: Collection[str] | None = None) -> Calibration:
     """An estimator's parameters, in the quantities that moved (all)."""
     free = None if moved is None else acting(one, moved)
     if estimator == "likelihood":
@@ -133,7 +132,7 @@ def fitted_by(one: Estimate, estimator: Estimator, moved: Collection[str] | None
     return replace(estimate_at(plain.simulator, one.errors, plain.theta, one.linear), plain=False)
 
 
-def _until(one: Estimate, share: float) -> Estimate:
+def _until(one: Calibration, share: float) -> Calibration:
     """The estimate whose identification period is an early share of its own."""
     scene, readings = one.simulator.scene, {}
     for q, r in one.simulator.scene.readings.items():
@@ -144,7 +143,7 @@ def _until(one: Estimate, share: float) -> Estimate:
     return estimate_at(simulator, errors_of(simulator, one.theta, one.quantities), one.theta, one.linear)
 
 
-def sandwich(one: Estimate) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
+def sandwich(one: Calibration) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
     """H⁻¹ J H⁻¹ in the coordinates of all parameters, and those that H does not determine: H the Gauss–Newton
     information with the priors', J the sum of squares of the days' scores and the priors' information."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
@@ -188,18 +187,14 @@ def fit_of(
     against: reasons against the hygric constant, beside the fit's own.
     Raises ValueError where the set is faster than a filter of the readings can follow.
     """
-    try:
-        return _fit_of(record, final, say, against)
-    except (RatesFault, DigitsFault) as fault:
-        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
-
-
-def _fit_of(record: Record, final: FinalSet, say: Progress, against: Sequence[Reason]) -> Fit:
     record = shifted(record, *final.estimate.simulator.scene.shifts)
     early = record.identification()
-    stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
-    basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
-    fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
+    try:
+        stages = tuple(_stage(early, one, final, say) for one in final_designs(final))
+        basis = Basis(CASCADE, stages, (early,) * len(stages), heat_release_regression(early))
+        fit = assemble_fit(record, basis, {}, say=say, tolerance=STEP_TOLERANCE)
+    except (RatesFault, DigitsFault) as fault:
+        raise ValueError(f"the model that the search ends with cannot be filtered: {fault}") from fault
     # offsets of clocks follow to first order from a maximum of the filter's likelihood, which this is not
     said = (*fit.results.statements, "the bounds do not count what the clocks' errors may add")
     results = with_verdicts(replace(fit.results, criterion=final.estimator, statements=said))
@@ -232,7 +227,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     found = climb(Objective(likelihood, noise), noise.start(), tolerance=SIZE_TOLERANCE)
     values = {**noise.values(found.z)}
     coordinates = Coordinates(base.model.parameters, {n: values[n] for n in noise.names})
-    estimate = FilterEstimate(
+    estimate = Estimate(
         coordinates, coordinates.start(values), values, likelihood.value(values), found.objective,
         found.converged, found.message, tuple(n for n in final.at_bounds if n in held),
     )  # fmt: skip
@@ -248,7 +243,7 @@ def _stage(early: Record, base: Design, final: FinalSet, say: Progress) -> Stage
     return Stage(base, run, estimate, spread, bounds, response_stated=stated, without=without)
 
 
-def without_input(one: Estimate, name: str) -> WithoutInput:
+def without_input(one: Calibration, name: str) -> WithoutInput:
     """The best simulation in which the input of a time constant does not act, beside the model's own maximum
     of the likelihood."""
     from scipy.special import chdtri

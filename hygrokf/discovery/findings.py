@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.discovery.conditions import Condition, conditions, dummies, step_at
-from hygrokf.discovery.discovery_results import Finding
+from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.residuals import (
     QUANTITIES,
     UNITS,
@@ -21,6 +20,7 @@ from hygrokf.discovery.residuals import (
     root_mean_square,
     run_lengths,
 )
+from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
 
 LEVEL = 0.05
@@ -44,14 +44,14 @@ NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
 @dataclass
-class _State:
+class _QuantityErrors:
     """The errors of one quantity beside the findings so far; ln p of each condition, of which the last is a
     step, that of a flow or of the readings."""
 
     quantity: str
     rmse: float
     white: Whitened
-    conditions: list[Condition]
+    conditions: list[Stratum]
     flow: bool = False
     log_p: np.ndarray = field(default_factory=lambda: np.empty(0))
 
@@ -84,7 +84,7 @@ def findings(residuals: Residuals) -> list[Finding]:
         error = hours.error[quantity]
         if np.isfinite(error).sum() * hours.step_h >= FEWEST_H:
             white = Whitened.of(error, hours.step_h, residuals.time_constants[quantity])
-            states.append(_State(quantity, residuals.rmse(quantity), white, known))
+            states.append(_QuantityErrors(quantity, residuals.rmse(quantity), white, known))
     found: list[Finding] = []
     changed = states
     for _ in range(MOST):
@@ -107,13 +107,13 @@ def findings(residuals: Residuals) -> list[Finding]:
     return found[:MOST]
 
 
-def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
+def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Hours) -> None:
     """ln p of every condition, and of the likeliest step."""
     white, change = state.white, state.white.change()
     state.conditions = [*known, step_at(hours, change.first, change.sharp)]
     state.flow = change.flow
 
-    def log_p(under: Whitened, one: Condition, table: np.ndarray) -> float:
+    def log_p(under: Whitened, one: Stratum, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
         return min(0.0, under.log_p(table, full=True) + math.log(change.tried))
@@ -132,7 +132,7 @@ def _test(state: _State, known: Sequence[Condition], hours: Hours) -> None:
     state.log_p = np.array(found)
 
 
-def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
+def _adjusted(states: Sequence[_QuantityErrors]) -> list[np.ndarray]:
     """q (J,) of every quantity; groups of conditions have equal shares of the level."""
     if not states:
         return []
@@ -143,7 +143,7 @@ def _adjusted(states: Sequence[_State]) -> list[np.ndarray]:
     return list(q.reshape(len(states), -1))
 
 
-def _take_out(state: _State, number: int) -> None:
+def _take_out(state: _QuantityErrors, number: int) -> None:
     """What the condition explains; its bins, and all on the same driver, are tested no more."""
     condition = state.conditions[number]
     kin = [
@@ -155,7 +155,7 @@ def _take_out(state: _State, number: int) -> None:
     state.white = state.white.without(state.columns(number), np.column_stack([bins, *kin]))
 
 
-def _described(hours: Hours, state: _State, number: int, q: float) -> Finding | None:
+def _described(hours: Hours, state: _QuantityErrors, number: int, q: float) -> Finding | None:
     """The finding in numbers and words; None where it is immaterial, or where the free run does not show it.
 
     Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run

@@ -16,7 +16,7 @@ import numpy as np
 from hygrokf.data.clocks import in_america, sources
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S, summer_time
-from hygrokf.discovery.discovery_results import Settings
+from hygrokf.discovery.results import Settings
 from hygrokf.modelling.derived_inputs import operating
 from hygrokf.modelling.design import Design
 from hygrokf.physics.mechanisms.moisture import SLAB

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import HeldOutTest
 from hygrokf.discovery.error_model import HUBER, Filtered, ahead, filtered, loss
-from hygrokf.discovery.estimate import Estimate, fitted, with_variances
+from hygrokf.discovery.estimate import Calibration, fitted, with_variances
+from hygrokf.discovery.results import HeldOutTest
 
 LEVELS = (
     "heat_release_operation", "heat_release_standstill", "heat_release_operation_ambient",
@@ -42,7 +42,7 @@ class Scores:
     held_out: np.ndarray
 
 
-def levelled(one: Estimate) -> Estimate:
+def levelled(one: Calibration) -> Calibration:
     """The estimate whose levels are those of the least free-run error in the identification period.
 
     What a slow disturbance seemed to be beside a wrong level is none: the variances follow.
@@ -52,7 +52,7 @@ def levelled(one: Estimate) -> Estimate:
     return with_variances(replace(plain, plain=False, variances=one.variances))
 
 
-def scores(one: Estimate) -> dict[str, Scores]:
+def scores(one: Calibration) -> dict[str, Scores]:
     found = {}
     for q in one.quantities:
         r = one.simulator.scene.readings[q]

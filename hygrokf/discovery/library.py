@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.forms import (
     Form,
     Ground,
@@ -35,6 +34,7 @@ from hygrokf.discovery.forms import (
     wall,
     wind,
 )
+from hygrokf.discovery.results import Settings
 from hygrokf.modelling.derived_inputs import without_settings
 from hygrokf.modelling.registry import is_package_feature, is_package_mechanism
 from hygrokf.physics.model import Feature, Mechanism
@@ -53,7 +53,6 @@ class Cause:
     forms: those in which a record can show it, none where it cannot.
     needs: signals without which it is not tried, for the report.
     mechanisms, features: name → factory, and name → (function, hold), of a user's own cause.
-    tried: its forms in words, for the site's page of causes.
     """
 
     name: str
@@ -64,7 +63,6 @@ class Cause:
     needs: str = ""
     mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
     features: Mapping[str, Feature] = field(default_factory=dict)
-    tried: str = ""
 
 
 def cause_of(
@@ -78,7 +76,6 @@ def cause_of(
     starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
     features: Mapping[str, Settings | Feature] | None = None,
     needs: Sequence[str] = (),
-    tried: str = "",
 ) -> Cause:
     """A cause that is one mechanism of the heat, of the vapour, or one of each.
 
@@ -89,7 +86,6 @@ def cause_of(
     features: settings of the package's features that need any (`{"after_step": {"date_s": 1.6e9}}`), and
         features that the mechanism does not bring itself: (function(record, time), hold).
     needs: signals that features read.  On a record that lacks one the cause is not tried.
-    tried: its form in words, for the site's page of causes.
 
     Returns the cause, for the library of the package or the `library` of `discover`.  For grids of dates or
     thresholds make a `Cause` with `forms` of your own.  Raises ValueError without a factory, TypeError where
@@ -127,7 +123,6 @@ def cause_of(
         name, meaning, remedy, separate_by, forms, ", ".join(sorted({*inputs, *needs} - set(settings))),
         mechanisms={key: one for key, one in made.items() if not is_package_mechanism(key, one)},
         features={key: pair for key, pair in own.items() if not is_package_feature(key, pair)},
-        tried=tried,
     )  # fmt: skip
 
 
@@ -150,125 +145,95 @@ LIBRARY: tuple[Cause, ...] = (
         "with ventilation",
         "weigh a piece of the material before and after pre-heating, or log relative humidity close to it",
         sorption,
-        tried="water content by an isotherm, given back on heating; uptake faster when warm, or alike at "
-        "all temperatures; by thin material, or by a slab into which water diffuses",
     ),
     Cause(
         "condensation", "a film forms on a surface colder than the dew point and evaporates later",
         "find and insulate the cold surface; check the drain; keep it above the dew point at standstill",
         "a surface temperature or wetness sensor at the coldest wall",
         condensation,
-        tried="film on a surface with a lag of its own, colder than the air around the cabinet always or "
-        "under the night sky",
     ),
     Cause(
         "wall_thermal_mass", "a second thermal mass stores heat beside the converter",
         "none needed; use the extended model", "a temperature sensor on the inner wall",
         wall,
-        tried="a second mass between ambient and cabinet air",
     ),
     Cause(
         "solar_gain", "the sun heats the cabinet or the tower around it",
         "shade or paint the wall; check the ventilation of the tower base",
         "irradiance measured at the tower",
         sun, needs="irradiance or the site",
-        tried="measured or clear-sky irradiance on a roof, or on a wall that faces somewhere, through a lag",
     ),
     Cause(
         "wind_driven_exchange", "wind drives air through the cabinet",
         "check seals and cable entries on the windward side",
         "wind speed at the tower base; a tracer-gas decay in wind and in calm",
         wind, needs="wind_speed",
-        tried="loss of heat and exchange of vapour with the wind or its square",
     ),
     Cause(
         "exchange_step", "the exchange of air changed at a date",
         "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now",
         exchange_step,
-        tried="loss of heat and exchange of vapour that change at a date",
     ),
     Cause(
         "heat_release_drift", "the heat release drifts with the calendar",
         "check filters, fans and heat exchangers for fouling; compare losses of the converter",
         "heat flow or coolant temperatures",
         heat_drift,
-        tried="heat release in operation that drifts in proportion to time, or from a date on and "
-        "saturating",
     ),
     Cause(
         "humidity_sensor_drift", "the humidity sensor drifts, or its scale is off",
         "compare the sensor with a reference; replace it", "a second humidity sensor beside it",
         humidity_sensor,
-        tried="drift, a scale that is off or goes off, a ceiling that the readings do not pass",
     ),
     Cause(
         "temperature_sensor_offset", "the cabinet's temperature sensor is off by more than its accuracy",
         "compare the sensor with a reference; check its place and its wiring",
         "a second temperature sensor beside it",
         temperature_offset,
-        tried="offset from a date on, or constant beyond the accuracy",
     ),
     Cause(
         "clock_shift", "one source's clock is off",
         "set the clock, or state the zone and the stamp of the source",
         "an event that all sources see", clock,
-        tried="one source's stamps, by a constant or by an hour in summer time; of two sources only "
-        "the difference shows",
     ),
     Cause(
         "rain_ingress", "rain enters and evaporates",
         "find where the water enters: door, cable entry, roof",
         "a wetness sensor on the floor", rain, needs="rain",
-        tried="rain that enters and evaporates",
     ),
     Cause(
         "door_opening", "the door stood open", "compare with the log of service visits", "a door contact",
         doors,
-        tried="windows of much larger exchange",
     ),
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",
         "current of the drier", drier,
-        tried="drying above a set-point of the humidity, by a desiccant or by a cold plate, which may warm "
-        "the air",
     ),
     Cause(
         "internal_moisture_source", "water evaporates inside",
         "look for leaks of coolant, wet cable ducts, ground water",
         "absolute humidity inside and outside with the cabinet at ambient temperature", source,
-        tried=(
-            "vapour release: constant, at standstill, from a wet surface, in the same hours, or drying "
-            "out from a date on"
-        ),
     ),
     Cause(
         "ambient_bias", "the ambient series does not describe the air that enters the cabinet",
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
         ambient,
-        tried=(
-            "offset or gain of the ambient vapour, offset of its humidity; air or intake air that lags the "
-            "series; a smoothed series"
-        ),
     ),
     Cause(
         "unlogged_heater", "a heater that no signal reports runs",
         "find the heater and its thermostat or humidistat; log its state", "current of the heater",
         heater,
-        tried="thermostat or humidistat, at standstill or in any state",
     ),
     Cause(
         "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
         "look for lamps, timers and people at work in these hours; log the load",
         "current of the equipment that runs in these hours",
         by_the_clock,
-        tried="heat in the same hours of every day, or of every workday (UTC)",
     ),
     Cause(
         "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
         "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve",
         cooling,
-        tried="a stage whose loss grows with the temperature, cooling of constant power, or a vent that "
-        "opens by temperature or humidity",
     ),
 )  # fmt: skip
 

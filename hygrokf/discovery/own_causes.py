@@ -1,31 +1,329 @@
 """A user's own causes: loaded from a file or an installed package, checked, and registered.
 
-A file is executed: load only files that you trust.
+A file is executed: load only files that you trust.  Checked are sentences and names, forms, and that a cause
+is nested in the base models.  Everything is tried on a small record with every signal of the table (30 days,
+hourly, made of sines).  At the null value of a mechanism the simulation of the extended model must be that of
+the base; away from it the simulation must change.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
+import math
+import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
-from functools import wraps
+from functools import lru_cache, wraps
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hygrokf.discovery.discovery_results import Settings
+import numpy as np
+
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.signals import SIGNALS
+from hygrokf.discovery.estimate import Calibration, ErrorModels
+from hygrokf.discovery.forms import Form, Ground, ground_of
 from hygrokf.discovery.library import LIBRARY, Cause
-from hygrokf.discovery.plugin_validation import declared_faults, exception_text, form_faults, is_feature
-from hygrokf.errors import HygrokfError
-from hygrokf.modelling.registry import Origin, admit, origins, withdraw
+from hygrokf.discovery.results import Settings
+from hygrokf.discovery.scene import Scene, scene_of
+from hygrokf.discovery.screening import added, start_values, widened
+from hygrokf.discovery.simulator import Simulator
+from hygrokf.discovery.starting_model import base_designs
+from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
+from hygrokf.modelling.design import HOLDS
+from hygrokf.modelling.registry import Origin, admit, name_faults, origins, withdraw
+from hygrokf.physics.holds import hold_named
+from hygrokf.physics.mechanisms import FURTHER, LOGGED
+from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
+from hygrokf.physics.model import SUMS, Mechanism
 
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
 _adopted: dict[str, Cause] = {}
+SAME = 1e-5
+"""[1] largest difference of two simulations that count as equal, as a share of the spread of the base's."""
+DAYS = 30
+IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
+_RANGES: Mapping[str, tuple[float, float]] = {
+    "K": (278.0, 293.0), "1": (0.0, 1.0), "Pa": (9.8e4, 1.02e5), "W": (0.0, 2e4), "kg/m3": (5e-3, 9e-3),
+    "m/s": (0.0, 15.0), "W/m2": (0.0, 800.0), "rad": (0.0, 6.0), "rad/s": (0.0, 1.5),
+    "cabinet_temperature": (290.0, 303.0), "cabinet_relative_humidity": (0.25, 0.6),
+    "ambient_relative_humidity": (0.5, 0.95), "active_power": (-1e6, 2e6), "rain": (0.0, 4.0),
+}  # fmt: skip
+"""Range of a signal of the trial record, by its name or its unit [SI unit]."""
+
+
+# -- a record to try causes on ------------------------------------------------------------------------------
+def trial_record() -> Record:
+    """A record with every signal, of two clocks: sines of many periods in ordinary ranges."""
+    hour = np.arange(24 * DAYS + 1.0)
+    series = []
+    for place, signal in enumerate(SIGNALS.values()):
+        low, high = _RANGES.get(signal.name, _RANGES[signal.unit])
+        wave = 0.35 * np.sin(2.0 * np.pi * hour / 24.0 + place)
+        value = low + (high - low) * (0.5 + wave + 0.15 * np.sin(2.0 * np.pi * hour / (31.0 + 3.0 * place)))
+        if signal.name in ("preheating", "door_open"):
+            value = (value > 0.9).astype(float)
+        if signal.name == "active_power":
+            value = np.maximum(value, 0.0)
+        source = "cabinet" if signal.name.startswith("cabinet_") else "plant"
+        series.append(Series(signal.name, 1.6e9 + 3600.0 * hour, value, source=source))
+    return Record("trial record", tuple(series), Site(55.0, 8.0, 0.0), rated_power_W=2e6)
+
+
+@lru_cache(maxsize=1)
+def trial_estimate() -> Calibration:
+    """The base model on the trial record, at its start values: nothing is estimated."""
+    record = trial_record()
+    heat, vapour = base_designs(record)
+    simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
+    theta = simulator.vector({p.name: p.start for p in simulator.parameters})
+    simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in simulator.scene.readings}
+    return Calibration(simulator, ErrorModels({}, {}), theta, {}, simulated)
+
+
+def trial_ground() -> Ground:
+    """The ground on which forms are tried."""
+    simulator = trial_estimate().simulator
+    return ground_of(simulator.scene.record, simulator.heat, simulator.vapour)
+
+
+# -- faults, before anything is registered ------------------------------------------------------------------
+def declared_faults(cause: Cause) -> list[str]:
+    """Faults of a cause's sentences, names, factories and features."""
+    faults = [
+        f"{word}: expected a sentence, found {getattr(cause, word)!r}"
+        for word in ("meaning", "remedy", "separate_by")
+        if not isinstance(getattr(cause, word), str) or not getattr(cause, word).strip()
+    ]
+    if not isinstance(cause.name, str) or not IDENTIFIER.fullmatch(cause.name):
+        faults.append(
+            f"name: expected an identifier in small letters such as damp_wall, found {cause.name!r}"
+        )
+    if cause.name in {own.name for own in LIBRARY}:
+        faults.append("the package has a cause of that name; choose another name")
+    if not callable(cause.forms):
+        faults.append(f"forms: expected a function of a ground, found {cause.forms!r}")
+    odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
+    if odd:
+        return faults + [
+            f"{word}: expected a mapping of names, found {getattr(cause, word)!r}" for word in odd
+        ]
+    faults += name_faults(cause.mechanisms, cause.features)
+    for name, pair in cause.features.items():
+        if not is_feature(pair):
+            faults.append(f"feature {name!r}: expected (function(record, time), hold), found {pair!r}")
+        else:
+            try:
+                hold_named(pair[1])
+            except ValueError as fault:
+                faults.append(f"feature {name!r}: {fault}")
+        if name in HOLDS and name not in {*FEATURES, *SIGNALS}:
+            faults.append(
+                f"feature {name!r}: the base models have an input of that name; choose another name"
+            )
+    for name, factory in cause.mechanisms.items():
+        faults += _factory_faults(name, factory, cause.features)
+    return faults
+
+
+def is_feature(pair: object) -> bool:
+    """Whether it is (function, hold)."""
+    return isinstance(pair, tuple) and len(pair) == 2 and callable(pair[0])
+
+
+def _factory_faults(
+    name: str, factory: Callable[..., Mechanism], features: Mapping[str, object]
+) -> Iterator[str]:
+    try:
+        made = factory()
+    except Exception as fault:
+        yield f"mechanism {name!r}: its factory, called without arguments, fails: {exception_text(fault)}"
+        return
+    if not isinstance(made, Mechanism) or made.name != name:
+        found = f"one named {made.name!r}" if isinstance(made, Mechanism) else repr(made)
+        yield f"mechanism {name!r}: expected its factory to return a Mechanism of that name, found {found}"
+        return
+    absent = [one for one in made.features if one not in features]
+    if absent:
+        yield (
+            f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
+            "found none there; state them, or make the cause with cause_of"
+        )
+    known = {*HOLDS, *features, *made.features}
+    for one in made.inputs:
+        if one not in known:
+            yield (
+                f"mechanism {name!r}: unknown input {one!r}: no signal and no feature{suggestion(one, known)}"
+            )
+    brought = _package_names()
+    taken = sorted({*(p.name for p in made.parameters), *made.states} & brought)
+    if taken:
+        yield (
+            f"mechanism {name!r}: the package has parameters or states named {', '.join(taken)}; rename them"
+        )
+    if not made.null:
+        yield (
+            f"mechanism {name!r}: expected a parameter with a null value at which it has no effect, found "
+            "none; give one of its parameters null=0.0"
+        )
+    for p in made.parameters:
+        if p.null is not None and not (p.lower <= p.null <= p.upper or (p.positive and p.null == 0.0)):
+            yield f"mechanism {name!r}: the null value {p.null:g} of {p.name} is outside of its bounds"
+        if not p.meaning or not p.unit:
+            yield f"mechanism {name!r}: the parameter {p.name} needs a unit and a meaning"
+
+
+@lru_cache(maxsize=1)
+def _package_names() -> frozenset[str]:
+    """Parameters and states of the base models and of the package's further mechanisms."""
+    models = [m for one in trial_estimate().simulator.designs for m in one.model.mechanisms]
+    models += [factory() for factory in (*LOGGED, *FURTHER)]
+    return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
+
+
+# -- faults of its forms, with its mechanisms registered ----------------------------------------------------
+def form_faults(cause: Cause) -> list[str]:
+    """Faults of a cause's forms on the trial record: names, values, equations, nesting."""
+    try:
+        forms = list(cause.forms(trial_ground()))
+    except Exception as fault:
+        return [f"forms fails on a record with every signal: {exception_text(fault)}"]
+    if not forms:
+        return [
+            "forms gives none on a record with every signal (30 days, hourly); expected at least one there"
+        ]
+    faults = []
+    for form in forms:
+        if not isinstance(form, Form) or form.cause != cause.name:
+            faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
+        else:
+            faults += [f"form {form.code!r}: {fault}" for fault in _faults_of(form)]
+    return list(dict.fromkeys(faults))
+
+
+def _faults_of(form: Form) -> list[str]:
+    one = trial_estimate()
+    faults = [f"feature {fault}" for s in form.grid for fault in feature_faults(s.features)]
+    faults += [
+        f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
+        for name, _ in (*form.heat, *form.vapour)
+        if name not in MECHANISMS
+    ]
+    if not form.grid:
+        faults.append("expected a grid of at least one Setting, found none")
+    faults += [
+        f"steps: expected a setting of a feature in every point of the grid, found {key!r} of {name!r}"
+        for name, key in form.steps
+        if not form.clock and any(key not in s.features.get(name, {}) for s in form.grid)
+    ]
+    if faults or not (form.heat or form.vapour):
+        return faults
+    try:
+        wider = widened(one, form, form.grid[0])
+        own = {p.name: p for p in added(one, wider)}
+        unknown = sorted({*form.limits, *(name for s in form.grid for name in s.values)} - set(wider.names))
+        if unknown:
+            faults.append(
+                f"values of unknown parameters {', '.join(unknown)}; it has {', '.join(sorted(own))}"
+            )
+        faults += _nesting_faults(one, wider, form, start_values(one, wider, form.grid[0]))
+    except Exception as fault:
+        faults.append(exception_text(fault))
+    return faults
+
+
+def _nesting_faults(
+    one: Calibration, wider: Simulator, form: Form, start: Mapping[str, float]
+) -> Iterator[str]:
+    """Faults of a form that is not nested in the base, or has no effect beside it."""
+    own = added(one, wider)
+    null = {p.name: p.null for p in own if p.null is not None}
+    other = {p.name: _away(p.start, p.lower, p.upper, p.positive) for p in own}
+    for given in ({**start, **null}, {**start, **other, **null}):
+        found = max(_departures(one, wider, given).values())
+        if not found <= SAME:
+            at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
+            differs = f"differs by {100.0 * found:.3g} % of its spread"
+            yield (
+                f"expected the base model at the null value ({at}), found a simulation that "
+                f"{differs if found < math.inf else 'is not finite'}; every effect must vanish there"
+            )
+            return
+    acting = {**start, **{name: other[name] for name in null}}
+    moved = replace(wider, scene=_with_waves(wider), _cells={})
+    still = replace(one, simulated=_simulated(moved, {**start, **null}))
+    changes = _departures(still, moved, acting)
+    for quantity, mechanisms in (("temperature", form.heat), ("vapour", form.vapour)):
+        if mechanisms and not changes[quantity] < math.inf:
+            yield (
+                f"the simulated {quantity} is not finite near the start values; check divisions, logarithms "
+                "and bounds"
+            )
+        elif mechanisms and changes[quantity] <= 1e-3 * SAME:
+            yield (
+                f"it changes nothing in the simulated {quantity}, whatever its parameters; contribute to one "
+                f"of {', '.join(SUMS)}"
+            )
+
+
+def _simulated(simulator: Simulator, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    theta = simulator.vector(values)[:, None]
+    return {q: simulator.simulated(theta, q)[:, 0] for q in simulator.scene.readings}
+
+
+def _departures(one: Calibration, wider: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Largest difference of each quantity's simulation from the base's, as a share of that one's spread;
+    infinite where a simulation is not finite."""
+    made, found = _simulated(wider, values), {}
+    for q, base in one.simulated.items():
+        share = float(np.max(np.abs(made[q] - base)) / np.std(base))
+        found[q] = share if math.isfinite(share) else math.inf
+    return found
+
+
+def _with_waves(simulator: Simulator) -> Scene:
+    """The scene with waves for features that are constant in it: a threshold that this record never reaches,
+    a late date."""
+    scene, waves = simulator.scene, []
+    for design in simulator.designs:
+        for name in design.features:
+            value = scene.at_edges(name, design)
+            if np.ptp(value) == 0.0:
+                waves.append((name, design, 0.5 + 0.4 * np.sin(np.arange(len(value)) / 56.0)))
+    return scene.with_inputs(waves)
+
+
+def _away(start: float, lower: float, upper: float, positive: bool) -> float:
+    """A value some way from the start, within the bounds."""
+    if positive:
+        return start * 1.5 if start * 1.5 <= upper else start / 1.5
+    step = 0.1 * (min(upper, start + 50.0) - max(lower, start - 50.0))
+    return start + step if start + step <= upper else start - step
+
+
+_PACKAGE = str(Path(__file__).parents[1])
+_FUNCTOOLS = functools.__file__
+"""Its frames stand between the package and a user's code where the package caches a property."""
+
+
+def exception_text(fault: BaseException, file: str | None = None) -> str:
+    """An exception in a user's code as a phrase: its kind, its text, and the last line of that code."""
+    frames = traceback.extract_tb(fault.__traceback__)
+    if file:
+        inside = [f for f in frames if f.filename == file]
+    else:
+        inside = [f for f in frames if not f.filename.startswith((_PACKAGE, _FUNCTOOLS))]
+    where = f" (line {inside[-1].lineno} of {Path(inside[-1].filename).name})" if inside else ""
+    return f"{type(fault).__name__}: {fault}{where}"
 
 
 class LibraryFault(HygrokfError):

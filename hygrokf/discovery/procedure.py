@@ -1,51 +1,52 @@
-"""From a record to its discovery: the errors of the simulation, their cause, the extended model, and its
-gain."""
+"""From a record to its discovery: the errors of the simulation, their cause, the extended model, its gain,
+and what is told of a cause."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.clocks import shifted
-from hygrokf.data.drawn import drawn
+from hygrokf.data.clocks import shifted, sources
 from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.candidates import Candidate
+from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
-from hygrokf.discovery.discovery_results import (
-    DiscoveryResults,
-    Exclusion,
-    Line,
-    ModelScores,
-    Rejected,
-    Verdict,
-    Work,
-)
-from hygrokf.discovery.final_set import fit_of
+from hygrokf.discovery.estimate import Calibration
+from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import ground_of
-from hygrokf.discovery.library import LIBRARY, Cause
+from hygrokf.discovery.library import LIBRARY, Cause, named
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
-from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.search import Found, Search, needed
+from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
+from hygrokf.discovery.results import (
+    CauseEvidence,
+    CauseFound,
+    CauseParameter,
+    Discovery,
+    DiscoveryResults,
+    ErrorGain,
+    Exclusion,
+    ModelScores,
+    Refuted,
+    Rejected,
+    SearchCost,
+    Settings,
+    SpectralLine,
+    Verdict,
+)
+from hygrokf.discovery.search import Accepted, Search, SearchEnd, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
-from hygrokf.discovery.told import cause_found, evidence_of, gains, refuted_cause
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.verdict_terms import REJECT, Reason
+from hygrokf.physics.parameters import Parameter
 from hygrokf.version import __version__
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 BUDGET = 40_000
 """Simulations after which no further cause is tried."""
@@ -56,49 +57,6 @@ WET_SENSOR = Reason(
     REJECT,
     "what the model takes as an error of the humidity sensor may be water in the cabinet",
 )
-
-
-@dataclass(frozen=True)
-class Discovery:
-    """The base fit, the extended fit where a cause was accepted, and the results.
-
-    `results`: the data of `discovery.json`; `results.to_frame()` lists every cause that was tried.  `before`,
-    `after`: residuals of both models, for figures.  A discovery can be pickled.
-    """
-
-    base: Fit
-    extended: Fit | None
-    results: DiscoveryResults
-    before: Residuals | None = None
-    after: Residuals | None = None
-
-    def to_json(self) -> JsonObject:
-        """The data of `discovery.json`."""
-        data: JsonObject = plain(self.results)
-        return data
-
-    def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-        """Readings, base and extended model where the error is largest; else errors over the drivers.
-
-        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
-            None: a new figure of pyplot, in the style of the reports.
-
-        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
-        data or matplotlib are missing, ValueError for more axes than panels.
-        """
-        return drawn("plot_discovery", self, axes)
-
-    def __str__(self) -> str:
-        """The name with its verdict, and each cause with its confidence [1]."""
-        causes = [
-            f"  {one.cause} ({one.form}), confidence {one.confidence:.2f}" for one in self.results.causes
-        ]
-        return "\n".join([f"{self.results.name}: {self.results.verdict}", *causes])
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return str(self.results.to_frame().to_html())
 
 
 def discover(
@@ -187,9 +145,12 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
         causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
-        refuted=tuple(refuted_cause(one, judged, found.searched) for one, judged in ended.refuted),
+        refuted=tuple(
+            Refuted(one.cause, one.form.code, evidence_of(one, found.searched), judged)
+            for one, judged in ended.refuted
+        ),
         lines=tuple(left),
-        work=Work(start.simulator.work.simulations, budget, found.not_judged),
+        work=SearchCost(start.simulator.work.simulations, budget, found.not_judged),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
         own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
@@ -197,10 +158,10 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         left=() if extended is None else tuple(findings(after)),
         doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
     )
-    return Discovery(base, extended, results, before, None if extended is None else after)
+    return Discovery(results, before, after if extended else None, base=base, extended=extended)
 
 
-def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
+def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
     """What is left overrules a name; a name with rivals is ambiguous."""
     if left:
         return "unexplained"
@@ -210,7 +171,7 @@ def verdict(ended: Conclusion, left: Sequence[Line]) -> Verdict:
 
 
 def _rejected(
-    found: Found, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+    found: SearchEnd, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
     told = {one.candidate.cause for one in ended.accepted} | {one.cause for one, _ in ended.refuted}
@@ -248,3 +209,182 @@ def _saturated(record: Record) -> float:
     humidity = record["cabinet_relative_humidity"]
     count = len(humidity.known[0]) + humidity.saturated
     return humidity.saturated / count if count else math.nan
+
+
+# -- what is told of a cause ---------------------------------------------------------------------------------
+CONFIDENCE = (-1.26, 0.531, 0.00118)
+"""Constant, weight of ln of the evidence in days, and weight of its lead in days: of the logistic
+confidence."""
+SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
+
+
+def cause_found(
+    one: Accepted, ended: Conclusion, library: Sequence[Cause], searched: Mapping[str, int]
+) -> CauseFound:
+    """A named cause: its evidence and parameters, how sure its name is, and what to check."""
+    candidate = one.candidate
+    cause = named(candidate.cause, library)
+    rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
+    assert ended.extended is not None
+    return CauseFound(
+        cause=cause.name,
+        form=candidate.form.code,
+        forms_alike=candidate.alike,
+        confidence=confidence(candidate.in_days, one.lead),
+        statement=cause.meaning,
+        parameters=_parameters(candidate, ended.base, ended.extended),
+        settings=_settings(candidate, ended.base.estimate.simulator.scene.record),
+        evidence=evidence_of(candidate, searched, one.lead),
+        held_out=one.judged,
+        ambiguous_with=rivals,
+        separate_by=SECOND_SENSOR if one.wet else cause.separate_by,
+        remedy=SECOND_SENSOR if one.wet else _remedy(cause, candidate),
+    )
+
+
+def confidence(in_days: float, lead: float) -> float:
+    """How often [1] a name with such evidence is right: logistic in ln of the evidence in days and in its
+    lead in days."""
+    from scipy.special import expit
+
+    constant, by_evidence, by_lead = CONFIDENCE
+    return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
+
+
+def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> CauseEvidence:
+    """The evidence of a candidate."""
+    return CauseEvidence(
+        dict(one.gains), one.constants, searched.get(one.cause, 0), one.evidence, one.in_days, lead
+    )
+
+
+def _settings(one: Candidate, record: Record) -> Settings:
+    """What the search chose: settings of features, and the shift of a clock [s] against another where there
+    are only two."""
+    found = {key: value for settings in one.setting.features.values() for key, value in settings.items()}
+    if one.form.clock:
+        found |= {"source": one.form.clock, "shift_s": one.setting.shift_s, "summer": one.form.summer}
+        others = [name for name in sources(record) if name != one.form.clock]
+        found |= {"relative_to": others[0]} if len(others) == 1 else {}
+    return found
+
+
+def _remedy(cause: Cause, one: Candidate) -> str:
+    """What to check, and for an error of a clock the line that corrects it until then."""
+    if not one.form.clock or one.form.summer:
+        return cause.remedy
+    line = f'clock_correction = "{one.setting.shift_s / 60.0:+.4g}min"'
+    place = f"in each [[source]] of {one.form.clock} in the case file"
+    return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
+
+
+def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, CauseParameter]:
+    """The cause's own parameters in the extended model, with bounds."""
+    known = set(base.estimate.simulator.names)
+    mine = set(one.estimate.simulator.names) - known
+    simulator = extended.estimate.simulator
+    own: dict[str, Parameter] = {}
+    for p in simulator.parameters:
+        level = p.name.rpartition("_")[0] in one.setting.features
+        if (p.name in mine and (p.name in brought(one.form, simulator) or level)) or p.name == one.form.freed:
+            own[p.name] = p
+    return {name: _parameter(p, extended) for name, p in own.items()}
+
+
+def _parameter(p: Parameter, extended: FinalSet) -> CauseParameter:
+    value = extended.estimate.values[p.name]
+    lower, upper = extended.bounds(p.name)
+    reach = extended.deviation(p.name)
+    null = math.nan if p.null is None else p.null
+    return CauseParameter(value, p.unit, _closed(lower), _closed(upper), reach, null, p.meaning)
+
+
+def _closed(bound: float) -> float:
+    return bound if math.isfinite(bound) else math.nan
+
+
+# -- errors --------------------------------------------------------------------------------------------------
+QUANTITY = {"temperature": "temperature", "humidity": "vapour"}
+"""A quantity of residuals → of the search."""
+
+
+def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[ErrorGain, ...]:
+    """The gains by quantity: on held-out readings where there are any, else on those that identified.
+
+    before, after: residuals of both models' free runs; the same ones without an extended model.
+    """
+    spans = _openings(ended)
+    # a corrected clock moves the instants of one model: no differences remain
+    together = np.array_equal(before.time_s, after.time_s)
+    found = []
+    for quantity in QUANTITIES:
+        old = _outside(before.time_s, before.error(quantity), spans)
+        new = _outside(after.time_s, after.error(quantity), spans)
+        for period, chosen in (("validation", True), ("identification", False)):
+            pair = old[before.validation == chosen], new[after.validation == chosen]
+            if all(np.isfinite(one).any() for one in pair):
+                chosen_s = before.time_s[before.validation == chosen]
+                day = np.floor(chosen_s / DAY_S) if together else np.empty(0)
+                found.append(
+                    _gain(quantity, period, *pair, day, _driven(ended, QUANTITY[quantity], chosen, spans))
+                )
+                break
+    return tuple(found)
+
+
+def _openings(ended: Conclusion) -> list[list[float]]:
+    """The stretches [s] in which a door was named, those of the held-out part included."""
+    spans = []
+    for one in ended.accepted:
+        if one.candidate.form.windows and ended.extended is not None:
+            whole = foreseen(ended.base.estimate, one.candidate)
+            spans += next(
+                design.features["door_open"]["spans"]
+                for design in whole.simulator.designs
+                if "door_open" in design.features
+            )
+    return spans
+
+
+def _outside(time_s: np.ndarray, error: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
+    inside = np.zeros(len(time_s), bool)
+    for first, last in spans:
+        inside |= (time_s >= first) & (time_s <= last)
+    return np.where(inside, np.nan, error)
+
+
+def _driven(
+    ended: Conclusion, quantity: str, held_out: bool, spans: Sequence[Sequence[float]]
+) -> tuple[float, float]:
+    """RMSE of the vapour of both models on the measured temperature; NaN of the temperature."""
+    if quantity == "temperature":
+        return math.nan, math.nan
+
+    def error(one: Calibration) -> float:
+        r = one.simulator.scene.readings[quantity]
+        chosen = np.where(r.identified != held_out, r.value - one.simulated[quantity], np.nan)
+        return root_mean_square(_outside(r.time_s, chosen, spans))
+
+    return error(ended.base.estimate), error((ended.extended or ended.base).estimate)
+
+
+def _gain(
+    quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
+) -> ErrorGain:
+    lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
+    return ErrorGain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
+
+
+def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:
+    """95 % bounds of the fall of the root mean square at common instants: days are independent, the mean
+    square's change is normal."""
+    both = np.isfinite(old) & np.isfinite(new)
+    _, which = np.unique(day[both], return_inverse=True)
+    if not len(which) or which.max() < 1:
+        return math.nan, math.nan
+    # by the delta method: d rmse = d (mean square) / (2 rmse)
+    a, b = root_mean_square(old[both]), root_mean_square(new[both])
+    each = old[both] ** 2 / max(2.0 * a, 1e-12) - new[both] ** 2 / max(2.0 * b, 1e-12)
+    daily = np.bincount(which, each - each.mean())
+    reach = NORMAL_95 * math.sqrt(float(daily @ daily)) / len(each)
+    return a - b - reach, a - b + reach

@@ -1,5 +1,8 @@
-"""A discovery on disk: `discovery.json`, `discovery.npz`, and the model that it ends with as a fit beside
-them."""
+"""What a discovery finds: errors, causes with their evidence, what held-out readings say of them, and the
+causes that were left out; and the files that hold it (`discovery.json`, `discovery.npz`, a fit beside them).
+
+Numbers that do not exist are NaN here and null in the file.
+"""
 
 from __future__ import annotations
 
@@ -8,39 +11,360 @@ import math
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result, result_text
-from hygrokf.discovery.discovery_results import DiscoveryResults
+from hygrokf.data.structured import JsonObject, plain
+from hygrokf.data.tabular import with_units
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.identification.fit import write_fit
+from hygrokf.evaluation.scoring import RuleScores, Scores
+from hygrokf.identification.fit import Fit, write_fit
+from hygrokf.identification.fit_results import FitResults, TimeConstant
+from hygrokf.physics.model import fields_alone
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
-    from hygrokf.discovery.procedure import Discovery
+LASTING_KINDS = ("step", "drift", "season")
+"""Kinds of a condition that begins once and lasts, so that it need not recur."""
+Verdict: TypeAlias = Literal["none", "named", "ambiguous", "unexplained", "refuted"]
+"""No effect is missing; every cause is named; one at least cannot be told from others; an effect is missing
+beside what is named; held-out readings refute every cause that was found."""
+Reason: TypeAlias = Literal["", "worse", "no_gain", "unproven", "no_effect"]
+"""Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
+spare, or do not bear out little evidence; it has no effect in the final set."""
+Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
+"""Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
+place to later ones; the budget ended the search; the record cannot show it."""
+Settings: TypeAlias = Mapping[str, Any]
+"""Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
+CLASS_LIMIT = 3
+"""Causes that a class may hold; a longer one names nothing."""
 
-WHICH = ("before", "after")
-AGAIN = "run `hygrokf discover` with --out on this directory first"
+
+@dataclass(frozen=True)
+class Finding:
+    """An error of the free run in the identification period.
+
+    quantity: "temperature" or "humidity"; unit: K or g/m³.
+    where, when: the condition in words, empty for any.
+    size: mean effect under the condition less that elsewhere, by generalised least squares under the error
+        model; direction: of the simulation.
+    duration_h: [h] for how long of an episode, or NaN.
+    n_episodes: in which it is seen, of n_possible.
+    sensor_share: [1] of its square that the sensors' accuracy explains.
+    p, p_adjusted: [1] chance of it without a cause, alone and as adjusted share of false discoveries.
+    driver: signal that it goes with, or None.  kind: of the condition.
+    curve: reading − free run over the condition's bins.
+    spans: (start, end) [s] of its episodes, the largest error first.
+    """
+
+    quantity: str
+    where: str
+    when: str
+    size: float
+    unit: str
+    direction: str
+    duration_h: float
+    n_episodes: int
+    n_possible: int
+    sensor_share: float
+    statement: str
+    p: float
+    p_adjusted: float
+    driver: str | None
+    kind: str
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    spans: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class SpectralLine:
+    """A line that is left in a spectrum: its quantity, its period [h], and the chance [1] of one without an
+    effect; cause: the named one in whose daily scores it stands, "" in the errors themselves."""
+
+    quantity: str
+    period_h: float
+    p: float
+    cause: str = ""
+
+
+@dataclass(frozen=True)
+class ErrorGain:
+    """Errors of the base and of the extended model's free run: root mean squares [K] or [g/m³], and the 95 %
+    bounds of their difference.
+
+    period: "validation" or "identification"; hours of openings that were named are left out of both.
+    driven_before, driven_after: of the vapour on the measured temperature, else NaN; the errors themselves
+    are those of `hygrokf.simulate`, on the simulated one.
+    """
+
+    quantity: str
+    period: str
+    rmse_before: float = math.nan
+    rmse_after: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+    driven_before: float = math.nan
+    driven_after: float = math.nan
+
+
+@dataclass(frozen=True)
+class CauseEvidence:
+    """Evidence of a cause's best form.
+
+    gains: [1] 2 ln L by quantity, a difference of maxima; constants: free ones that it adds; searched:
+    settings that were tried.
+    evidence: the gains less ln N for each constant and 2 ln of the settings; in_days: the same by how
+    independent its days are.  lead: by how much the best rival of another cause stays behind, in days.
+    """
+
+    gains: Mapping[str, float] = field(default_factory=dict)
+    constants: int = 0
+    searched: int = 0
+    evidence: float = math.nan
+    in_days: float = math.nan
+    lead: float = math.nan
+
+
+@dataclass(frozen=True)
+class HeldOutTest:
+    """What held-out readings say of a cause beside the model without it, by quantity.
+
+    z: [1] mean over days of the squared errors' change 3, 12 and 48 h ahead, in its standard errors; growth:
+    [1] mean change of ln squared error, the free run's included; before, after: RMSE of the free runs with
+    levels at their least squares; gain: [1] in 2 ln L of these readings; days: with readings.
+    """
+
+    z: Mapping[str, float] = field(default_factory=dict)
+    growth: Mapping[str, float] = field(default_factory=dict)
+    before: Mapping[str, float] = field(default_factory=dict)
+    after: Mapping[str, float] = field(default_factory=dict)
+    gain: float = math.nan
+    days: int = 0
+    reason: Reason = ""
+
+    @property
+    def improvement(self) -> float:
+        """[1] largest share by which a quantity's free-run error falls; 0 without held-out readings."""
+        known = [(old, self.after[q]) for q, old in self.before.items() if old > 0 and q in self.after]
+        return max((1.0 - new / old for old, new in known), default=0.0)
+
+
+@dataclass(frozen=True)
+class CauseParameter:
+    """A parameter that a cause adds: value, 95 % bounds (NaN for an open side), standard error, and the value
+    without an effect, in its unit."""
+
+    value: float
+    unit: str
+    lower: float = math.nan
+    upper: float = math.nan
+    se: float = math.nan
+    null: float = math.nan
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class CauseFound:
+    """An accepted cause.
+
+    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
+    confidence: [1] how often a name with such evidence is right.
+    ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
+    separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
+    """
+
+    cause: str
+    form: str = ""
+    forms_alike: tuple[str, ...] = ()
+    confidence: float = math.nan
+    statement: str = ""
+    parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
+    settings: Settings = field(default_factory=dict)
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
+    held_out: HeldOutTest = field(default_factory=HeldOutTest)
+    ambiguous_with: tuple[str, ...] = ()
+    separate_by: str = ""
+    remedy: str = ""
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether its class is small enough to name something."""
+        return len(self.ambiguous_with) < CLASS_LIMIT
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A cause that was left out, with the evidence of its best form and the reason."""
+
+    cause: str
+    form: str = ""
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
+    reason: Exclusion = "no_effect"
+
+
+@dataclass(frozen=True)
+class Refuted:
+    """A cause that the identification period shows and the held-out period refutes."""
+
+    cause: str
+    form: str = ""
+    evidence: CauseEvidence = field(default_factory=CauseEvidence)
+    held_out: HeldOutTest = field(default_factory=HeldOutTest)
+
+
+@dataclass(frozen=True)
+class SearchCost:
+    """What the search cost: simulations, those that it was allowed, and the causes that it therefore did not
+    judge."""
+
+    simulations: int = 0
+    budget: int = 0
+    not_judged: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ModelScores:
+    """Errors, time constants and likelihood of the base or of the extended model, as in its `fit.json`."""
+
+    rmse: Scores = field(default_factory=dict)
+    baselines: RuleScores = field(default_factory=dict)
+    time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
+    loglik: float = math.nan
+    n_obs: int = 0
+
+    @cached_property
+    def fit(self) -> FitResults:
+        """These numbers as the results of a fit, for functions that take those."""
+        return FitResults(**fields_alone(self))
+
+
+@dataclass(frozen=True)
+class DiscoveryResults:
+    """The results of a discovery.
+
+    baseline, extended: the model before and after; `extended` is None where no cause was accepted.
+    estimator: of both models' parameters, "likelihood" or "output-error".
+    gains: errors of both by quantity; held_out_days: with readings after the identification period.  As these
+    can refute a cause, errors told from them are those after a selection.
+    findings: errors of the base model's free run, worst first; left: those of the model that it ends with.
+    causes: in the order in which they were accepted; rejected, refuted: those that were left out.
+    lines: what is left without a cause.
+    repeated: signal → stretches [s] of repeated readings that were set aside; saturated: [1] share of the
+    humidity readings at the end of the sensor's range.
+    own_causes: origin of the user's causes.  doubts: those about the record that concern a time constant.
+    """
+
+    name: str
+    version: str
+    verdict: Verdict
+    baseline: ModelScores
+    synthetic: bool = False
+    extended: ModelScores | None = None
+    estimator: str = ""
+    gains: tuple[ErrorGain, ...] = ()
+    held_out_days: int = 0
+    causes: tuple[CauseFound, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
+    refuted: tuple[Refuted, ...] = ()
+    lines: tuple[SpectralLine, ...] = ()
+    work: SearchCost = field(default_factory=SearchCost)
+    repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    saturated: float = math.nan
+    own_causes: Mapping[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = field(kw_only=True)
+    left: tuple[Finding, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The causes that it names, each with those that the record cannot tell from it."""
+        return tuple(
+            name for one in self.causes if one.told_apart for name in (one.cause, *one.ambiguous_with)
+        )
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Every cause that was tried, by name: verdict on it, confidence [1], gain in evidence, and largest
+        share [1] by which a free-run error on held-out readings falls."""
+        import pandas
+
+        rows = [
+            *(
+                (c.cause, c.form, "accepted", c.confidence, c.evidence.evidence, c.held_out.improvement)
+                for c in self.causes
+            ),
+            *(
+                (c.cause, c.form, "refuted", math.nan, c.evidence.evidence, c.held_out.improvement)
+                for c in self.refuted
+            ),
+            *((c.cause, c.form, c.reason, math.nan, c.evidence.evidence, math.nan) for c in self.rejected),
+        ]
+        columns = ["cause", "form", "verdict", "confidence", "evidence", "improvement"]
+        frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
+        return with_units(frame, {"confidence": "1", "evidence": "1", "improvement": "1"})
 
 
 @dataclass(frozen=True)
 class Discovered:
-    """The content of a discovery's page: its results, and the residuals of both models."""
+    """The content of a discovery's page: its results (`discovery.json`), and the residuals of both models."""
 
     results: DiscoveryResults
     before: Residuals | None = None
     after: Residuals | None = None
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
-        """The picture of the page on matplotlib's axes, as `Discovery.plot` draws it."""
+        """Readings, base and extended model where the error is largest; else errors over the drivers.
+
+        axes: matplotlib's; one, or one for each panel (episodes, or drivers by quantity).
+            None: a new figure of pyplot, in the style of the reports.
+
+        Returns the axes that were drawn on; nothing is shown.  Raises HygrokfError where the picture's
+        data or matplotlib are missing, ValueError for more axes than panels.
+        """
         return drawn("plot_discovery", self, axes)
+
+
+@dataclass(frozen=True)
+class Discovery(Discovered):
+    """The base fit, the extended fit where a cause was accepted, and what was found.
+
+    `results.to_frame()` lists every cause that was tried.  A discovery can be pickled.
+    """
+
+    base: Fit = field(kw_only=True)
+    extended: Fit | None = field(default=None, kw_only=True)
+
+    def to_json(self) -> JsonObject:
+        """The data of `discovery.json`."""
+        data: JsonObject = plain(self.results)
+        return data
+
+    def __str__(self) -> str:
+        """The name with its verdict, and each cause with its confidence [1]."""
+        causes = [
+            f"  {one.cause} ({one.form}), confidence {one.confidence:.2f}" for one in self.results.causes
+        ]
+        return "\n".join([f"{self.results.name}: {self.results.verdict}", *causes])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return str(self.results.to_frame().to_html())
+
+
+# --- files -----------------------------------------------------------------------------------
+
+WHICH = ("before", "after")
+AGAIN = "run `hygrokf discover` with --out on this directory first"
 
 
 def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:
@@ -86,11 +410,10 @@ def _arrays(found: Discovery) -> dict[str, np.ndarray]:
     result = {}
     for which in WHICH:
         one = getattr(found, which)
-        for field in fields(one) if one is not None else ():
-            value = getattr(one, field.name)
+        for name, value in vars(one).items() if one is not None else ():
             parts = value.items() if isinstance(value, Mapping) else [(None, value)]
-            for name, array in parts:
-                result["/".join(filter(None, (which, field.name, name)))] = np.asarray(array)
+            for part, array in parts:
+                result["/".join(filter(None, (which, name, part)))] = np.asarray(array)
     return result
 
 

@@ -66,7 +66,7 @@ SIGNAL_OF = {
 
 
 @dataclass(frozen=True)
-class Readings:
+class SceneReadings:
     """Readings of a quantity: T instants.
 
     time_s: (T,) [s] ends of the intervals of means; value: (T,) [K] or [g/m³], NaN where it is left out;
@@ -136,7 +136,7 @@ class Scene:
     count: int
     heat: Design
     vapour: Design | None
-    readings: Mapping[str, Readings] = field(default_factory=dict)
+    readings: Mapping[str, SceneReadings] = field(default_factory=dict)
     drive: np.ndarray = field(default_factory=lambda: np.empty(0))
     shifts: tuple[Shift, ...] = ()
     _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
@@ -306,7 +306,7 @@ def _filled(value: np.ndarray) -> np.ndarray:
     return np.interp(np.arange(len(value)), np.flatnonzero(there), value[there])
 
 
-def _vapour(scene: Scene, series: Series) -> Readings:
+def _vapour(scene: Scene, series: Series) -> SceneReadings:
     """Readings of the humidity as vapour [g/m³] at the temperature on which the vapour runs."""
     if series.signal == "cabinet_absolute_humidity":
         return _readings(scene, series, 1e3 * series.value, np.ones(1))
@@ -327,7 +327,7 @@ def _over_intervals(time: np.ndarray, value: np.ndarray, series: Series) -> np.n
     return (ends[0] - ends[1]) / series.interval_s
 
 
-def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.ndarray) -> Readings:
+def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.ndarray) -> SceneReadings:
     """Readings within the cells whose inputs are known."""
     end = scene.place(series.time)
     begin = scene.place(series.time - series.interval_s)
@@ -344,6 +344,6 @@ def _readings(scene: Scene, series: Series, value: np.ndarray, saturated: np.nda
     since = gone[at[1][inside] + 1][there]
     anew[there] = np.append(True, since[1:] > since[:-1])[: len(since)]
     scale = UNKNOWN_K if series.signal == TEMPERATURE else (UNKNOWN_SHARE * float(np.nanmean(value))) ** 2
-    return Readings(
+    return SceneReadings(
         time, value, spread, begin[inside], end[inside], time <= until, np.where(anew, scale, 0.0)
     )

@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.data.clocks import Shift
-from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.error_model import filtered, loss
-from hygrokf.discovery.estimate import Columns, Estimate, estimate_at, frame, slopes, weighted
+from hygrokf.discovery.estimate import Calibration, Columns, estimate_at, frame, slopes, weighted
 from hygrokf.discovery.forms import Form, MechanismSettings, Setting
 from hygrokf.discovery.repeats import joined
+from hygrokf.discovery.results import Settings
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.modelling.design import Design, extended
 from hygrokf.physics.parameters import Parameter
@@ -52,7 +52,7 @@ class Parent:
     """An estimate, and what its own parameters can imitate: an orthonormal basis (T, d) by quantity, of
     whitened columns times the roots of their weights; columns: its slopes."""
 
-    estimate: Estimate
+    estimate: Calibration
     basis: Mapping[str, np.ndarray]
     error: Mapping[str, np.ndarray]
     columns: Columns
@@ -63,7 +63,7 @@ class Parent:
         return {q: float((_free_of(basis, self.error[q]) ** 2).sum()) for q, basis in self.basis.items()}
 
 
-def parent_of(one: Estimate, quantities: Sequence[str] | None = None) -> Parent:
+def parent_of(one: Calibration, quantities: Sequence[str] | None = None) -> Parent:
     """A parent's own columns, by quantity (all); those of parameters that are held at a limit imitate
     nothing."""
     f = frame(one.simulator.parameters, set(one.simulator.names), one.linear)
@@ -85,7 +85,7 @@ def _free_of(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return columns - basis @ (basis.T @ columns)
 
 
-def widened(parent: Estimate, form: Form, setting: Setting, own: tuple[str, ...] = ()) -> Simulator:
+def widened(parent: Calibration, form: Form, setting: Setting, own: tuple[str, ...] = ()) -> Simulator:
     """The simulator with a form of a cause."""
     before = parent.simulator
     heat = _wider(before.heat, form.heat, setting.features)
@@ -145,7 +145,7 @@ def _freed(parent: Parent, form: Form) -> list[Screened]:
     return [Screened(form, form.grid[0], {}, gain)] if gain > LEAST else []
 
 
-def added(parent: Estimate, wider: Simulator) -> tuple[Parameter, ...]:
+def added(parent: Calibration, wider: Simulator) -> tuple[Parameter, ...]:
     known = set(parent.simulator.names)
     return tuple(p for p in wider.parameters if p.name not in known)
 
@@ -161,7 +161,7 @@ def size_of(p: Parameter) -> float:
     return p.start - p.null if p.start != p.null else 0.01 * (p.upper - p.null)
 
 
-def start_values(parent: Estimate, wider: Simulator, setting: Setting) -> dict[str, float]:
+def start_values(parent: Calibration, wider: Simulator, setting: Setting) -> dict[str, float]:
     """Values of all parameters at a setting, without an effect."""
     values = {p.name: p.start for p in added(parent, wider)} | parent.values
     values |= {p.name: p.null for p in amplitudes(added(parent, wider)) if p.null is not None}
@@ -303,7 +303,7 @@ def _windows(parent: Parent, form: Form) -> list[Screened]:
 
 
 def _edged(
-    one: Estimate, form: Form, spans: list[list[float]]
+    one: Calibration, form: Form, spans: list[list[float]]
 ) -> tuple[list[list[float]], dict[str, float], float]:
     """Windows whose edges are those of the best real runs, with the sizes and the gain there: a matched
     filter sees an opening late, and as if its effect were there at once."""
@@ -357,7 +357,7 @@ class Openings:
     size: Mapping[str, float]
 
 
-def openings(one: Estimate, form: Form, identified: bool) -> Openings:
+def openings(one: Calibration, form: Form, identified: bool) -> Openings:
     """The windows of the identification period, or of the rest, by a matched filter.
 
     The response within a window is taken as that to a lasting effect, cut to the window: a filter forgets

@@ -21,10 +21,10 @@ from hygrokf.discovery.candidates import (
     lead,
     water,
 )
-from hygrokf.discovery.discovery_results import HeldOutTest
-from hygrokf.discovery.estimate import LIGHT, POLISH, Columns, Estimate, acting, estimate_at, fitted
+from hygrokf.discovery.estimate import LIGHT, POLISH, Calibration, Columns, acting, estimate_at, fitted
 from hygrokf.discovery.forms import Form, Setting
 from hygrokf.discovery.judgement import Scores, difference, judged, levelled, scores
+from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import (
     Screened,
     added,
@@ -66,15 +66,15 @@ class Accepted:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchEnd:
     """The end of a search: its base, the model with all accepted causes, what was refuted or left again.
 
     beside: candidates of the last round; not_judged: causes that the budget left out of it; searched: cause →
     settings that were tried.
     """
 
-    base: Estimate
-    final: Estimate
+    base: Calibration
+    final: Calibration
     accepted: tuple[Accepted, ...] = ()
     refuted: tuple[tuple[Candidate, HeldOutTest], ...] = ()
     left: tuple[Candidate, ...] = ()
@@ -106,7 +106,7 @@ class Search:
 
     def __init__(
         self,
-        base: Estimate,
+        base: Calibration,
         forms: Sequence[Form],
         say: Callable[[str], None] = lambda text: None,
         budget: float = math.inf,
@@ -130,13 +130,13 @@ class Search:
     def names(self) -> frozenset[str]:
         return frozenset(one.candidate.cause for one in self.accepted)
 
-    def run(self) -> Found:
+    def run(self) -> SearchEnd:
         for _ in range(ROUNDS):
             self.visited.add(self.names)
             if not self._round():
                 break
             self._judge_again()
-        return Found(
+        return SearchEnd(
             self.base, self.parent, tuple(self.accepted), self.refuted, tuple(self.left),
             tuple(self.beside), tuple(self.not_judged), self.searched,
         )  # fmt: skip
@@ -300,7 +300,9 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 
-def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate, moved: Collection[str]) -> Estimate:
+def composed(
+    base: Calibration, chosen: Sequence[Chosen], near: Calibration, moved: Collection[str]
+) -> Calibration:
     """The base with some causes, fitted from a larger model's values under the same error models in the
     quantities that moved."""
     one = base
@@ -311,7 +313,7 @@ def composed(base: Estimate, chosen: Sequence[Chosen], near: Estimate, moved: Co
     return fitted(made, acting(made, moved))
 
 
-def foreseen(parent: Estimate, one: Candidate) -> Estimate:
+def foreseen(parent: Calibration, one: Candidate) -> Calibration:
     """The candidate's estimate with the openings of the held-out part, which nothing foresees: those that
     make its readings likelier by more than the price of finding them."""
     if not one.form.windows:
@@ -329,12 +331,12 @@ def foreseen(parent: Estimate, one: Candidate) -> Estimate:
     return _opened(parent, one, sorted([*known, *kept]))
 
 
-def _opened(parent: Estimate, one: Candidate, spans: Sequence[Sequence[float]]) -> Estimate:
+def _opened(parent: Calibration, one: Candidate, spans: Sequence[Sequence[float]]) -> Calibration:
     wider, e = widened(parent, one.form, Setting({"door_open": {"spans": spans}})), one.estimate
     return estimate_at(wider, e.errors, wider.vector(e.values), e.linear, e.variances)
 
 
-def _held_out_deviance(one: Estimate) -> float:
+def _held_out_deviance(one: Calibration) -> float:
     return sum(score.deviance for score in scores(one).values())
 
 
@@ -353,7 +355,7 @@ def tested(
     return judged(before, after, one.in_days - needed(one, accepted), one.factor, one.in_days < FURTHER)
 
 
-def effect_of(form: Form, parent: Estimate, child: Estimate, after: Mapping[str, Scores]) -> float:
+def effect_of(form: Form, parent: Calibration, child: Calibration, after: Mapping[str, Scores]) -> float:
     """The difference that a cause itself makes to the readings (`difference`); infinite for one without a
     size."""
     names = {p.name: p.null for p in amplitudes(added(parent, child.simulator)) if p.null is not None}

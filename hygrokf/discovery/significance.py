@@ -41,7 +41,7 @@ SHARP_H = 1.0
 
 
 @dataclass(frozen=True)
-class Change:
+class LastingChange:
     """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
     sure to the hour."""
 
@@ -153,7 +153,7 @@ class Whitened:
         variances = maximised(self.known.course, rest, self.largest, self.known.variances)
         return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
 
-    def change(self) -> Change:
+    def change(self) -> LastingChange:
         """The likeliest lasting change of the readings, or of a flow.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
@@ -184,7 +184,7 @@ class Whitened:
         value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        return Change(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
+        return LastingChange(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""

@@ -1,7 +1,7 @@
 """Simulations of a model on a scene, many at a time: the readings that each set of parameters gives.
 
 The temperature follows from the model of heat alone, the vapour from the model of vapour on the temperature
-that drives the scene; a controller connects both.  `Work` counts runs.
+that drives the scene; a controller connects both.  `SimulationWork` counts runs.
 
 Shapes: T readings of a quantity, P parameters, n runs, F edges of parts of cells.
 """
@@ -34,7 +34,7 @@ ACCURACY = 2.0
 
 
 @dataclass
-class Work:
+class SimulationWork:
     """Simulations so far, and the cell models that all simulators of a search share: tracing one takes as
     long as ten runs."""
 
@@ -51,7 +51,7 @@ class Simulator:
     vapour: Design | None
     own: tuple[str, ...] = ()
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    work: Work = field(default_factory=Work, compare=False)
+    work: SimulationWork = field(default_factory=SimulationWork, compare=False)
     _cells: dict[tuple[str, ...], Cells] = field(default_factory=dict, compare=False, repr=False)
 
     @property

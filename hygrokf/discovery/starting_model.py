@@ -8,12 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.discovery.error_model import Course, filtered
-from hygrokf.discovery.estimate import LIGHT, Errors, Estimate, acting, errors_of, estimate_at, fitted
+from hygrokf.discovery.error_model import Instants, filtered
+from hygrokf.discovery.estimate import (
+    LIGHT,
+    Calibration,
+    ErrorModels,
+    acting,
+    errors_of,
+    estimate_at,
+    fitted,
+)
 from hygrokf.discovery.forms import AMBIENT_HUMIDITY, MechanismSettings
 from hygrokf.discovery.residuals import ambient_sd
 from hygrokf.discovery.scene import PARTS, Scene, driven, scene_of
-from hygrokf.discovery.simulator import Simulator, Work
+from hygrokf.discovery.simulator import SimulationWork, Simulator
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import CASCADE, TEMPERATURE, Design, accuracy_of, design, extended
 
@@ -65,7 +73,7 @@ def base_designs(record: Record) -> tuple[Design, Design | None]:
     return heat, replace(moist, priors={**moist.priors, **priors})
 
 
-def base_estimate(record: Record) -> Estimate:
+def base_estimate(record: Record) -> Calibration:
     """The base model of a record at its maximum of the likelihood.
 
     Starts are the parameters' own and the least free-run error; of their maxima the one of the greatest
@@ -74,7 +82,7 @@ def base_estimate(record: Record) -> Estimate:
     heat, vapour = base_designs(record)
     scene = scene_of(record, heat, vapour)
     limits = {RESPONSE: (SHORTEST_RESPONSE_H, LONGEST_RESPONSE_H)}
-    simulator = Simulator(scene, heat, vapour, limits=limits, work=Work())
+    simulator = Simulator(scene, heat, vapour, limits=limits, work=SimulationWork())
     quantities = tuple(scene.readings)
     guess = simulator.vector({p.name: p.start for p in simulator.parameters})
     begun = errors_of(simulator, guess, quantities)
@@ -86,7 +94,7 @@ def base_estimate(record: Record) -> Estimate:
     return _driven(renewed(found))
 
 
-def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) -> Estimate:
+def _best(simulator: Simulator, errors: ErrorModels, starts: Sequence[np.ndarray]) -> Calibration:
     """The best maximum of each quantity over the starts."""
     reached = [fitted(estimate_at(simulator, errors, start)) for start in starts]
     theta = reached[0].theta.copy()
@@ -98,12 +106,12 @@ def _best(simulator: Simulator, errors: Errors, starts: Sequence[np.ndarray]) ->
     return fitted(estimate_at(simulator, errors, theta))
 
 
-def free_run_error(one: Estimate, quantity: str) -> float:
+def free_run_error(one: Calibration, quantity: str) -> float:
     """Root mean squared error of the simulation in the identification period."""
     return float(np.sqrt(np.nanmean(one.residual(quantity) ** 2)))
 
 
-def _driven(one: Estimate) -> Estimate:
+def _driven(one: Calibration) -> Calibration:
     """The estimate whose vapour runs on the smoothed temperature."""
     simulator = one.simulator
     if "vapour" not in one.quantities:
@@ -115,7 +123,7 @@ def _driven(one: Estimate) -> Estimate:
     return renewed(replace(one, simulator=simulator))
 
 
-def renewed(one: Estimate, moved: Collection[str] | None = None) -> Estimate:
+def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibration:
     """The estimate at its maximum, under error models with its own time constants where these are likelier.
 
     moved: quantities to which this is done (all).  A time constant that ends at a limit is no low pass of
@@ -124,7 +132,7 @@ def renewed(one: Estimate, moved: Collection[str] | None = None) -> Estimate:
     mine = [q for q in one.quantities if moved is None or q in moved]
     own, free = errors_of(one.simulator, one.theta, one.quantities), acting(one, mine)
 
-    def under(courses: Mapping[str, Course], theta: np.ndarray) -> Estimate:
+    def under(courses: Mapping[str, Instants], theta: np.ndarray) -> Calibration:
         errors = replace(one.errors, courses={**one.errors.courses, **courses})
         return fitted(estimate_at(one.simulator, errors, theta, one.linear, one.variances), free)
 
@@ -139,7 +147,7 @@ def renewed(one: Estimate, moved: Collection[str] | None = None) -> Estimate:
     return under({q: both[i].errors.courses[q] for q, i in better.items()}, theta)
 
 
-def smoothed_temperature(one: Estimate) -> np.ndarray:
+def smoothed_temperature(one: Calibration) -> np.ndarray:
     """(F,) [K] the simulated temperature plus its smoothed error, at the edges of parts of cells.
 
     Up to the end of the identification period it uses identification readings only.  The readings' noise is

@@ -34,7 +34,7 @@ NUMBERS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True)
-class Spread:
+class Scatter:
     """A quantity over the N turbines of a fleet that have a value.
 
     x: logarithms of the values (N,). error: their standard errors (N,), NaN without bounds. open: turbines
@@ -77,13 +77,13 @@ class Spread:
         return bool(chdtrc(len(kept) - 1, q) > LEVEL)
 
 
-def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Spread]:
+def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Scatter]:
     """The spread of every quantity that any turbine has."""
     there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
     return [spread(rows, one, len(there)) for one in there]
 
 
-def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spread:
+def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Scatter:
     """The spread of one quantity, of `quantities` that share the chance of an outlier."""
     named, x, error, open_, rejected = [], [], [], [], []
     for row in rows:
@@ -106,7 +106,7 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spre
     logs, sds = np.array(x), np.array(error)
     nothing = np.full(len(logs), np.nan)
     if not len(logs):
-        return Spread(
+        return Scatter(
             compared, (), logs, sds, tuple(open_), np.nan, np.nan, nothing, nothing, tuple(rejected)
         )
     center = float(np.median(logs))
@@ -121,7 +121,7 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spre
         largest = _largest(len(logs))
         beyond = len(largest) - np.searchsorted(largest, np.abs(z), side="left")
         p = np.minimum(1.0, quantities * ((beyond + 1.0) / (len(largest) + 1.0)))
-    return Spread(compared, tuple(named), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
+    return Scatter(compared, tuple(named), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
 
 
 @cache

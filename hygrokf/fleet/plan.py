@@ -26,7 +26,7 @@ def _patterns(value: object) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class TurbineForm:
+class FleetTurbineForm:
     """A `[[turbine]]` of FLEET.toml."""
 
     case: str = setting(help="its case file")
@@ -43,11 +43,11 @@ class FleetForm:
     cases: tuple[str, ...] = setting((), "patterns of case files", read=_patterns)
     fit: str = setting("", "the fitted model of all turbines; {name} is replaced by the name of a turbine")
     options: Mapping[str, Any] = setting(dict, "of the task")
-    turbine: tuple[TurbineForm, ...] = setting((), "turbines beside those of `cases`")
+    turbine: tuple[FleetTurbineForm, ...] = setting((), "turbines beside those of `cases`")
 
 
 @dataclass(frozen=True)
-class Turbine:
+class FleetTurbine:
     """A turbine of the fleet: its name, its case file, and the fitted model that the task uses."""
 
     name: str
@@ -56,12 +56,12 @@ class Turbine:
 
 
 @dataclass(frozen=True)
-class Plan:
+class FleetPlan:
     """The content of FLEET.toml: name, task with all options, turbines in their order."""
 
     name: str
     task: str
-    turbines: tuple[Turbine, ...]
+    turbines: tuple[FleetTurbine, ...]
     options: Mapping[str, Any]
 
     def jobs(self, out: Path) -> list[Job]:
@@ -86,7 +86,7 @@ class Plan:
         return out.absolute() / FOLDER / turbine
 
 
-def read_plan(path: str | os.PathLike[str]) -> Plan:
+def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
     """The plan of FLEET.toml, in which paths are relative to the file.  Raises FleetFault with every
     fault."""
     file, top = Path(path), Place()
@@ -107,14 +107,14 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
     turbines = _turbines(form, task, file.parent, top.faults)
     if top.faults:
         raise FleetFault(file, top.faults)
-    return Plan(form.name or file.stem, form.task, tuple(turbines), options)
+    return FleetPlan(form.name or file.stem, form.task, tuple(turbines), options)
 
 
-def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[Turbine]:
+def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[FleetTurbine]:
     """The turbines of `cases`, then those of the `[[turbine]]` tables."""
     if form.fit and not task.uses_fit:
         faults.append(f'fit: the task "{form.task}" uses no fitted model; leave it out')
-    found = [(f"cases, {case}", TurbineForm(case)) for case in _matched(form.cases, folder, faults)]
+    found = [(f"cases, {case}", FleetTurbineForm(case)) for case in _matched(form.cases, folder, faults)]
     found += [(f"[[turbine]] {number}", one) for number, one in enumerate(form.turbine, 1) if one.case]
     if not found and not faults:
         faults.append('no turbine: state cases = ["*/case.toml"], or one [[turbine]] for each')
@@ -135,7 +135,7 @@ def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> l
         if task.uses_fit and not fit:
             faults.append(f'{where}: needs a fitted model: state fit = "…" here, or for all at the top')
         fitted = folder / fit.replace("{name}", name) if fit else None
-        turbines.append(Turbine(name, folder / one.case, fitted))
+        turbines.append(FleetTurbine(name, folder / one.case, fitted))
     return turbines
 
 

@@ -16,12 +16,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hygrokf.data.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
+from hygrokf.data.files import FLEET, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import JsonObject
 from hygrokf.engine.parallel import THREADS
@@ -39,7 +39,7 @@ from hygrokf.fleet.job import (
     perform,
 )
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import CSV, PARQUET, FleetResults, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
@@ -52,45 +52,21 @@ EVERY_S = 2.0
 """[s] between two writings of the table while results come."""
 
 
-@dataclass(frozen=True)
-class FleetRun:
-    """The results of a fleet.
-
-    results: its table. outcomes: in the order of the plan. known: how many of them were on disk before.
-    folder: the directory of the results.
-    """
-
-    results: FleetResults
-    outcomes: tuple[Outcome, ...]
-    known: int
-    folder: Path
-
-    @property
-    def missing(self) -> list[Outcome]:
-        """Turbines without a result."""
-        return [one for one in self.outcomes if one.status != DONE]
-
-    @property
-    def page(self) -> Path:
-        """The path of the fleet's page."""
-        return self.folder / REPORT
-
-
 def run_jobs(
-    plan: Plan,
+    plan: FleetPlan,
     out: Path,
     work: Work,
     *,
     workers: int | None = None,
     cluster: str | None = None,
     say: Callable[[Outcome, bool], None] = lambda found, known: None,
-) -> FleetRun:
+) -> FleetResults:
     """Do the work for every turbine of a plan and write fleet.json, fleet.csv, fleet.parquet and, of three
     fits or more, type.json.
 
     plan, out, workers, cluster, say: as for `hygrokf.run_fleet`. work: what is done for one turbine.
 
-    Raises FleetFault where there is no cluster.
+    Returns the table.  Raises FleetFault where there is no cluster.
     """
     jobs = {job.turbine: job for job in plan.jobs(out)}
     out.mkdir(parents=True, exist_ok=True)
@@ -100,7 +76,7 @@ def run_jobs(
             found[name] = known
             say(known, True)
     todo = [job for name, job in jobs.items() if name not in found]
-    before, written = len(found), time.monotonic()
+    written = time.monotonic()
     if not todo:
         coming: Iterator[Outcome] = iter(())
     elif cluster:
@@ -116,11 +92,10 @@ def run_jobs(
             rows = [found[name].row for name in jobs if name in found]
             write_text_whole(out / CSV, table_csv(plan.task, rows))
             written = time.monotonic()
-    outcomes = tuple(found[name] for name in jobs)
-    return FleetRun(_written(plan, out, outcomes), outcomes, before, out)
+    return _written(plan, out, [found[name] for name in jobs])
 
 
-def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
+def _written(plan: FleetPlan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
     """Write the table as CSV, Parquet and JSON; returns it."""
     rows = [one.row for one in outcomes]
     write_text_whole(out / CSV, table_csv(plan.task, rows))
@@ -145,7 +120,7 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults
     return results
 
 
-def _type_of(plan: Plan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | None, list[str]]:
+def _type_of(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | None, list[str]]:
     """The type of turbine pooled from a fleet's fits, also written as `type.json`, and the turbines left out.
 
     Turbines whose time constants depart from the others' are left out; the type is None where the fits share

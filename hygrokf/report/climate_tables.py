@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hygrokf.climate.bounds import Bounded
+from hygrokf.climate.bounds import BoundedMean
 from hygrokf.climate.chamber_profile import SiteAndTest
 from hygrokf.climate.limits import QUANTITIES, Exceedance
-from hygrokf.climate.statistics import EXCURSION_PARTS, EXCURSIONS, STATISTICS, Statistic
+from hygrokf.climate.statistics import EXCURSION_PARTS, EXCURSIONS, STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
@@ -30,13 +30,13 @@ def number_text(name: str) -> Callable[[float], str]:
     return hours_text if name.endswith("_h") and name != "ageing_h" else plain_number
 
 
-def span_text(one: Bounded | None, text: Callable[[float], str] = plain_number) -> str:
+def span_text(one: BoundedMean | None, text: Callable[[float], str] = plain_number) -> str:
     """A value with its bounds for a year, each as `text` writes it."""
     value, bounds = value_and_bounds(one, text)
     return f"{value} ({bounds})" if bounds else value
 
 
-def value_and_bounds(one: Bounded | None, text: Callable[[float], str] = plain_number) -> tuple[str, str]:
+def value_and_bounds(one: BoundedMean | None, text: Callable[[float], str] = plain_number) -> tuple[str, str]:
     """A value and its bounds for a year; no bounds where they read like the value."""
     if one is None or one.value != one.value:
         return NONE, ""
@@ -44,7 +44,7 @@ def value_and_bounds(one: Bounded | None, text: Callable[[float], str] = plain_n
     return value, "" if low == high == value else f"{low} … {high}"
 
 
-def compared_statistics(regions: Sequence[RegionClimate]) -> list[Statistic]:
+def compared_statistics(regions: Sequence[RegionClimate]) -> list[YearNumber]:
     """The statistics by which regions are compared, as far as all of them have these."""
     return [one for one in STATISTICS if one.compared and all(one.name in region.year for region in regions)]
 
@@ -128,7 +128,7 @@ def excursions_table(region: RegionClimate) -> Table:
 def rates_table(region: RegionClimate) -> Table:
     """Rates of change and temperature cycles."""
 
-    def outside(one: Statistic) -> str:
+    def outside(one: YearNumber) -> str:
         shown = one.weather and one.name in region.outside
         return plain_number(region.outside[one.name]) if shown else ""
 

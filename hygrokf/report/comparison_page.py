@@ -43,7 +43,7 @@ from hygrokf.transfer.comparison import (
     ErrorDifference,
     PairDifference,
 )
-from hygrokf.transfer.results import Course, read_courses, write_courses
+from hygrokf.transfer.results import RecordCourse, read_courses, write_courses
 from hygrokf.version import __version__
 
 PERIODS = ("whole", "validation", "identification")
@@ -84,7 +84,7 @@ def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]
     return write_text_whole(folder / REPORT, page)
 
 
-def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResults, tuple[Course, ...]]:
+def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResults, tuple[RecordCourse, ...]]:
     """The results and courses in a directory; no courses where compare.npz is missing, as in earlier results.
 
     Raises ResultFault with all faults.
@@ -100,7 +100,7 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
 # --- the page --------------------------------------------------------------------------------
 
 
-def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) -> Page:
+def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
     """What a comparison says: which column errs less, and the courses, first."""
     labels = [one.label for one in found.columns]
     cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))

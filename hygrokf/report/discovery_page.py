@@ -13,17 +13,18 @@ import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.discovery.discovery_results import (
+from hygrokf.discovery.residuals import QUANTITIES, Residuals
+from hygrokf.discovery.results import (
     CauseFound,
+    Discovery,
     DiscoveryResults,
     Finding,
     HeldOutTest,
     Refuted,
     Rejected,
+    read_discovery,
+    write_discovery,
 )
-from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.residuals import QUANTITIES, Residuals
-from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import best_rule, inherited

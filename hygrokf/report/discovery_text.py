@@ -7,18 +7,18 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
 
-from hygrokf.discovery.discovery_results import (
-    CauseFound,
-    CauseParameter,
-    DiscoveryResults,
-    Gain,
-    HeldOutTest,
-    Line,
-    Settings,
-)
 from hygrokf.discovery.forms import IN_SUMMER
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
+from hygrokf.discovery.results import (
+    CauseFound,
+    CauseParameter,
+    DiscoveryResults,
+    ErrorGain,
+    HeldOutTest,
+    Settings,
+    SpectralLine,
+)
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
@@ -303,7 +303,7 @@ def warnings(found: DiscoveryResults) -> list[str]:
     return [*said, repeated_text(known)] if any(known.values()) else said
 
 
-def line_sentence(one: Line) -> str:
+def line_sentence(one: SpectralLine) -> str:
     """A line that is left in a spectrum."""
     name, _ = quantity_of(one.quantity)
     long = one.period_h >= 48.0
@@ -322,7 +322,7 @@ def selected(found: DiscoveryResults) -> bool:
     return found.held_out_days > 0 and bool(found.causes or found.refuted)
 
 
-def place_of(found: DiscoveryResults, gain: Gain) -> str:
+def place_of(found: DiscoveryResults, gain: ErrorGain) -> str:
     """The readings that errors are told from."""
     after = ", after selection" if gain.period == "validation" and selected(found) else ""
     return f"{PERIOD.get(gain.period, gain.period)}{after}"

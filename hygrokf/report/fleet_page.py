@@ -11,7 +11,7 @@ from pathlib import Path
 from hygrokf.data.files import FLEET, REPORT, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.fleet.job import DONE, Outcome, Row, number, text_of
-from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
+from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Scatter, spreads
 from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
 from hygrokf.identification.verdict_terms import CAUTION, REJECT, VERDICTS, WORDS
@@ -118,7 +118,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
 # --- the answer ------------------------------------------------------------------------------
 
 
-def _cards(fleet: FleetResults, found: Sequence[Spread]) -> list[Card]:
+def _cards(fleet: FleetResults, found: Sequence[Scatter]) -> list[Card]:
     failed = len(fleet.missing)
     text = f"{failed} without: the reasons are below" if failed else "every turbine has a result"
     value = f"{len(fleet.done)} of {len(fleet.rows)}"
@@ -131,7 +131,7 @@ def _cards(fleet: FleetResults, found: Sequence[Spread]) -> list[Card]:
     return cards + [_spread_card(one) for one in found if one.compared.lower and one.turbines]
 
 
-def _spread_card(one: Spread) -> Card:
+def _spread_card(one: Scatter) -> Card:
     """Median and range of a quantity over the turbines, and whether their bounds explain the range."""
     middle, low, high = (math.exp(v) for v in (one.center, one.x.min(), one.x.max()))
     unit = one.compared.unit
@@ -154,7 +154,7 @@ def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
     return Card(label, value, lines=(text,), tone="open" if warning else "plain")
 
 
-def _pictures(found: Sequence[Spread]) -> list[Figure]:
+def _pictures(found: Sequence[Scatter]) -> list[Figure]:
     """The spread of the bounded quantities, and that of the errors."""
     constants = [one for one in found if one.compared.lower]
     errors = [one for one in found if not one.compared.lower]
@@ -187,7 +187,7 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
     )
 
 
-def _outliers(found: Sequence[Spread]) -> Block | None:
+def _outliers(found: Sequence[Scatter]) -> Block | None:
     """The outliers; None where there are too few turbines to tell."""
     judged = [one for one in found if len(one.turbines) >= FEWEST_JUDGED]
     if not judged:
@@ -325,7 +325,7 @@ def _climates(done: Sequence[Row]) -> tuple[Block, ...]:
     )
 
 
-def _set_aside(found: Sequence[Spread]) -> list[Prose]:
+def _set_aside(found: Sequence[Scatter]) -> list[Prose]:
     """The turbines that are not compared, and why."""
     notes = []
     for one in found:
@@ -340,7 +340,7 @@ def _set_aside(found: Sequence[Spread]) -> list[Prose]:
 
 
 def _ranking(
-    column: str, compared: Sequence[Compared], done: Sequence[Row], found: Sequence[Spread]
+    column: str, compared: Sequence[Compared], done: Sequence[Row], found: Sequence[Scatter]
 ) -> Table | None:
     present = [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
     if not present:

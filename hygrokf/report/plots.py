@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from hygrokf.climate.study import Study
-from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.results import Discovered
 from hygrokf.errors import HygrokfError
 from hygrokf.evaluation.responses import FrequencyResponse, StepResponse
@@ -34,9 +33,7 @@ def plot_fit(fit: Fit, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes,
     return _plotted(lambda: lead_of_fit(fit.series), fit.name, axes)
 
 
-def plot_discovery(
-    found: Discovery | Discovered, axes: Axes | Sequence[Axes] | None = None
-) -> tuple[Axes, ...]:
+def plot_discovery(found: Discovered, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
     """Readings and simulations where a discovery found errors, see `Discovery.plot`."""
     expect_matplotlib()
     results = found.results

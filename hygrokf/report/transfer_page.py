@@ -42,8 +42,8 @@ from hygrokf.transfer.results import (
     OPEN,
     PARTLY,
     TRANSFERS,
-    Course,
     Decision,
+    RecordCourse,
     Transfer,
     TransferResult,
     TransferResults,
@@ -113,7 +113,7 @@ def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
     return write_text_whole(Path(directory) / REPORT, page_html(transfer_blocks(*read_transfer(directory))))
 
 
-def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[Course, ...]]:
+def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[RecordCourse, ...]]:
     """The results and courses in a directory.  Raises ResultFault with all faults."""
     folder = Path(directory)
     found = read_result(TransferResults, folder / TRANSFER, COMMAND)
@@ -135,7 +135,7 @@ def folders(names: Sequence[str]) -> list[str]:
 # --- the page --------------------------------------------------------------------------------
 
 
-def transfer_blocks(found: TransferResults, courses: Sequence[Course] = ()) -> Page:
+def transfer_blocks(found: TransferResults, courses: Sequence[RecordCourse] = ()) -> Page:
     """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
     source, names = found.source.name, [one.name for one in found.records]
     cards = Cards(tuple(_card(found, one) for one in found.records))

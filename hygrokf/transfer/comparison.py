@@ -29,7 +29,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
-from hygrokf.transfer.results import Course
+from hygrokf.transfer.results import RecordCourse
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def cells(scores: ByRegime[T]) -> Iterator[tuple[tuple[str, str, str], T]]:
 
 
 @dataclass(frozen=True)
-class Column:
+class ComparisonColumn:
     """The free run of a fit on a record: `errors` (T,) by quantity, NaN where nothing is scored.
 
     `label` short name; `fit`, `case` what was combined; `own` whether the fit was identified on this record;
@@ -209,7 +209,7 @@ class Column:
     fit: str
     case: str
     own: bool
-    course: Course
+    course: RecordCourse
     errors: Mapping[str, np.ndarray]
     rules: Mapping[str, Mapping[str, np.ndarray]]
     masks: Mapping[str, np.ndarray]
@@ -223,7 +223,7 @@ class Column:
         return chosen if regime == "total" else chosen & (self.course.operating == (regime == "operation"))
 
 
-def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
+def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> ComparisonColumn:
     """One column of a comparison: the free run of a fit on a record.
 
     fit, record: whose free run is compared, and on what; readings in SI units.
@@ -234,7 +234,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     Raises KeyError where the record lacks an input that the model reads.
     """
     _, run, prediction = simulate_fit(fit, record)
-    course = Course.of(run, record.until_s, {"simulated": prediction})
+    course = RecordCourse.of(run, record.until_s, {"simulated": prediction})
     guessed = guesses(run, record.until_s)
     errors, rules = {}, {}
     for quantity, simulated in course.simulated["simulated"].items():
@@ -245,7 +245,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
                 name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
             }
     masks = {**period_masks(run, record.until_s), "whole": np.ones(len(run.timeline), bool)}
-    return Column(
+    return ComparisonColumn(
         label,
         fit.name,
         record.name,
@@ -264,11 +264,11 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
 class Comparison:
     """Free runs side by side: `results` (compare.json), and `columns` with the courses for pictures."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[ComparisonColumn, ...]
     results: ComparisonResults
 
 
-def compare(columns: Sequence[Column]) -> Comparison:
+def compare(columns: Sequence[ComparisonColumn]) -> Comparison:
     """Compare columns: errors with bounds, differences between any two, skill against rules without a model.
 
     columns: of `comparison_column`, with different labels.
@@ -292,7 +292,7 @@ def compare(columns: Sequence[Column]) -> Comparison:
     return Comparison(tuple(columns), results)
 
 
-def _column_scores(one: Column) -> ColumnScores:
+def _column_scores(one: ComparisonColumn) -> ColumnScores:
     scores = {
         period: {
             quantity: {
@@ -308,7 +308,7 @@ def _column_scores(one: Column) -> ColumnScores:
     )
 
 
-def _scored(one: Column, quantity: str, chosen: np.ndarray) -> Score:
+def _scored(one: ComparisonColumn, quantity: str, chosen: np.ndarray) -> Score:
     """The error on the chosen instants (T,); the rules' errors beside it on the same instants."""
     time, error = one.course.time_s, np.where(chosen, one.errors[quantity], np.nan)
     drawn = resampled(time, error[:, None])
@@ -325,7 +325,7 @@ def _scored(one: Column, quantity: str, chosen: np.ndarray) -> Score:
     return Score(int(chosen.sum()), float(drawn.value[0]), *ends, rules, drawn.blocks)
 
 
-def _difference(a: Column, b: Column) -> PairDifference:
+def _difference(a: ComparisonColumn, b: ComparisonColumn) -> PairDifference:
     """RMSE of `a` less that of `b` on the instants that both score."""
     common, i, j = np.intersect1d(a.course.time_s, b.course.time_s, assume_unique=True, return_indices=True)
     same: dict[str, bool] = {}
@@ -352,7 +352,7 @@ def _difference(a: Column, b: Column) -> PairDifference:
     return PairDifference(a.label, b.label, same, scores)
 
 
-def rmse_by_week(one: Column, quantity: str) -> tuple[np.ndarray, np.ndarray]:
+def rmse_by_week(one: ComparisonColumn, quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Middle [s] and root mean squared error of every week with at least a day of scored readings."""
     error, time = one.errors[quantity], one.course.time_s
     there = np.isfinite(error)

@@ -50,14 +50,14 @@ from hygrokf.transfer.baseline import (
 )
 from hygrokf.transfer.results import (
     OPEN,
-    Course,
-    Gain,
-    Gains,
+    RecordCourse,
+    Reduction,
+    Reductions,
     SetError,
-    Source,
     Structure,
     Transfer,
     TransferResult,
+    TransferSource,
 )
 from hygrokf.transfer.verdict import MATTERS, groups_of, matters, parameters_of, ratios_of, with_verdict
 
@@ -92,7 +92,7 @@ def _transferred(source: Fit | TurbineType, record: Record, say: Progress, fits:
     say("held-out errors")
     predicted = {n: free_run(baseline.base, one, baseline.run) for n, one in found.values(baseline).items()}
     results = with_verdict(_results(baseline, found, predicted, statements))
-    course = Course.of(baseline.run, baseline.until_s, predicted)
+    course = RecordCourse.of(baseline.run, baseline.until_s, predicted)
     if not fits:
         return Transfer(results, course)
     say("its own fit")
@@ -188,7 +188,7 @@ def _results(
         ),
         converged={name: one.converged for name, one in zip(SETS[1:], estimates, strict=True)},
         matters=dict(MATTERS),
-        source=Source(origin.name, origin.kind, dict(origin.verdicts)),
+        source=TransferSource(origin.name, origin.kind, dict(origin.verdicts)),
     )
 
 
@@ -231,7 +231,7 @@ def _errors(baseline: Baseline, predicted: Mapping[str, Prediction], quantity: s
 
 def _scored(
     baseline: Baseline, predicted: Mapping[str, Prediction], chosen: np.ndarray
-) -> tuple[dict[str, dict[str, SetError]], dict[str, dict[str, Gains]]]:
+) -> tuple[dict[str, dict[str, SetError]], dict[str, dict[str, Reductions]]]:
     """Errors of the sets and the rules at the chosen instants (T,) that all of them score, and the gains, by
     quantity."""
     table, gains = {}, {}
@@ -255,19 +255,19 @@ def _scored(
     return table, gains
 
 
-def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, Gains]:
+def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, Reductions]:
     """How much less each set errs than the model as it is, and than the best rule without a model."""
     rules = [n for n in names if n not in SETS]
     best = min(rules, key=lambda n: drawn.value[names.index(n)]) if rules else None
 
-    def over(other: str | None, name: str) -> Gain | None:
+    def over(other: str | None, name: str) -> Reduction | None:
         if other is None or other not in names or other == name:
             return None
         i, j = names.index(other), names.index(name)
         value = float(drawn.value[i] - drawn.value[j])
-        return Gain(other, *(drawn.difference(i, j) or (value,)))
+        return Reduction(other, *(drawn.difference(i, j) or (value,)))
 
-    return {name: Gains(over("as_is", name), over(best, name)) for name in SETS if name in names}
+    return {name: Reductions(over("as_is", name), over(best, name)) for name in SETS if name in names}
 
 
 def _structure(baseline: Baseline, predicted: Prediction) -> dict[str, Structure]:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Course:
+class RecordCourse:
     """One record's readings and what one or several models simulate of them, by quantity [K], [g/m³].
 
     `time_s` (T,) [s since 1970]; `until_s` [s since 1970] the end of the identification period, NaN without
@@ -47,7 +47,7 @@ class Course:
     simulated: Mapping[str, Mapping[str, np.ndarray]]
 
     @classmethod
-    def of(cls, run: Run, until_s: float | None, simulated: Mapping[str, Prediction]) -> Course:
+    def of(cls, run: Run, until_s: float | None, simulated: Mapping[str, Prediction]) -> RecordCourse:
         """The readings of a run, and simulations of it by name."""
         t, known = run.timeline, measured(run)
         courses = {
@@ -70,7 +70,7 @@ class Course:
         return found
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Course:
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> RecordCourse:
         """A course from the data of `arrays`.  Raises ValueError with all faults."""
         time = instants(arrays)
         faults = [] if len(time) else ["time_s: expected increasing instants [s since 1970]"]
@@ -96,7 +96,7 @@ class Course:
         return cls(time, float(until), values["scored"] > 0, values["operating"] > 0, measured, by)
 
 
-def write_courses(courses: Sequence[Course], path: str | os.PathLike[str]) -> Path:
+def write_courses(courses: Sequence[RecordCourse], path: str | os.PathLike[str]) -> Path:
     """Write courses to one .npz file, atomically.  Raises OSError from the system."""
     named = {f"{i}/{name}": v for i, one in enumerate(courses) for name, v in one.arrays().items()}
     buffer = io.BytesIO()
@@ -104,7 +104,7 @@ def write_courses(courses: Sequence[Course], path: str | os.PathLike[str]) -> Pa
     return write_bytes_whole(path, buffer.getvalue())
 
 
-def read_courses(path: Path, count: int, command: str) -> tuple[Course, ...]:
+def read_courses(path: Path, count: int, command: str) -> tuple[RecordCourse, ...]:
     """The courses of `count` records from a file that `command` wrote.  Raises ResultFault."""
     found: dict[int, dict[str, np.ndarray]] = {}
     try:
@@ -114,7 +114,7 @@ def read_courses(path: Path, count: int, command: str) -> tuple[Course, ...]:
                 found.setdefault(int(place), {})[name] = file[key]
         if sorted(found) != list(range(count)):
             raise ValueError(f"those of {len(found)} records where {count} were expected")
-        return tuple(Course.from_arrays(found[place]) for place in range(count))
+        return tuple(RecordCourse.from_arrays(found[place]) for place in range(count))
     except (OSError, ValueError, EOFError, BadZipFile) as fault:
         reason = getattr(fault, "strerror", None) or fault
     raise ResultFault(f"{path}: expected the courses of `{command}`, found: {reason}; run it again")
@@ -129,7 +129,7 @@ Outcome = Literal["travels", "differs", "own", "not judged"]
 
 
 @dataclass(frozen=True)
-class Source:
+class TransferSource:
     """The fit or type that is tried elsewhere, with the verdicts on its time constants."""
 
     name: str
@@ -138,7 +138,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Change:
+class Contrast:
     """Own less original value, or own over original value, with 95 % bounds that count both uncertainties."""
 
     value: float
@@ -146,9 +146,9 @@ class Change:
     upper: float
 
     @property
-    def ratio(self) -> Change:
+    def ratio(self) -> Contrast:
         """A difference of logarithms as a ratio."""
-        return Change(*(math.exp(min(max(v, -50.0), 50.0)) for v in (self.value, self.lower, self.upper)))
+        return Contrast(*(math.exp(min(max(v, -50.0), 50.0)) for v in (self.value, self.lower, self.upper)))
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class ParameterChange:
     own: float
     own_se: float
     re_estimated: float
-    difference: Change | None
+    difference: Contrast | None
     difference_is: Literal["ratio", "difference"] | None
     kept: bool
 
@@ -227,7 +227,7 @@ class SetError:
 
 
 @dataclass(frozen=True)
-class Gain:
+class Reduction:
     """By how much the error is smaller than that of the set or rule `against` [K], [g/m³], 95 % bounds."""
 
     against: str
@@ -237,11 +237,11 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Gains:
+class Reductions:
     """The gains of one set of values over the model as it is, and over the best rule without a model."""
 
-    over_as_is: Gain | None = optional()
-    over_rule: Gain | None = optional()
+    over_as_is: Reduction | None = optional()
+    over_rule: Reduction | None = optional()
 
 
 @dataclass(frozen=True)
@@ -280,12 +280,12 @@ class TransferResult:
     likelihood_ratios: tuple[LikelihoodRatio, ...]
     period: Literal["identification", "validation"]
     rmse: Mapping[str, Mapping[str, SetError]]
-    gains: Mapping[str, Mapping[str, Gains]]
+    gains: Mapping[str, Mapping[str, Reductions]]
     structure: Mapping[str, Structure]
     at_bounds: tuple[str, ...]
     converged: Mapping[str, bool]
     matters: Mapping[str, float]
-    source: Source
+    source: TransferSource
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -297,7 +297,7 @@ class TransferResult:
 
         rows = {}
         for name, one in self.parameters.items():
-            change = one.difference or Change(math.nan, math.nan, math.nan)
+            change = one.difference or Contrast(math.nan, math.nan, math.nan)
             rows[name] = {
                 "group": one.group, "unit": one.unit, "re_estimated": one.re_estimated,
                 "original": one.original, "original_se": one.original_se,
@@ -314,7 +314,7 @@ class Transfer:
     where they were not asked for)."""
 
     results: TransferResult
-    course: Course
+    course: RecordCourse
     adapted: Fit | None = None
     own: Fit | None = None
 
@@ -335,7 +335,7 @@ class TransferResults:
     created: str
     records: tuple[TransferResult, ...]
     type: TurbineType | None
-    source: Source
+    source: TransferSource
 
 
 def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None = None) -> TransferResults:

@@ -28,14 +28,14 @@ from hygrokf.transfer.results import (
     OPEN,
     PARTLY,
     TRANSFERS,
-    Change,
     ChiSquare,
+    Contrast,
     Decision,
-    Gain,
     GroupChange,
     LikelihoodRatio,
     Outcome,
     ParameterChange,
+    Reduction,
     TransferResult,
 )
 
@@ -87,7 +87,7 @@ def parameters_of(
             new = sd * abs(p.slope(own.values[p.name]))
         change = None
         if p.name in apart.names:
-            change = Change(*apart.bounds(p.name))
+            change = Contrast(*apart.bounds(p.name))
             if p.positive:
                 change = change.ratio
         rows[p.name] = ParameterChange(
@@ -283,10 +283,10 @@ def _errors_before_and_after(found: TransferResult) -> list[str]:
 
 def _gains(
     found: TransferResult, over: Literal["over_as_is", "over_rule"]
-) -> Iterator[tuple[str, tuple[str, str], Gain]]:
+) -> Iterator[tuple[str, tuple[str, str], Reduction]]:
     """Quantity, its name and unit, and the gain of the re-estimated set."""
     for quantity, rows in found.gains.items():
-        gain: Gain | None = getattr(rows.get("re_estimated"), over, None)
+        gain: Reduction | None = getattr(rows.get("re_estimated"), over, None)
         if gain is not None:
             yield quantity, QUANTITIES[quantity], gain
 

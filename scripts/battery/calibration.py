@@ -20,7 +20,7 @@ maximum."""
 
 
 def calibrated(lines: Iterable[Mapping]) -> str:
-    """The coefficients of `hygrokf.discovery.told.CONFIDENCE`, and how they state what was observed.
+    """The coefficients of `hygrokf.discovery.procedure.CONFIDENCE`, and how they state what was observed.
 
     P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name that was told.  Raises
     ValueError for fewer than 30 names.

@@ -12,7 +12,7 @@ import numpy as np
 from battery.cases import NULL_KINDS
 from battery.measured import GIVEN, KNOWN, WITHHELD
 from battery.rates import Rate, rate
-from hygrokf.discovery import discovery_results
+from hygrokf.discovery import results
 
 Line = Mapping
 LEAST_WORTH = 0.02
@@ -27,7 +27,7 @@ def truths(line: Line) -> list[str]:
 
 def names(line: Line) -> list[Mapping]:
     """Names whose class is short enough to be told."""
-    return [one for one in line["names"] if 1 + len(one["rivals"]) <= discovery_results.CLASS_LIMIT]
+    return [one for one in line["names"] if 1 + len(one["rivals"]) <= results.CLASS_LIMIT]
 
 
 def first_right(line: Line, in_class: bool = False) -> bool:

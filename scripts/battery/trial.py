@@ -22,7 +22,7 @@ from battery.cases import DAYS, Case
 from battery.measured import IDENTIFIED, absent, before_the_last_fifth, measured
 from hygrokf.data.clocks import Shift, shifted
 from hygrokf.data.record import Record
-from hygrokf.discovery.procedure import Discovery
+from hygrokf.discovery.results import Discovery
 
 
 @lru_cache(maxsize=1)

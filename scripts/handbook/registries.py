@@ -11,11 +11,12 @@ from handbook.docstrings import heading, prose_and_equations, rst, table
 from hygrokf.discovery.forms import Ground
 from hygrokf.discovery.library import LIBRARY as CAUSES
 from hygrokf.discovery.library import Cause
-from hygrokf.discovery.plugin_validation import trial_ground
+from hygrokf.discovery.own_causes import trial_ground
 from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
+from hygrokf.report.discovery_text import form_words
 
 GROUPS: dict[str, tuple[str, str, tuple[Factory, ...]]] = {
     "base": ("Base models", "The two networks of the paper, their disturbances and the sensors.", BASE),
@@ -100,8 +101,9 @@ def cause_section(cause: Cause) -> str:
     lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
     forms = cause.forms(_ground())
     codes = {"the source's name" if form.clock else f"``{form.code}``": form for form in forms}
+    words = ("stamps of one source moved" if form.clock else form_words(form.code) for form in forms)
     facts = {
-        "Forms": rst(cause.tried),
+        "Forms": rst("; ".join(dict.fromkeys(words))),
         "Codes (settings)": ", ".join(f"{code} ({len(form.grid)})" for code, form in codes.items()),
         "Needs": rst(cause.needs),
         "To check": rst(cause.remedy),

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from scipy.stats import chi2
 
 from hygrokf.discovery.candidates import Candidate, candidate, estimated
-from hygrokf.discovery.estimate import LIGHT, Estimate
+from hygrokf.discovery.estimate import LIGHT, Calibration
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.screening import parent_of, screened
@@ -29,7 +29,7 @@ class Search:
     """Candidates in the order in which they were added, the last model, and why it ended: "p" or "time"."""
 
     added: tuple[Candidate, ...]
-    last: Estimate
+    last: Calibration
     ended: str
     tried: int
 
@@ -40,7 +40,7 @@ def log_p(one: Candidate) -> float:
     return float(chi2.logsf(gain, one.constants)) if gain > 0.0 and one.constants else 0.0
 
 
-def search(base: Estimate, spent_s: float = 0.0, limit_s: float = LIMIT_S) -> Search:
+def search(base: Calibration, spent_s: float = 0.0, limit_s: float = LIMIT_S) -> Search:
     """Add the cause of the smallest p while p < 0.05.
 
     spent_s: [s] that the base model took; of a round that the time cut short, the best of what was tried is

@@ -11,7 +11,7 @@ import numpy as np
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.clocks import shifted
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.estimate import Estimate
+from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import final_estimator, final_set, fit_of
 from hygrokf.discovery.residuals import Residuals, residuals, root_mean_square
 from hygrokf.discovery.starting_model import base_estimate
@@ -38,7 +38,7 @@ class Ground:
     method is judged."""
 
     record: Record
-    base: Estimate
+    base: Calibration
     residuals: Residuals
     cpu_s: float
 
@@ -66,7 +66,7 @@ class Ground:
         there = np.isfinite(error) & (self.residuals.validation == held_out)
         return self.residuals.time_s[there], error[there]
 
-    def held_out(self, one: Estimate | None = None) -> dict[str, float]:
+    def held_out(self, one: Calibration | None = None) -> dict[str, float]:
         """Errors of the free run [K], [g/m³] on held-out readings, of the base or of another model."""
         of = self.residuals if one is None else free_run(self.record, one)
         return {
@@ -75,7 +75,7 @@ class Ground:
         }
 
 
-def free_run(record: Record, one: Estimate) -> Residuals:
+def free_run(record: Record, one: Calibration) -> Residuals:
     """Residuals of an estimate with the parameters with which `discover` would end."""
     final = final_set(one, final_estimator(one))
     return residuals(fit_of(record, final), shifted(record, *final.estimate.simulator.scene.shifts))

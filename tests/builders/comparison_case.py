@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.transfer.comparison import Column
-from hygrokf.transfer.results import Course
+from hygrokf.transfer.comparison import ComparisonColumn
+from hygrokf.transfer.results import RecordCourse
 
 HOUR = 3600.0
 
 
 def made_column(
     label: str, seed: int, size: int = 1200, shift_s: float = 0.0, scale: float = 1.0, readings: int = 1
-) -> Column:
+) -> ComparisonColumn:
     """A column of hourly errors that are drawn, not simulated."""
     random = np.random.default_rng([81, seed])
     time = HOUR * np.arange(size) + shift_s
@@ -22,11 +22,11 @@ def made_column(
     error[::13] = np.nan
     late = np.arange(size) > 0.75 * size
     reading = np.random.default_rng(readings).standard_normal(size)
-    course = Course(
+    course = RecordCourse(
         time, float(time[late][0]), np.isfinite(error), operating,
         {"temperature_K": reading}, {"simulated": {"temperature_K": reading - error}},
     )  # fmt: skip
-    return Column(
+    return ComparisonColumn(
         label, f"fit of {label}", "a case", False, course, {"temperature_K": error},
         {"temperature_K": {"no_dynamics": 2.0 * error}},
         {"identification": ~late, "validation": late, "whole": np.ones(size, bool)},

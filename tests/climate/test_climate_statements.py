@@ -12,7 +12,7 @@ from builders.weather_case import epw_text
 
 from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.ensemble import years_of
-from hygrokf.climate.limits import Limit
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import read_region
 from hygrokf.climate.study import profile_files
 from hygrokf.data.record import Record, Series
@@ -58,7 +58,7 @@ def test_a_model_of_temperature_alone_has_a_climate() -> None:
     dry = replace(fit.design, mechanisms=tuple(m for m in fit.design.mechanisms if not m[0].startswith(damp)))
     values = {p.name: fit.values[p.name] for p in dry.model.parameters}
     plain = replace(known_fit(free=("thermal_time_constant",)), design=dry, values=values)
-    limit = Limit("damp", "relative_humidity_percent", "above", 80.0)
+    limit = ClimateLimit("damp", "relative_humidity_percent", "above", 80.0)
     study = study_of(fit=plain, members=5, limits=[limit])
     (region,) = study.regions
     assert region.joint is None and region.test_profile is None and region.wetness_class is None
@@ -98,16 +98,16 @@ def test_a_year_without_operation_counts_among_the_others() -> None:
 
 def test_limits_of_one_name_are_refused() -> None:
     """Their hours would be taken for those of several years of one limit."""
-    two = [Limit("hot", "temperature_degC", "above", level, 24.0) for level in (10.0, 60.0)]
+    two = [ClimateLimit("hot", "temperature_degC", "above", level, 24.0) for level in (10.0, 60.0)]
     with pytest.raises(ValueError, match='two limits are called "hot"'):
         climate_of(limits=two)
 
 
 def test_limits_on_a_part_of_a_year() -> None:
     limits = [
-        Limit("idle", "temperature_degC", "above", -50.0, 0.0, "operation"),
-        Limit("never", "temperature_degC", "above", 90.0),
-        Limit("broken", "temperature_degC", "above", -60.0),
+        ClimateLimit("idle", "temperature_degC", "above", -50.0, 0.0, "operation"),
+        ClimateLimit("never", "temperature_degC", "above", 90.0),
+        ClimateLimit("broken", "temperature_degC", "above", -60.0),
     ]
     region = climate_of(limits=limits)
     assert [one.verdict for one in region.limits] == ["undecided", "undecided", "fail"]

@@ -13,7 +13,7 @@ from hygrokf.climate import statistics
 from hygrokf.climate.bounds import bounded, bounded_array, held
 from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
-from hygrokf.climate.limits import Limit, exceeded, judge_limit
+from hygrokf.climate.limits import ClimateLimit, exceeded, judge_limit
 from hygrokf.climate.procedure import TEMPERATURE_EDGES, curves
 from hygrokf.climate.statistics import (
     STATISTICS,
@@ -232,12 +232,12 @@ def test_limits_are_judged_by_their_bounds() -> None:
     celsius = np.where(np.arange(8766)[None, :] < hours[:, None], 50.0, 20.0)
     year = year_of(celsius, np.full((100, 8766), 40.0))
     for allowed, verdict in ((5.0, "fail"), (40.0, "undecided"), (70.0, "pass")):
-        limit = Limit("hot", "temperature_degC", "above", 45.0, allowed)
+        limit = ClimateLimit("hot", "temperature_degC", "above", 45.0, allowed)
         found = judge_limit(limit, [exceeded(year, limit)])
         assert found.verdict == verdict and found.hours.value == pytest.approx(hours.mean(), rel=1e-6)
-    steep = Limit("steep", "temperature_rate_K_per_h", "above", 10.0)
+    steep = ClimateLimit("steep", "temperature_rate_K_per_h", "above", 10.0)
     assert exceeded(year, steep)[:, 0] == pytest.approx(1.0)  # one fall of 30 K
-    still = Limit("still", "temperature_degC", "above", 45.0, during="standstill")
+    still = ClimateLimit("still", "temperature_degC", "above", 45.0, during="standstill")
     assert exceeded(year, still)[:, 0] == pytest.approx(hours // 2)
     dry = replace(year, relative_humidity=None)
-    assert exceeded(dry, Limit("damp", "relative_humidity_percent", "above", 80.0)) is None
+    assert exceeded(dry, ClimateLimit("damp", "relative_humidity_percent", "above", 80.0)) is None

@@ -16,13 +16,15 @@ import numpy as np
 import pytest
 from builders.climate_case import study_of
 
-from hygrokf.climate.limits import Limit
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.study import Study, climate_csv, profile_files, read_climate, write_climate
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import StructureFault, plain, structured
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/references/uk.json.xz"
-LIMITS = (Limit("hot", "temperature_degC", "above", 60.0), Limit("mild", "temperature_degC", "above", 10.0))
+LIMITS = tuple(
+    ClimateLimit(name, "temperature_degC", "above", level) for name, level in (("hot", 60.0), ("mild", 10.0))
+)
 
 
 @cache

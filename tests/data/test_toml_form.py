@@ -14,7 +14,7 @@ from builders.documents import document
 from hygrokf.cases.form import CaseForm, StatedColumn, StatedPeriod, StatedSource, StatedWeather
 from hygrokf.climate.chamber import ProfileForm
 from hygrokf.climate.limits import LimitForm
-from hygrokf.climate.region import PowerCurveForm, ShearForm
+from hygrokf.climate.region import PowerCurve, Shear
 from hygrokf.data.record import Site
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import (
@@ -29,7 +29,7 @@ from hygrokf.data.toml_form import (
     read_toml_form,
     setting,
 )
-from hygrokf.fleet.plan import FleetForm, TurbineForm
+from hygrokf.fleet.plan import FleetForm, FleetTurbineForm
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,8 @@ def test_a_file_is_read_or_missed(tmp_path: Path) -> None:
 FORMS = [
     ("case_file.md", (CaseForm, Site, StatedPeriod, StatedSource, StatedColumn)),
     ("weather.md", (StatedWeather,)),
-    ("fleet.md", (FleetForm, TurbineForm)),
-    ("climate.md", (PowerCurveForm, ShearForm)),
+    ("fleet.md", (FleetForm, FleetTurbineForm)),
+    ("climate.md", (PowerCurve, Shear)),
     ("climate.md", (LimitForm,)),
     ("climate_test.toml", (ProfileForm, *(kind for _, _, kind in keys_of(ProfileForm).values()))),
 ]

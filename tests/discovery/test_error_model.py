@@ -18,8 +18,8 @@ from hygrokf.discovery.error_model import (
     LEAST,
     TIMES_H,
     VARIANCES,
-    Course,
     Filtered,
+    Instants,
     ahead,
     coefficients,
     course,
@@ -76,7 +76,7 @@ class Case:
     error: np.ndarray
 
     @cached_property
-    def course(self) -> Course:
+    def course(self) -> Instants:
         return course(self.time_h, self.tau_h, self.added, self.shape, EVERY)
 
     @property
@@ -234,7 +234,7 @@ def test_parts_that_the_readings_do_not_resolve_are_left_out():
 
 
 # -- scoring -------------------------------------------------------------------------------------------------
-def with_outliers() -> tuple[Course, np.ndarray]:
+def with_outliers() -> tuple[Instants, np.ndarray]:
     one = case()
     error = one.error.copy()
     error[[50, 51, 100, 120]] += 9.0, -20.0, 30.0, -6.0

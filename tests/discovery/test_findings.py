@@ -18,9 +18,9 @@ import hygrokf
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.discovery.conditions import conditions
-from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.findings import MATERIAL, findings
 from hygrokf.discovery.residuals import Residuals, binned, closed, duration_h, residuals, run_lengths
+from hygrokf.discovery.results import Finding
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
 from hygrokf.report.figures.findings import figure_episodes

@@ -23,8 +23,15 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
 from hygrokf.discovery.library import LIBRARY, cause_of, named
-from hygrokf.discovery.own_causes import LibraryFault, adopt, load_library
-from hygrokf.discovery.plugin_validation import declared_faults, form_faults, trial_ground, trial_record
+from hygrokf.discovery.own_causes import (
+    LibraryFault,
+    adopt,
+    declared_faults,
+    form_faults,
+    load_library,
+    trial_ground,
+    trial_record,
+)
 from hygrokf.identification.fit import LibraryAbsent, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES

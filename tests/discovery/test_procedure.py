@@ -27,15 +27,14 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.final_set import final_set, fit_of, without_input
 from hygrokf.discovery.forms import doors, ground_of
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.plugin_validation import IDENTIFIER
-from hygrokf.discovery.procedure import WET_SENSOR, Discovery, discover
+from hygrokf.discovery.own_causes import IDENTIFIER
+from hygrokf.discovery.procedure import WET_SENSOR, confidence, discover
+from hygrokf.discovery.results import Discovery, DiscoveryResults
 from hygrokf.discovery.screening import parent_of, screened
 from hygrokf.discovery.starting_model import base_designs, base_estimate
-from hygrokf.discovery.told import confidence
 from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT, rests_on
@@ -71,7 +70,7 @@ def test_every_cause_of_the_library_has_a_name_of_its_own_and_its_words() -> Non
     assert len({cause.name for cause in LIBRARY}) == len(LIBRARY)
     for cause in LIBRARY:
         assert IDENTIFIER.fullmatch(cause.name)
-        assert cause.meaning and cause.remedy and cause.separate_by and cause.tried
+        assert cause.meaning and cause.remedy and cause.separate_by
         assert not cause.mechanisms and not cause.features, "register them in the package's tables"
     with pytest.raises(KeyError, match="no cause 'stove'; the library has moisture_sorption, condensation"):
         named("stove")
@@ -159,7 +158,7 @@ def test_the_extended_model_is_a_fit_that_simulates_as_is_told(sunny: Discovery,
 def test_results_come_back_from_their_file(sunny: Discovery) -> None:
     text = result_text(sunny.to_json())
     back = structured(DiscoveryResults, json.loads(text))
-    assert result_text(Discovery(sunny.base, None, back).to_json()) == text
+    assert result_text(Discovery(back, base=sunny.base).to_json()) == text
     assert back.causes[0].evidence == sunny.results.causes[0].evidence
 
 

@@ -12,18 +12,19 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.discovery.conclusion import lines
-from hygrokf.discovery.estimate import Estimate
+from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fit_of
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.search import Found, Search, composed
+from hygrokf.discovery.search import Search, SearchEnd, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
 
 DAYS = 90.0
+Run = tuple[object, SearchEnd, int]
 
 
-def found(cause: str, seed: int) -> tuple[object, Found, int]:
+def found(cause: str, seed: int) -> Run:
     """A plant, what the search finds in it, and the number of its simulations."""
     made = hidden_plant(seed, cause, days=DAYS)
     record = to_record(made)
@@ -35,29 +36,29 @@ def found(cause: str, seed: int) -> tuple[object, Found, int]:
 
 
 @pytest.fixture(scope="module")
-def sunny() -> tuple[object, Found, int]:
+def sunny() -> Run:
     return found("solar_gain", 9101)
 
 
 @pytest.fixture(scope="module")
-def nothing() -> tuple[object, Found, int]:
+def nothing() -> Run:
     return found("none", 9102)
 
 
 @pytest.fixture(scope="module")
-def final(sunny: tuple[object, Found, int]) -> FinalSet:
+def final(sunny: Run) -> FinalSet:
     one = sunny[1].final
     return final_set(one, final_estimator(one))
 
 
-def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: tuple[object, Found, int]) -> None:
+def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: Run) -> None:
     first = sunny[1].accepted[0]
     assert first.candidate.cause == "solar_gain" and not first.judged.reason
     assert first.judged.after["temperature"] < 0.9 * first.judged.before["temperature"]
     assert first.candidate.strength > 25.0
 
 
-def test_only_the_quantity_that_changed_is_fitted_again(sunny: tuple[object, Found, int]) -> None:
+def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
     base, final = sunny[1].base, sunny[1].final
     whole = composed(base, [], final, final.quantities)
     for one in (composed(base, [], final, {"temperature"}), renewed(final, {"temperature"})):
@@ -70,18 +71,18 @@ def test_only_the_quantity_that_changed_is_fitted_again(sunny: tuple[object, Fou
     assert one.deviances["temperature"] > final.deviances["temperature"] + 50.0
 
 
-def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: tuple[object, Found, int]) -> None:
+def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: Run) -> None:
     assert nothing[1].accepted == () and lines(nothing[1].final, {}) == []
 
 
-def test_the_same_search_gives_the_same_numbers(nothing: tuple[object, Found, int]) -> None:
+def test_the_same_search_gives_the_same_numbers(nothing: Run) -> None:
     _, again, count = found("none", 9102)
     assert again.final.theta.tobytes() == nothing[1].final.theta.tobytes()
     assert count == nothing[2]
 
 
 def test_base_and_final_set_hold_the_plants_time_constants(
-    nothing: tuple[object, Found, int], sunny: tuple[object, Found, int], final: FinalSet
+    nothing: Run, sunny: Run, final: FinalSet
 ) -> None:
     """Within 15 %: one plant each, and bounds of 95 % are for many."""
     base = nothing[1].base
@@ -92,7 +93,7 @@ def test_base_and_final_set_hold_the_plants_time_constants(
     assert 0.0 < low < final.estimate.values["thermal_time_constant"] < high < 2.0 * low
 
 
-def test_a_final_set_is_a_fit_with_its_numbers(sunny: tuple[object, Found, int], final: FinalSet) -> None:
+def test_a_final_set_is_a_fit_with_its_numbers(sunny: Run, final: FinalSet) -> None:
     fit = fit_of(sunny[1].base.simulator.scene.record, final)
     assert fit.results.criterion == final.estimator
     for name in ("thermal_time_constant", "solar_heat", "hygric_k"):
@@ -106,7 +107,7 @@ def test_a_final_set_is_a_fit_with_its_numbers(sunny: tuple[object, Found, int],
     assert told == pytest.approx(math.sqrt(np.nanmean(error**2)), rel=0.02)
 
 
-def test_levels_of_a_run_that_is_off_come_back(nothing: tuple[object, Found, int]) -> None:
+def test_levels_of_a_run_that_is_off_come_back(nothing: Run) -> None:
     one = nothing[1].base
     place = one.simulator.names.index("heat_release_operation")
     theta = one.theta.copy()
@@ -119,12 +120,12 @@ def test_levels_of_a_run_that_is_off_come_back(nothing: tuple[object, Found, int
     assert back.variances["temperature"] == pytest.approx(one.variances["temperature"], rel=0.2, abs=0.02)
 
 
-def _simulated(one: Estimate, theta: np.ndarray) -> dict[str, np.ndarray]:
+def _simulated(one: Calibration, theta: np.ndarray) -> dict[str, np.ndarray]:
     return {q: one.simulator.simulated(theta[:, None], q)[:, 0] for q in one.quantities}
 
 
 def test_the_held_out_part_refutes_what_is_worse_and_what_gains_nothing(
-    nothing: tuple[object, Found, int],
+    nothing: Run,
 ) -> None:
     one = nothing[1].base
     before = scores(one)
@@ -142,7 +143,7 @@ def test_the_held_out_part_refutes_what_is_worse_and_what_gains_nothing(
 
 
 def test_little_evidence_needs_held_out_readings_that_bear_it_out(
-    sunny: tuple[object, Found, int], nothing: tuple[object, Found, int]
+    sunny: Run, nothing: Run
 ) -> None:
     base = scores(levelled(sunny[1].base))
     borne_out = judged(base, scores(levelled(sunny[1].final)), spare=1e4, weak=True)
@@ -156,7 +157,7 @@ def test_little_evidence_needs_held_out_readings_that_bear_it_out(
     assert judged(whole, whole, weak=True).reason == ""
 
 
-def test_a_rhythm_that_no_cause_describes_is_a_line(nothing: tuple[object, Found, int]) -> None:
+def test_a_rhythm_that_no_cause_describes_is_a_line(nothing: Run) -> None:
     """A heat flow of 12.42 h in the errors, as large as two fifths of them."""
     one = nothing[1].base
     r = one.simulator.scene.readings["temperature"]

@@ -11,7 +11,7 @@ from builders.fleet_case import departing_rows
 
 from hygrokf.fleet import running
 from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
-from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.tasks import Compared
 
 
@@ -105,5 +105,5 @@ def test_a_turbine_that_departs_is_no_part_of_the_type(
     monkeypatch.setattr(running, "replace", lambda fit, name: fit)
     monkeypatch.setattr(running, "pool_types", pool)
     monkeypatch.setattr(running, "write_type", lambda kind, file: file)
-    _, without = running._type_of(Plan("park", "fit", (), {}), tmp_path, departing_rows())
+    _, without = running._type_of(FleetPlan("park", "fit", (), {}), tmp_path, departing_rows())
     assert without == ["W4"] and pooled == [f"W{i}" for i in range(9) if i != 4]

@@ -9,8 +9,8 @@ import pytest
 from builders.climate_case import climate_of, known_fit, made_up_weather, study_of
 from builders.html_page import Page as Parsed
 
-from hygrokf.climate.bounds import Bounded
-from hygrokf.climate.limits import Limit
+from hygrokf.climate.bounds import BoundedMean
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.procedure import climate_profile
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import RegionClimate, Study
@@ -21,8 +21,8 @@ from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 
 LIMITS = (
-    Limit("never", "temperature_degC", "above", 90.0),
-    Limit("broken", "temperature_degC", "above", -60.0),
+    ClimateLimit("never", "temperature_degC", "above", 90.0),
+    ClimateLimit("broken", "temperature_degC", "above", -60.0),
 )
 
 
@@ -110,9 +110,9 @@ def test_the_class_of_wetness_has_those_of_its_bounds(bounds: tuple[str, str] | 
 
 
 def test_less_than_an_hour_has_no_digits() -> None:
-    one = Bounded(0.114, 0.0, 2.5, 0.0, 2.5, 0.0)
+    one = BoundedMean(0.114, 0.0, 2.5, 0.0, 2.5, 0.0)
     assert span_text(one, hours_text) == "< 1 (0 … 2.50)" and span_text(one) == "0.114 (0 … 2.50)"
-    assert span_text(Bounded(*[0.0] * 6), hours_text) == "0" and span_text(None) == "–"
+    assert span_text(BoundedMean(*[0.0] * 6), hours_text) == "0" and span_text(None) == "–"
 
 
 @pytest.mark.parametrize(("share", "advice"), [(0.5, "a hotter chamber"), (2.0, "a colder chamber")])

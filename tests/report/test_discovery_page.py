@@ -35,11 +35,9 @@ from hygrokf.commands.main import main
 from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain
-from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.forms import Ground
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.procedure import Discovery
-from hygrokf.discovery.results import read_discovery, write_discovery
+from hygrokf.discovery.results import Discovery, DiscoveryResults, read_discovery, write_discovery
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
@@ -568,7 +566,7 @@ def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made") / "deep"
     fit, found = fit_of(discovery_case()), typed(discovery_case())
-    made = Discovery(fit, fit, found, residuals_case(), residuals_case(0.2))
+    made = Discovery(found, residuals_case(), residuals_case(0.2), base=fit, extended=fit)
     assert write_discovery_report(made, folder) == folder / "report.html"
     return folder
 
@@ -607,7 +605,7 @@ def test_report_makes_both_pages_again(written: Path, whole: str, capsys: pytest
 
 def test_without_an_extended_model_nothing_of_it_is_kept(tmp_path: Path) -> None:
     write_discovery(
-        Discovery(fit_of(empty_case()), None, typed(empty_case()), residuals_case(), None), tmp_path
+        Discovery(typed(empty_case()), residuals_case(), base=fit_of(empty_case())), tmp_path
     )
     read = read_discovery(tmp_path)
     assert read.before is not None and read.after is None

@@ -17,7 +17,7 @@ from builders.report_case import report_case
 from golden.difference import read
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from hygrokf.climate.limits import Limit
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.data.structured import structured
 from hygrokf.fleet.results import FleetResults
 from hygrokf.report.climate_page import climate_blocks
@@ -54,7 +54,7 @@ def transfer() -> str:
 
 
 def climate() -> str:
-    study = study_of(made_up_weather(), limits=[Limit("hot", "temperature_degC", "above", 10.0)])
+    study = study_of(made_up_weather(), limits=[ClimateLimit("hot", "temperature_degC", "above", 10.0)])
     return page_html(climate_blocks(replace(study, synthetic=True)))
 
 

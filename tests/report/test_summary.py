@@ -31,7 +31,7 @@ from builders.documents import document
 from builders.report_case import report_case, results, write_case
 from playwright.sync_api import Browser, sync_playwright
 
-from hygrokf.climate.limits import Exceedance, Limit
+from hygrokf.climate.limits import ClimateLimit, Exceedance
 from hygrokf.climate.study import RegionClimate, Study, write_climate
 from hygrokf.data.files import SUMMARIES
 from hygrokf.report.page import page_html
@@ -49,8 +49,8 @@ from hygrokf.report.summary.writing import SummaryFault, planned, written, writt
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (
-    Limit("never", "temperature_degC", "above", 90.0),
-    Limit("broken", "temperature_degC", "above", -60.0),
+    ClimateLimit("never", "temperature_degC", "above", 90.0),
+    ClimateLimit("broken", "temperature_degC", "above", -60.0),
 )
 
 

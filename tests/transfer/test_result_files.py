@@ -15,7 +15,7 @@ from golden.difference import read
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import plain
 from hygrokf.transfer.comparison import ComparisonResults
-from hygrokf.transfer.results import Course, TransferResults, read_courses, write_courses
+from hygrokf.transfer.results import RecordCourse, TransferResults, read_courses, write_courses
 
 FILES = {ComparisonResults: "compared/compare.json", TransferResults: "transferred/transfer.json"}
 
@@ -82,11 +82,11 @@ def test_results_become_frames(kept: tuple[type, dict, Path]) -> None:
     assert str(one) == "synthetic-turbine-31 on synthetic-turbine-32: transfers"
 
 
-def course() -> Course:
+def course() -> RecordCourse:
     time = 1e9 + 3600.0 * np.arange(5)
     on = np.array([True, False, True, True, True])
     value = {"temperature_K": np.array([280.0, np.nan, 281.0, 282.0, 283.0])}
-    return Course(time, math.nan, on, ~on, value, {"as_is": value, "simulated": {}})
+    return RecordCourse(time, math.nan, on, ~on, value, {"as_is": value, "simulated": {}})
 
 
 def test_courses_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_courses_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     bad = course().arrays() | {"temperature_K_as_is": np.zeros(3), "until_s": np.zeros(2)}
     del bad["scored"]
     with pytest.raises(ValueError, match=r"scored: .*; temperature_K_as_is: expected 5 .*; until_s: "):
-        Course.from_arrays(bad)
+        RecordCourse.from_arrays(bad)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ResultFault, match="run it again"):
         read_courses(path, 2, "command")

@@ -37,7 +37,7 @@ from hygrokf.report.transfer_page import (
 )
 from hygrokf.transfer.baseline import HEAT, HYGRIC, THERMAL
 from hygrokf.transfer.procedure import transfer_fit
-from hygrokf.transfer.results import Gain, Structure, Transfer, TransferResult, transfer_results
+from hygrokf.transfer.results import Reduction, Structure, Transfer, TransferResult, transfer_results
 from hygrokf.transfer.verdict import with_verdict
 
 DAYS, HELD_OUT = 36.0, 9.0
@@ -150,7 +150,7 @@ def test_parameters_that_a_record_does_not_determine_are_kept(origin: Fit) -> No
     assert found.verdict == "transfers"
 
 
-def with_gain(found: TransferResult, **gains: Gain) -> TransferResult:
+def with_gain(found: TransferResult, **gains: Reduction) -> TransferResult:
     """A result with other gains of the re-estimated temperature."""
     rows = dict(found.gains["temperature_K"])
     rows["re_estimated"] = replace(rows["re_estimated"], **gains)
@@ -161,10 +161,10 @@ def with_gain(found: TransferResult, **gains: Gain) -> TransferResult:
     ("spoil", "word"),
     [
         (lambda one: replace(one, at_bounds=("hygric_k",)), "limit of its range"),
-        (lambda one: with_gain(one, over_rule=Gain("no_dynamics", -1.0, -1.5, -0.4)), "no gain over"),
+        (lambda one: with_gain(one, over_rule=Reduction("no_dynamics", -1.0, -1.5, -0.4)), "no gain over"),
         (lambda one: replace(one, structure={"temperature_K": Structure(4.0, 1.5, 2.7, 2.2)}),
          "hygrokf discover"),
-        (lambda one: with_gain(one, over_as_is=Gain("as_is", -3.0, -5.0, -1.0)), "larger by 3.00 K"),
+        (lambda one: with_gain(one, over_as_is=Reduction("as_is", -3.0, -5.0, -1.0)), "larger by 3.00 K"),
         (lambda one: replace(one, re_estimate=(THERMAL, HEAT, HYGRIC)), "all groups of the cabinet"),
     ],
 )  # fmt: skip
@@ -274,9 +274,9 @@ def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
     for rows in found.gains.values():
         assert math.isnan(rows["re_estimated"].over_rule.upper)
     found = replace(found, re_estimate=())
-    worse = with_verdict(with_gain(found, over_rule=Gain("no_dynamics", -0.5)))
+    worse = with_verdict(with_gain(found, over_rule=Reduction("no_dynamics", -0.5)))
     assert worse.verdict == "cannot be judged" and "use a longer record" in worse.reasons[0]
-    better = with_gain(found, over_rule=Gain("no_dynamics", 0.5))
+    better = with_gain(found, over_rule=Reduction("no_dynamics", 0.5))
     all_better = all(rows["re_estimated"].over_rule.gain > 0 for rows in better.gains.values())
     assert (with_verdict(better).verdict == "transfers") == all_better
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.climate.statistics import Statistic
+from hygrokf.climate.statistics import YearNumber
 from hygrokf.climate.study import DurationCurve, RegionClimate
 from hygrokf.report.climate_tables import compared_statistics, share_held
 from hygrokf.report.figures.drawing import (
@@ -154,7 +154,7 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Panels:
         raise NothingToShow("There is only one region.")
     from matplotlib import rcParams
 
-    def draw(axis: Axes, statistic: Statistic) -> None:
+    def draw(axis: Axes, statistic: YearNumber) -> None:
         for row, one in enumerate(regions):
             found = one.year[statistic.name]
             axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
@@ -179,7 +179,7 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Panels:
     )
 
 
-def short_words(statistic: Statistic) -> str:
+def short_words(statistic: YearNumber) -> str:
     """A number of a climate in two or three words."""
     return statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.fleet.outliers import REACH, Spread
+from hygrokf.fleet.outliers import REACH, Scatter
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.wording import QUANTITIES
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -37,7 +37,7 @@ from hygrokf.report.figures.drawing import (
     name_rows,
 )
 from hygrokf.transfer.comparison import ColumnScores, ComparisonResults
-from hygrokf.transfer.results import Course, ParameterChange, TransferResult
+from hygrokf.transfer.results import ParameterChange, RecordCourse, TransferResult
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -71,7 +71,7 @@ class Panel:
     """One record's readings with lines for the simulations: label and colour by name in the course."""
 
     title: str
-    course: Course
+    course: RecordCourse
     lines: Mapping[str, tuple[str, str]]
 
     @property
@@ -117,7 +117,7 @@ def figure_courses(panels: Sequence[Panel]) -> Panels:
     )
 
 
-def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Panels:
+def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCourse]) -> Panels:
     """Readings and simulations of the first records; columns on the same instants of a case share a panel."""
     if not courses:
         raise NothingToShow(
@@ -218,7 +218,7 @@ NAMED = 45
 """Turbines up to which every one has its name beside its row."""
 
 
-def figure_spreads(found: Sequence[Spread]) -> Panels:
+def figure_spreads(found: Sequence[Scatter]) -> Panels:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
@@ -249,7 +249,7 @@ def figure_spreads(found: Sequence[Spread]) -> Panels:
     )
 
 
-def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:
+def _panel(axes: Axes, one: Scatter, named: bool, most: int) -> None:
     order = np.argsort(one.x)
     value, error = np.exp(one.x[order]), one.error[order]
     place = np.arange(len(order))
@@ -296,7 +296,7 @@ SETS = {
 SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": RE_ESTIMATED, "all_own": MEASURED}
 
 
-def figure_course(course: Course, re_estimated: bool) -> Panels:
+def figure_course(course: RecordCourse, re_estimated: bool) -> Panels:
     """Twelve held-out days: readings, the model as it is, and the re-estimated one, or that with its own
     loggers where nothing was re-estimated."""
     chosen = ("as_is", "re_estimated" if re_estimated else "own_loggers")

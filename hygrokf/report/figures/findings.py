@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.discovery_results import LASTING_KINDS, DiscoveryResults, Finding
 from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, binned
+from hygrokf.discovery.results import LASTING_KINDS, DiscoveryResults, Finding
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,

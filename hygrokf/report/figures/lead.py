@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from hygrokf.climate.study import RegionClimate, Study
-from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
+from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.wording import percent, sentence
 from hygrokf.report.blocks import Figure

@@ -12,8 +12,8 @@ import numpy as np
 
 from hygrokf.climate.limits import Exceedance
 from hygrokf.climate.study import RegionClimate, Study, profile_files
-from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
+from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, verdicts
