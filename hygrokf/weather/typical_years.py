@@ -4,8 +4,6 @@ Time."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
@@ -18,6 +16,7 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import to_si
+from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import (
     ZERO_CELSIUS_K,
@@ -76,7 +75,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int =
     file = Path(path)
     # archives of weather services hold statistics and design days beside the EPW file
     content, digest = only_content(file, ("epw",), "an EPW file, whose first line begins with LOCATION")
-    rows = list(csv.reader(io.StringIO(content.data.decode("utf-8-sig", "replace"))))
+    rows = [cells for _, cells in csv_rows(content.data, "utf-8-sig")]
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
     calendar, value = _hours(rows, faults)
