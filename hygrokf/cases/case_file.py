@@ -194,13 +194,10 @@ def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     name, faults = case.place.file, []
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
     if ambient and unheard:
-        faults.append(
-            f"{name}: no source names ambient_temperature, the input that every model needs"
-        )
+        faults.append(f"{name}: no source names ambient_temperature, the input that every model needs")
     if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
         faults.append(
-            f"{name}: nothing in the cabinet to identify; expected one of "
-            f"{', '.join(IDENTIFIABLE)}"
+            f"{name}: nothing in the cabinet to identify; expected one of {', '.join(IDENTIFIABLE)}"
         )
     return faults
 

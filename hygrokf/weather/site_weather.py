@@ -38,7 +38,7 @@ _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     "kgm-2s-1": ("mm", HOUR_S),
     "m": ("mm", 1000.0),
     "inch": ("mm", 25.4),
-    **dict.fromkeys(("(0-1)", "dimensionless"), ("1", 1.0)),
+    **dict.fromkeys(("(0-1)", "dimensionless", "kg/kg", "kgkg-1"), ("1", 1.0)),
 }
 """Units of weather files, in lower case and without blanks, * and ^: a name in `UNITS`, and how many of it.
 Energies and rates are those of an hour."""
