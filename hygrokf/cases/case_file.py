@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
-from hygrokf.cases.form import CasePlace, StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
+from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
@@ -24,7 +24,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SWITCHED, difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
-from hygrokf.data.toml_form import FormFault, lines_of, read_toml
+from hygrokf.data.toml_form import FormFault, Place, lines_of, read_toml
 from hygrokf.physics.holds import LINEAR, MEAN, PREVIOUS
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
@@ -51,7 +51,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
-    case, faults = stated_case(content, CasePlace(file=file.name, lines=lines_of(text)), file.stem)
+    case, faults = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
     def table(source: StatedSource) -> Table:
         columns = [one.column for one in source.columns]
@@ -103,7 +103,7 @@ def record_of(
 
     Raises CaseFault with all faults.
     """
-    faults = [*faults, *_undeclared(case, cabinet, ambient)]
+    faults, period = [*faults, *_undeclared(case, cabinet, ambient)], case.form.identification
     series: list[Series] = []
     compared: list[Series] = []
     warnings: list[str] = []
@@ -121,7 +121,7 @@ def record_of(
         headers[source.file] = read.header
         if read.sha256:
             provenance[source.file] = read.sha256
-        found, said, wrong = _source_series(source, read, case.rated_power_W)
+        found, said, wrong = _source_series(source, read, case.form.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
         for one in source.columns:
             if one.column in read.judged and (doubt := read.judged[one.column].doubt):
@@ -144,10 +144,10 @@ def record_of(
     second = {one.signal: one for one in reversed(compared)}
     faults += [*no_overlap(tuple(unique.values())), *(words for _, words in copies(tuple(unique.values())))]
     record = Record(
-        case.name,
+        case.form.name or "record",
         tuple(unique.values()),
-        case.site,
-        case.rated_power_W,
+        case.form.site,
+        case.form.rated_power_W,
         warnings=tuple(warnings),
         compared=tuple(second.values()),
         doubts=(*doubts, *_split_probes(case, headers)),
@@ -156,9 +156,9 @@ def record_of(
         faults += _period_faults(record, case)
     if faults:
         raise CaseFault(head, faults)
-    record = dataclasses.replace(record, until_s=case.until_s, provenance=tuple(provenance.items()))
-    if case.start_s is not None:
-        record = record.window(case.start_s, math.inf)
+    record = dataclasses.replace(record, until_s=period.until_s, provenance=tuple(provenance.items()))
+    if period.start_s is not None:
+        record = record.window(period.start_s, math.inf)
     record = mask(record)
     faults = _emptied(record, cabinet, ambient)
     if faults:
@@ -191,17 +191,13 @@ def _split_probes(case: StatedCase, headers: Mapping[str, tuple[str, ...]]) -> I
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a case that lacks the signals a model needs."""
-    name, signal = case.place.file, case.place.signal
-    faults = []
+    name, faults = case.place.file, []
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
     if ambient and unheard:
-        faults.append(
-            f"{name}: no source names {signal('ambient_temperature')}, the input that every model needs"
-        )
+        faults.append(f"{name}: no source names ambient_temperature, the input that every model needs")
     if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
         faults.append(
-            f"{name}: nothing in the cabinet to identify; expected one of "
-            f"{', '.join(signal(one) for one in IDENTIFIABLE)}"
+            f"{name}: nothing in the cabinet to identify; expected one of {', '.join(IDENTIFIABLE)}"
         )
     return faults
 
@@ -260,7 +256,7 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
     read = read_weather_file(
         folder / stated.file,
         stated.format,
-        site=case.site,
+        site=case.form.site,
         year=stated.year,
         altitude_m=stated.altitude_m,
         to_site_altitude=stated.to_site_altitude,
@@ -377,7 +373,8 @@ def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple
 
 def _period_faults(record: Record, case: StatedCase) -> list[str]:
     faults = []
-    for key, value in (("start", case.start_s), ("until", case.until_s)):
+    period = case.form.identification
+    for key, value in (("start", period.start_s), ("until", period.until_s)):
         if value is not None and not record.start_s < value < record.end_s:
             where = case.place.inside("identification").at(key)
             faults.append(

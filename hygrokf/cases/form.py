@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from hygrokf.data.columns import Notation
@@ -13,7 +13,7 @@ from hygrokf.data.quality import UNSTATED, QualityVocabulary, StatedQuality, sta
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
-from hygrokf.data.toml_form import Key, Place, across, entry_name, line_of, read_form, setting
+from hygrokf.data.toml_form import Place, across, entry_name, read_form, setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import HOLDS, MEAN, PREVIOUS, hold_named
 from hygrokf.weather.reading import FORMATS, TYPICAL
@@ -102,50 +102,12 @@ class StatedColumn(StatedSensor):
     """One signal of a source."""
 
     signal: Signal = entry_name(stated_signal)
+    unit: str = setting(
+        help="the unit of the readings",
+        lacking=lambda place: f"one of {', '.join(fitting_units(str(place.path[-1])))}",
+    )
     column: str = setting(help="its name in the table")
     quality: str | None = setting(None, 'column of its quality, "" if it has none', empty=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CasePlace(Place):
-    """A table of a case, whose places in messages are lines of its file, such as "case.toml, line 7".
-
-    file: its name. subject: the table as the subject of "needs …".
-    """
-
-    file: str
-    subject: str = ""
-
-    def needs(self, key: str, stated: Key) -> str:
-        said = f"{self.subject}needs {key}"
-        if key == "unit":
-            said += f"; units that fit: {', '.join(fitting_units(str(self.path[-1])))}"
-        return said
-
-    def at(self, *keys: str) -> str:
-        line = line_of(self.lines, self.path, keys)
-        return self.file if line is None else f"{self.file}, line {line}"
-
-    def table(self, key: str) -> str:
-        return f" [{key}]"
-
-    def signal(self, name: str) -> str:
-        """The name of a signal's entry."""
-        return f"signals.{name}"
-
-    def of_signal(self, block: int, name: str) -> Place:
-        """The entry of a signal in the source with a number."""
-        return self.inside("source", block).inside("signals", entry=name)
-
-    def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
-        head = self.table(key)
-        of, subject = f" in{head}", f"{head.strip()} "
-        if number is not None:
-            of, subject = " in [[source]]", "this source "
-        if entry is not None:
-            of, subject = f" in signals.{entry}", f"{self.signal(entry)} "
-        within = (one for one in (number, entry) if one is not None)
-        return replace(self, of=of, subject=subject, path=(*self.path, key, *within))
 
 
 @dataclass(frozen=True)
@@ -291,34 +253,31 @@ class CaseForm:
     source: tuple[Mapping[str, Any], ...] = setting((), "one for each file")
     identification: StatedPeriod = setting(StatedPeriod, "identification period")
 
+    @property
+    def rated_power_W(self) -> float | None:
+        """[W]"""
+        return None if self.rated_power_kW is None else 1e3 * self.rated_power_kW
+
 
 @dataclass(frozen=True)
 class StatedCase:
-    """The valid statements of a case.
+    """A case with its sources.
 
-    name: of the enclosure. site: or None. rated_power_W: [W] or None.
-    start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
-    sources: those that can be read. weather: sources that are weather files.
-    declared: every signal of a source that is used, with the number of its source.
-    place: of its file or call, in messages.
+    sources: those that can be read. weather: sources that are weather files. declared: every signal of a
+    source that is used, with the number of its source. place: of its file or call, in messages.
     """
 
-    name: str
-    site: Site | None
-    rated_power_W: float | None
-    start_s: float | None
-    until_s: float | None
+    form: CaseForm
     sources: tuple[StatedSource, ...]
+    weather: tuple[StatedWeather, ...]
     declared: dict[str, int]
-    place: CasePlace
-    weather: tuple[StatedWeather, ...] = ()
+    place: Place
 
 
-def stated_case(content: dict[str, Any], place: CasePlace, name: str) -> tuple[StatedCase, list[str]]:
+def stated_case(content: dict[str, Any], place: Place) -> tuple[StatedCase, list[str]]:
     """The statements of a case, and every fault of its form.
 
-    content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages. name: of
-        the enclosure, by default.
+    content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages.
     """
     form = read_form(CaseForm, content, place)
     if not content.get("source"):
@@ -334,33 +293,27 @@ def stated_case(content: dict[str, Any], place: CasePlace, name: str) -> tuple[S
         if weather[-1].to_site_altitude and (form.site is None or form.site.altitude_m is None):
             inside.fault("to_site_altitude needs altitude_m in [site]", "to_site_altitude")
     declared = _declared(tables, place)
-    case = StatedCase(
-        form.name or name,
-        form.site,
-        None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
-        form.identification.start_s,
-        form.identification.until_s,
-        tuple(one for one in tables.values() if one.file and one.time),
-        declared,
-        place,
-        tuple(one for one in weather if one.file and one.format),
-    )
-    return case, place.faults
+    sources = tuple(one for one in tables.values() if one.file and one.time)
+    readable = tuple(one for one in weather if one.file and one.format)
+    return StatedCase(form, sources, readable, declared, place), place.faults
 
 
-def _declared(tables: Mapping[int, StatedSource], place: CasePlace) -> dict[str, int]:
+def _declared(tables: Mapping[int, StatedSource], place: Place) -> dict[str, int]:
     """Every signal that is used, with the number of its source."""
     declared: dict[str, int] = {}
     compared: dict[str, int] = {}
+
+    def entry(block: int, name: str) -> Place:
+        return place.inside("source", block).inside("signals", entry=name)
+
     for block, one in tables.items():
         for name in one.signals:
             before = compared if one.compare else declared
             if name in before:
-                other = place.of_signal(before[name], name).at().split(", ")[-1]
                 remedy = ": to compare the two, state compare = true in one of the sources"
-                place.of_signal(block, name).fault(
-                    f"{place.signal(name)} is named a second time (first: {other}); a record has one "
-                    f"series of a signal{remedy * (before is declared)}"
+                entry(block, name).fault(
+                    f"{name} is named a second time (first: {entry(before[name], name).at()}); a record has "
+                    f"one series of a signal{remedy * (before is declared)}"
                 )
             before.setdefault(name, block)
     return declared

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
-from hygrokf.cases.form import CasePlace, StatedColumn, StatedPeriod, StatedSource, stated_case
+from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS, unit_named
 from hygrokf.data.timestamps import EXCEL
-from hygrokf.data.toml_form import keys_of
+from hygrokf.data.toml_form import Place, keys_of
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -110,8 +110,7 @@ def read_frames(
     about = {"rated_power_kW": rated_power_kW, "site": site, "identification": identification}
     content: dict[str, Any] = {"name": name, "source": sources}
     content |= {key: value for key, value in about.items() if value is not None}
-    case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=sources), "record")
-
+    case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=sources))
     faults += wrong
     return record_of(
         case, faults, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
@@ -372,14 +371,14 @@ def _stamps(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _FramePlace(CasePlace):
+class _FramePlace(Place):
     """Places of a case in the arguments of `read_frames`: the frame, with the column of a signal."""
 
     sources: Sequence[Mapping[str, Any]]
 
     def at(self, *keys: str) -> str:
         if len(self.path) < 2:
-            return self.file
+            return ",".join([self.file, *(self.table(str(key)) for key in self.path)])
         source = self.sources[int(self.path[1])]
         named = next((one for one in (*keys, *self.path[3:]) if one in source["signals"]), None)
         if named is None:
@@ -388,6 +387,3 @@ class _FramePlace(CasePlace):
 
     def table(self, key: str) -> str:
         return f" {key}={{…}}"
-
-    def signal(self, name: str) -> str:
-        return name

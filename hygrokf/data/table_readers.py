@@ -11,7 +11,7 @@ import os
 import re
 import warnings as python_warnings
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     import pandas
 
 SUFFIXES = (".csv", ".csv.gz", ".txt", ".tsv", ".parquet")
+SEPARATORS = (";", "\t", ",", "|")
 _HEADER_WITHIN = 200
 
 
@@ -108,81 +109,110 @@ def unpacked(content: bytes) -> bytes:
     return content
 
 
+_OTHER_KINDS = (
+    (b"PK\x03\x04", "an Excel file or a ZIP archive: export it as CSV text"),
+    (b"PAR1", "a Parquet file: name it .parquet"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel file (.xls) or one with a password: export it as CSV text"),
+    (b"%PDF", "a PDF document: export the table as CSV"),
+    (b"\x89PNG", "a picture: export the table as CSV"),
+    (b"{", "JSON: export the table as CSV"),
+)
+
+
+def text_of(content: bytes) -> tuple[bytes, str]:
+    """The bytes of a table of text, unpacked, as `decodable` gives them.  Raises TableFault for others."""
+    content = unpacked(content)
+    for mark, kind in _OTHER_KINDS:
+        if content.lstrip()[: len(mark)] == mark:
+            raise TableFault(f"expected a table, found {kind}")
+    if re.match(rb"\s*<(!doctype|html|\?xml)", content[:300], re.IGNORECASE):
+        raise TableFault("expected a table, found a web page or XML: log in and download the export again")
+    return decodable(content)
+
+
+def csv_rows(content: bytes, encoding: str, separator: str = ",") -> Iterator[tuple[int, list[str]]]:
+    """Number of the last line, and cells, of every row of a text.  Raises TableFault."""
+    text = io.TextIOWrapper(io.BytesIO(content), encoding, errors="replace", newline="")
+    reader = csv.reader(text, delimiter=separator)
+    try:
+        for cells in reader:
+            yield reader.line_num, cells
+    except csv.Error as broken:
+        raise TableFault(f"line {reader.line_num}: {broken}") from None
+
+
+def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, header: str) -> list[str]:
+    """The fault of rows with more cells than the header, whose values would otherwise shift silently.
+
+    rows: number and cells. header: its place, such as "line 1".
+    """
+    wide = [(number, cells) for number, cells in rows if any(cell.strip() for cell in cells[width:])]
+    if not wide:
+        return []
+    example, remedy = separator.join(wide[0][1]), ""
+    if separator == "," and re.search(r"\d,\d+(,|$)", example):
+        remedy = "; numbers with a decimal comma need another separator or quotes: export again"
+    where = numbered("line", [number for number, _ in wide], len(wide))
+    expected = f"expected {width} cells as in the header ({header})"
+    return [f'{where}: {expected}, found more: "{example[:80]}"{remedy}']
+
+
 class _CsvSource:
     """The bytes of one CSV file and the layout of its lines."""
 
     def __init__(self, content: bytes, notation: Notation) -> None:
-        content = unpacked(content)
-        if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
-            raise TableFault("is an Excel file or a ZIP archive; export it as CSV text")
-        if content[:4] == b"PAR1":
-            raise TableFault("is a Parquet file; name it .parquet")
-        self.content, self.encoding = decodable(content)
+        self.content, self.encoding = text_of(content)
         self.separator, self.marks, self.comment = notation.separator, notation.marks, notation.comment
         self.missing, self.quality = notation.missing, notation.quality
         self.header_line, self.names = 0, tuple[str, ...]()
 
-    def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number (of the row's last line) and cells of every row that is not blank."""
-        text = io.TextIOWrapper(io.BytesIO(self.content), self.encoding, newline="")
-        reader = csv.reader(text, delimiter=self.separator)
-        try:
-            for cells in reader:
-                if not any(cell.strip() for cell in cells) and len(cells) <= 1:
-                    continue
-                if self.comment and cells[0].lstrip().startswith(self.comment):
-                    continue
-                yield reader.line_num, cells
-        except csv.Error as broken:
-            raise TableFault(f"line {reader.line_num}: {broken}") from None
+    def _body(self) -> Iterator[tuple[int, list[str]]]:
+        """Line number and cells of every row below the header that is not blank."""
+        for number, cells in csv_rows(self.content, self.encoding, self.separator):
+            blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
+            comment = self.comment and not blank and cells[0].lstrip().startswith(self.comment)
+            if number > self.header_line and not blank and not comment:
+                yield number, cells
 
-    def _find_header(self, time_column: str, faults: list[str]) -> bool:
-        """Find the header, the first line that names the time column; False where no column can be read."""
-        text = io.TextIOWrapper(io.BytesIO(self.content), self.encoding, newline="")
-        reader = csv.reader(text, delimiter=self.separator)
+    def _header(self, separator: str, time_column: str) -> tuple[int, tuple[str, ...]] | None:
+        """Line and names of the header: the first line that names the time column, else the first one that
+        is neither blank nor a comment."""
         first: tuple[int, tuple[str, ...]] | None = None
         mark = self.comment or "#"
-        while reader.line_num < _HEADER_WITHIN:
-            try:
-                cells = next(reader)
-            except (StopIteration, csv.Error):
+        for number, cells in csv_rows(self.content, self.encoding, separator):
+            if number > _HEADER_WITHIN:
                 break
             names = [cell.strip() for cell in cells]
             bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
             for candidate in (names, bare):
                 if time_column in candidate:
-                    self.header_line, self.names = reader.line_num, tuple(candidate)
-                    return True
-            comment = bool(names) and names[0].startswith(mark)
-            if first is None and any(names) and not comment:
-                first = reader.line_num, tuple(names)
-        if first is None:
+                    return number, tuple(candidate)
+            if first is None and any(names) and not names[0].startswith(mark):
+                first = number, tuple(names)
+        return first
+
+    def _find_header(self, time_column: str, faults: list[str]) -> bool:
+        """Find the header; False where no column can be read."""
+        found = self._header(self.separator, time_column)
+        if found is None:
             faults.append("expected a header line, found only blank lines or comments")
             return False
-        self.header_line, self.names = first
-        other = self._other_separator(time_column)
-        if other is not None:
-            shown = "\\t" if other == "\t" else other
-            comma = ' and, if numbers are written as 1,5, decimal = ","'
-            faults.append(
-                f'line {self.header_line}: the columns are separated by "{shown}", not by '
-                f'"{self.separator}": state separator = "{shown}"{comma if other != "," else ""} '
-                "in this source"
-            )
-            return False
+        self.header_line, self.names = found
+        if time_column in self.names:
+            return True
+        for other in SEPARATORS:
+            with suppress(TableFault):
+                line, names = self._header(other, time_column) or found
+                if other != self.separator and time_column in names and len(names) > 1:
+                    shown = "\\t" if other == "\t" else other
+                    comma = ' and, if numbers are written as 1,5, decimal = ","' if other != "," else ""
+                    faults.append(
+                        f'line {line}: the columns are separated by "{shown}", not by "{self.separator}": '
+                        f'state separator = "{shown}"{comma} in this source'
+                    )
+                    return False
         faults.append(column_fault(time_column, self.names, f"line {self.header_line} has"))
         return True
-
-    def _other_separator(self, time_column: str) -> str | None:
-        for other in (";", "\t", ",", "|"):
-            if other == self.separator:
-                continue
-            head = self.content[:65536].decode(self.encoding, errors="replace")
-            for line in head.splitlines()[:_HEADER_WITHIN]:
-                names = [cell.strip().strip('"').lstrip("# ") for cell in line.split(other)]
-                if len(names) > 1 and time_column in names:
-                    return other
-        return None
 
     def frame(
         self, wanted: list[str], time_column: str, faults: list[str]
@@ -247,7 +277,7 @@ class _CsvSource:
             return pd.DataFrame(), beside
 
     def _width_faults(self) -> list[str]:
-        """Fault of rows with more cells than the header, whose values would otherwise shift silently."""
+        """The fault of rows that are too wide, looked for where the separators are too many."""
         width = len(self.names)
         if b'"' not in self.content:
             data = np.frombuffer(self.content, dtype=np.uint8)
@@ -256,25 +286,11 @@ class _CsvSource:
             counts = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
             if not np.any(counts[self.header_line :] > width):
                 return []
-        wide, example = [], ""
-        for number, cells in self._rows():
-            if number <= self.header_line or len(cells) <= width:
-                continue
-            if any(cell.strip() for cell in cells[width:]):
-                wide.append(number)
-                example = example or self.separator.join(cells)
-        if not wide:
-            return []
-        remedy = ""
-        if self.separator == "," and re.search(r"\d,\d+(,|$)", example):
-            remedy = "; numbers with a decimal comma need another separator or quotes: export again"
-        header = f"expected {width} cells as in the header (line {self.header_line})"
-        return [f'{numbered("line", wide, len(wide))}: {header}, found more: "{example[:80]}"{remedy}']
+        return too_wide(self._body(), width, self.separator, f"line {self.header_line}")
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""
-        numbers = (number for number, _ in self._rows() if number > self.header_line)
-        first = list(itertools.islice(numbers, int(max(rows, default=-1)) + 1))
+        first = [number for number, _ in itertools.islice(self._body(), int(max(rows, default=-1)) + 1)]
         return [first[int(row)] for row in rows if row < len(first)]
 
 

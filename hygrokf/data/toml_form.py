@@ -67,6 +67,7 @@ class Key:
     empty: whether a text may be empty. expected: description of a valid value, in place of that of the type.
     read: converts the value, in place of the type's reader; raises ValueError. fits: a further condition on
         the converted value, described by `expected`. remedy: a hint appended to the message of a fault.
+        lacking: what to state, in place of `help`, where the table at a place lacks the key.
     """
 
     help: str = ""
@@ -79,6 +80,7 @@ class Key:
     read: Callable[[Any], Any] | None = None
     fits: Callable[[Any], bool] | None = None
     remedy: str = ""
+    lacking: Callable[[Place], str] | None = None
 
     @property
     def limits(self) -> str:
@@ -196,7 +198,8 @@ class Place:
     """A table in messages, such as "[test]" or "line 7, [[turbine]] 2", and the faults found so far.
 
     name: of the table; empty for the file itself. of: the table as the end of "unknown key …". faults: of the
-    whole file. lines: of the file's tables and keys, where they are named. path: of the table.
+    whole file. lines: of the file's tables and keys, where they are named. path: of the table. file: its
+    name, where messages begin with it.
     """
 
     name: str = ""
@@ -204,11 +207,12 @@ class Place:
     faults: list[str] = field(default_factory=list, repr=False, compare=False)
     lines: Mapping[TablePath, int] = field(default_factory=dict, repr=False, compare=False)
     path: TablePath = ()
+    file: str = ""
 
     def at(self, *keys: str) -> str:
         """The place of the first of these keys that is found, or of the table."""
         line = line_of(self.lines, self.path, keys)
-        return ", ".join(([] if line is None else [f"line {line}"]) + ([self.name] if self.name else []))
+        return ", ".join(filter(None, (self.file, "" if line is None else f"line {line}", self.name)))
 
     def fault(self, text: str, *keys: str) -> None:
         """Add a fault with the place of the first of these keys that is found."""
@@ -222,6 +226,7 @@ class Place:
     def needs(self, key: str, stated: Key) -> str:
         """The fault of a key that is missing."""
         said = f"one of {', '.join(stated.choices)}" if stated.choices else stated.help
+        said = said if stated.lacking is None else stated.lacking(self)
         return f"needs {key}, {said}" if said else f"needs {key}"
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:

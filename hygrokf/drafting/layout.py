@@ -15,28 +15,27 @@ from typing import TYPE_CHECKING
 from hygrokf.data.columns import MISSING, TableFault
 from hygrokf.data.numbers import FLAGS, POLES, Marks, Meaning, Unread, evidence, unit_among, values_in
 from hygrokf.data.signals import unit_named
-from hygrokf.data.table_readers import SUFFIXES, decodable, file_bytes, parquet_frame, unpacked
+from hygrokf.data.table_readers import (
+    SEPARATORS,
+    SUFFIXES,
+    csv_rows,
+    file_bytes,
+    parquet_frame,
+    text_of,
+    too_wide,
+    unpacked,
+)
 
 if TYPE_CHECKING:
     import numpy as np
     import pandas
 
-SEPARATORS = (";", "\t", ",", "|")
 _HEAD = 150
 _DATE = re.compile(
     r"\d{1,4}[-/.]\s?(\d{1,2}|[A-Za-z]{3})[-/.]\s?\d{1,4}(\D|$)"
     r"|(19|20)\d{6}([ T]?(\d\d|\d{4,6}))?$|1\d{9}(\.\d*)?$|1\d{12}$|[34]\d{4}[.,]\d+$"
 )
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
-_OTHER_KINDS = (
-    (
-        b"\xd0\xcf\x11\xe0",
-        "an old Excel file (.xls) or one with a password: save it as .xlsx without a password",
-    ),
-    (b"%PDF", "a PDF document: export the table as CSV"),
-    (b"\x89PNG", "a picture: export the table as CSV"),
-    (b"{", "JSON: export the table as CSV"),
-)
 
 
 @dataclass(frozen=True)
@@ -83,22 +82,13 @@ def read_export(file: Path) -> Export:
         names = tuple(map(str, frame.columns))
         return _with_marks(Export(file, frame, names, ("",) * len(names)))
     if content[:4] == b"PK\x03\x04":
-        rows = _excel_rows(content)
-        return _laid_out(file, rows, ",", ("an Excel file",))
-    for mark, kind in _OTHER_KINDS:
-        if content.lstrip()[: len(mark)] == mark:
-            raise TableFault(f"expected a table, found {kind}")
-    if re.match(rb"\s*<(!doctype|html|\?xml)", content[:300], re.IGNORECASE):
-        raise TableFault("expected a table, found a web page or XML: log in and download the export again")
-    content, encoding = decodable(content)
+        return _laid_out(file, _excel_rows(content), ",", ("an Excel file",))
+    content, encoding = text_of(content)
     text = content.decode(encoding)
     if sum(not one.isprintable() and one not in "\r\n\t" for one in text[:5000]) > 50:
         raise TableFault("expected a table, found bytes that are not text: export it as CSV")
     separator = _separator(text)
-    try:
-        rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator)]
-    except csv.Error as broken:
-        raise TableFault(f"cannot be read as CSV: {broken}") from None
+    rows = list(csv_rows(content, encoding, separator))
     readable = file.name.lower().endswith(SUFFIXES)
     return _laid_out(file, rows, separator, () if readable else (f"the ending {file.suffix}",))
 
@@ -158,10 +148,13 @@ def _separator(text: str) -> str:
     return best[2]
 
 
-def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[str, ...]) -> Export:
-    """The table of rows of cells: header and row of units are above the first row with a stamp."""
+def _laid_out(
+    file: Path, lines: list[tuple[int, list[str]]], separator: str, changes: tuple[str, ...]
+) -> Export:
+    """The table of rows, number and cells: header and row of units are above the first row with a stamp."""
     import pandas as pd
 
+    rows = [cells for _, cells in lines]
     head = rows[: 2 * _HEAD]
     dated = [number for number, row in enumerate(head) if len(row) > 1 and any(map(is_date, row))]
     if not dated:
@@ -184,16 +177,13 @@ def _laid_out(file: Path, rows: list[list[str]], separator: str, changes: tuple[
     names = [above[0][0].removeprefix("#").strip() or above[0][0], *above[0][1:]]
     below = [row for row in above[1:] if sum(map(_unit_like, row)) > 0.6 * len(row)]
     units = below[0] if below else [""] * width
-    body = [row for row in rows[first:] if any(cell.strip() for cell in row)]
-    comment = "#" if any(row[0].lstrip().startswith("#") and not is_date(row[0]) for row in body) else None
-    body = [row for row in body if not (comment and row[0].lstrip().startswith(comment))]
-    wide = [n for n, row in enumerate(body) if len(row) > width and any(c.strip() for c in row[width:])]
-    if wide:
-        raise TableFault(
-            f"row {first + wide[0] + 1}: expected {width} cells as above, found {len(body[wide[0]])}; "
-            "numbers with a decimal comma need another separator or quotes: export again"
-        )
-    data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for row in body]
+    body = [(number, row) for number, row in lines[first:] if any(cell.strip() for cell in row)]
+    remarks = [row[0].lstrip().startswith("#") and not is_date(row[0]) for _, row in body]
+    comment = "#" if any(remarks) else None
+    body = [row for row in body if not (comment and row[1][0].lstrip().startswith(comment))]
+    if wide := too_wide(body, width, separator, "above it"):
+        raise TableFault(*wide)
+    data = [[*(cell.strip() for cell in row[:width]), *[""] * (width - len(row))] for _, row in body]
     frame = pd.DataFrame(data, columns=_unique(names), dtype=object)
     words = {cell for row in above[1:] for cell in row if cell and cell not in MISSING}
     preamble = "\n".join(" ".join(row) for row in rows[: first - len(above)])
@@ -262,8 +252,8 @@ def _unique(names: list[str]) -> list[str]:
     return result
 
 
-def _excel_rows(content: bytes) -> list[list[str]]:
-    """Cells of the first sheet of an .xlsx file as text."""
+def _excel_rows(content: bytes) -> list[tuple[int, list[str]]]:
+    """Number and cells, as text, of the rows of the first sheet of an .xlsx file."""
     import pandas as pd
 
     try:
@@ -274,7 +264,8 @@ def _excel_rows(content: bytes) -> list[list[str]]:
         ) from None
     except (KeyError, ValueError, OSError, zlib.error, zipfile.BadZipFile) as broken:
         raise TableFault(f"is a ZIP archive but no Excel table: {broken}") from None
-    return [[_cell_text(cell) for cell in row] for row in frame.itertuples(index=False)]
+    rows = ([_cell_text(cell) for cell in row] for row in frame.itertuples(index=False))
+    return list(enumerate(rows, 1))
 
 
 def _cell_text(cell: object) -> str:

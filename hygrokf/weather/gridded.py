@@ -31,9 +31,10 @@ _PRELIMINARY = ("5", "0005")
 
 @dataclass(frozen=True)
 class Field:
-    """One field at one point: values (T,) and the unit that the file states, or None."""
+    """One field at one point: values (T,), its name in the file, and the unit that it states, or None."""
 
     value: np.ndarray
+    name: str
     unit: str | None = None
 
 
@@ -41,8 +42,7 @@ class Field:
 class PointFields:
     """Fields of a reanalysis at one point, as in the file.
 
-    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the
-        file -> field.
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by name.
     latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] height of its ground, or None.
     place: the point in words. warnings: choices and omissions of the reader.
     """
@@ -147,7 +147,7 @@ def point_fields(
         if short == "z":
             altitude_m = _altitude(one.values, unit)
         elif one.dims == (time_name,):
-            fields[name] = Field(one.values.astype(float), None if unit is None else str(unit))
+            fields[short] = Field(one.values.astype(float), name, None if unit is None else str(unit))
     north, east = at or (None, None)
     return PointFields(file, stamps, fields, north, east, altitude_m, place, tuple(warnings))
 

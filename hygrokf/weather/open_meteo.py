@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
@@ -17,6 +15,7 @@ import numpy as np
 
 from hygrokf.data.columns import Notation, Places, Table, TableFault, table_of
 from hygrokf.data.record import Record, Site
+from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S, stamp_text
 from hygrokf.weather.archive import only_content
 from hygrokf.weather.site_weather import SiteWeather, converted, dew_point_of, place_text
@@ -108,7 +107,7 @@ def _json_answer(data: bytes) -> Answer:
 
 
 def _csv_answer(data: bytes) -> Answer:
-    rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig", "replace"))))
+    rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
     head = [cell.strip() for cell in rows[0]] if rows else []
     if "location_id" in head:
         raise TableFault("holds several places; expected one: write each into a file of its own")

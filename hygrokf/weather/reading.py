@@ -24,12 +24,12 @@ from hygrokf.weather.reanalysis import read_era5, read_merra2
 from hygrokf.weather.site_weather import LAPSE_RATE, SAID_FROM_M, at_altitude, distance_km, place_text
 from hygrokf.weather.typical_years import is_try, read_epw, read_try
 
-_READERS: Mapping[str, Callable[[Path, Site | None, int | None], Record]] = {
-    "era5": lambda file, site, year: read_era5(file, site),
-    "epw": lambda file, site, year: read_epw(file, year),
-    "merra2": lambda file, site, year: read_merra2(file, site),
-    "open_meteo": lambda file, site, year: read_open_meteo(file),
-    "try": lambda file, site, year: read_try(file, year),
+_READERS: Mapping[str, Callable[[Path, Site | None, int | None, int], Record]] = {
+    "era5": lambda file, site, *_: read_era5(file, site),
+    "epw": lambda file, _, *years: read_epw(file, *years),
+    "merra2": lambda file, site, *_: read_merra2(file, site),
+    "open_meteo": lambda file, *_: read_open_meteo(file),
+    "try": lambda file, _, *years: read_try(file, *years),
 }
 FORMATS = tuple(_READERS)
 TYPICAL = ("epw", "try")
@@ -48,6 +48,7 @@ def read_weather_file(
     *,
     site: Site | None = None,
     year: int | None = None,
+    years: int = 1,
     altitude_m: float | None = None,
     to_site_altitude: bool = False,
     lapse_rate: float = LAPSE_RATE,
@@ -56,8 +57,8 @@ def read_weather_file(
 
     path: of one of the `FORMATS`. form: its format; None: see `form_of`.
     site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
-    year: calendar year of a typical year. altitude_m: [m] height of the weather, where the file states none
-        or a wrong one.
+    year: calendar year of a typical year. years: in how many from it on it is repeated.
+    altitude_m: [m] height of the weather, where the file states none or a wrong one.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
         otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
 
@@ -67,7 +68,7 @@ def read_weather_file(
     kind = form or form_of(file)
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
-    record, station_m = _READERS[kind](file, site, year), altitude_m
+    record, station_m = _READERS[kind](file, site, year, years), altitude_m
     if (point := record.site) is not None:
         at = point.latitude_deg, point.longitude_deg
         if site is not None and distance_km(*at, site) > FAR_KM:
@@ -198,27 +199,26 @@ def read_weather(
                 f"{file.name}: only a typical year (EPW, TRY) is repeated; this file has its own years"
             )
             continue
-        for place in range(years):
-            try:
-                records.append(
-                    read_weather_file(
-                        file,
-                        site=site,
-                        year=year + place if typical and year is not None else None,
-                        altitude_m=altitude_m,
-                        to_site_altitude=to_site_altitude,
-                        lapse_rate=lapse_rate,
-                    )
+        try:
+            records.append(
+                read_weather_file(
+                    file,
+                    site=site,
+                    year=year if typical else None,
+                    years=years,
+                    altitude_m=altitude_m,
+                    to_site_altitude=to_site_altitude,
+                    lapse_rate=lapse_rate,
                 )
-            except TableFault as broken:
-                faults += [f"{file.name}: {fault}" for fault in broken.faults]
-                break
+            )
+        except TableFault as broken:
+            faults += [f"{file.name}: {fault}" for fault in broken.faults]
     if faults:
         raise TableFault(*faults)
     record = joined(
         records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
     )
-    warnings = _without_repeats(record.warnings) if years > 1 else list(record.warnings)
+    warnings = list(record.warnings)
     for signal in NEEDED:
         if signal in record:
             warnings += gaps_text(record[signal])
@@ -241,20 +241,3 @@ def gaps_text(series: Series) -> list[str]:
         if len(wide) > 1
         else f"{series.signal}: a gap of {listed}"
     ]
-
-
-def _without_repeats(warnings: Sequence[str]) -> list[str]:
-    """One sentence in place of those about each year of a repeated typical year."""
-    leap = [said for said in warnings if "28 February is repeated" in said]
-    typical = [said for said in warnings if "a typical year, not the weather of" in said]
-    kept = [said for said in warnings if said not in leap and said not in typical]
-    if typical:
-        first, last = typical[0].split(" stand in ")[0], typical[-1].split(" stand in ")[1].split(":")[0]
-        begin = typical[0].split(" stand in ")[1].split(":")[0]
-        kept.append(
-            f"{first} are repeated in every year {begin} … {last}: a typical year, not the weather of these"
-        )
-    if leap:
-        named = ", ".join(said.split()[0] for said in leap)
-        kept.append(f"leap years {named}: 28 February is repeated as 29 February")
-    return kept

@@ -27,10 +27,10 @@ _MERRA2_FIELDS = {
     "PS": ("ambient_pressure", "Pa"), "SWGDN": ("global_horizontal_irradiance", "W/m2"),
     "CLDTOT": ("cloud_cover", "1"), **dict.fromkeys(("PRECTOTCORR", "PRECTOT"), ("rain", "kg m-2 s-1")),
     **dict.fromkeys(("U50M", "V50M", "U10M", "V10M", "U2M", "V2M"), ("wind_speed", "m/s")),
+    "QV2M": ("cloud_cover", "kg kg-1"),  # a fraction, as that of the mass is
 }  # fmt: skip
-"""Fields of MERRA-2 that are used besides QV2M: single levels, radiation, precipitation."""
-_BY_MASS = (None, "kg kg-1", "kg/kg", "1")
-_SHORT_NAMES = {"PHIS": "z", "QV2M": "QV2M", **{name: name for name in _MERRA2_FIELDS}}
+"""Fields of MERRA-2 that are used: single levels, radiation, precipitation."""
+_SHORT_NAMES = {"PHIS": "z", **{name: name for name in _MERRA2_FIELDS}}
 """Used fields; the geopotential of the ground is one of the constant fields const_2d_asm_Nx [m²/s²]."""
 WIND_HEIGHTS_M = (50, 10, 2)
 """[m] heights of the wind, the preferred one first."""
@@ -63,37 +63,43 @@ def _merra2_record(one: Content, file: str, site: Site | None, digest: str) -> R
         raise TableFault(f"expected NetCDF of MERRA-2, found {one.kind}")
     points = point_fields(open_dataset(one.data, one.kind), file, _SHORT_NAMES.get, site)
     # a stamp is the middle of its hour; a record has ends
-    order = np.argsort(points.time, kind="stable")
-    weather = SiteWeather(file, points.time[order] + 30.0 * MINUTE_S, points.place)
-    weather.warnings += points.warnings
-    weather.faults += _time_faults(points.time)
-    value: dict[str, np.ndarray] = {}
-    for name, field in points.fields.items():
-        raw = np.asarray(field.value, dtype=float)[order]
-        if name in _MERRA2_FIELDS:
-            signal, own = _MERRA2_FIELDS[name]
-            raw = converted(name, raw, own if field.unit is None else field.unit, signal, weather.faults)
-        elif field.unit not in _BY_MASS:
-            weather.faults.append(f'{name}: unknown unit "{field.unit}"; expected kg kg-1')
-        value[name] = raw
+    weather, value = _weather_of(points, _MERRA2_FIELDS, 30.0 * MINUTE_S)
+    if len(weather.time) < len(points.time):
+        merged = "stamps occur more than once: the files of two days or versions were merged wrongly"
+        weather.faults.append(merged)
+    off = np.abs(np.mod(points.time, HOUR_S) - 30.0 * MINUTE_S) > 1.0
+    if off.any():
+        weather.faults.append(
+            f"{int(off.sum())} of {len(off)} stamps are not half past the hour; expected hourly means "
+            "(tavg1_…), not instants (inst…) or means over three hours: ask for M2T1NXSLV"
+        )
     _add_merra2_fields(weather, value)
     return weather.record(points.site, digest)
 
 
-def _time_faults(time: np.ndarray) -> list[str]:
-    """The faults of stamps [s]: doubled ones, and those that are not the middles of hours."""
-    if not len(time):
-        return ["has no hour in it: fetch it again"]
-    faults = []
-    if len(np.unique(time)) < len(time):
-        faults.append("stamps occur more than once: the files of two days or versions were merged wrongly")
-    off = np.abs(np.mod(time, HOUR_S) - 30.0 * MINUTE_S) > 1.0
-    if off.any():
-        faults.append(
-            f"{int(off.sum())} of {len(time)} stamps are not half past the hour; expected hourly means "
-            "(tavg1_…), not instants (inst…) or means over three hours: ask for M2T1NXSLV"
-        )
-    return faults
+def _weather_of(
+    points: PointFields, fields: Mapping[str, tuple[str, str]], shift_s: float = 0.0
+) -> tuple[SiteWeather, dict[str, np.ndarray]]:
+    """The weather of the fields at a point, to be filled, and their values [SI unit] (T,) by short name.
+
+    fields: short name -> a signal in its unit, the unit where the file states none. shift_s: [s] from a stamp
+    to the end of its hour.  Raises TableFault where there is no hour.
+    """
+    if not len(points.time):
+        raise TableFault("has no hour in it: fetch it again")
+    time, rows = np.unique(points.time, return_index=True)
+    weather = SiteWeather(points.file, time + shift_s, points.place, warnings=list(points.warnings))
+    if repeated := len(points.time) - len(time):
+        weather.warnings.append(f"{repeated} stamps occur more than once; the first of each kept")
+    value: dict[str, np.ndarray] = {}
+    for short, one in points.fields.items():
+        signal, own = fields[short]
+        raw = np.asarray(one.value, dtype=float)[rows]
+        if (endless := np.isinf(raw)).any():
+            weather.warnings.append(f"{one.name}: {int(endless.sum())} values are infinite, taken as missing")
+        raw = np.where(endless, np.nan, raw)
+        value[short] = converted(one.name, raw, own if one.unit is None else one.unit, signal, weather.faults)
+    return weather, value
 
 
 def _add_merra2_fields(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
@@ -127,24 +133,27 @@ NO_HUMIDITY = (
     "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
 )
 _IRRADIANCE = "global_horizontal_irradiance"
-_ERA5_FIELDS: dict[str, tuple[str, str, tuple[str, ...]]] = {
-    "t2m": ("ambient_temperature", "K", ("2m_temperature", "2t", "t_2m", "VAR_2T")),
-    "d2m": ("ambient_dew_point_temperature", "K", ("2m_dewpoint_temperature", "2d", "d_2m", "VAR_2D")),
-    "sp": ("ambient_pressure", "Pa", ("surface_pressure", "surf_pres")),
-    "u10": ("wind_speed", "m s**-1", ("u_10", "10m_u_component_of_wind", "10u", "VAR_10U")),
-    "v10": ("wind_speed", "m s**-1", ("v_10", "10m_v_component_of_wind", "10v", "VAR_10V")),
-    "u100": ("wind_speed", "m s**-1", ("u_100", "100m_u_component_of_wind", "100u", "VAR_100U")),
-    "v100": ("wind_speed", "m s**-1", ("v_100", "100m_v_component_of_wind", "100v", "VAR_100V")),
-    "ssrd": (_IRRADIANCE, "J m**-2", ("surface_solar_radiation_downwards",)),
-    "fdir": (_IRRADIANCE, "J m**-2", ("total_sky_direct_solar_radiation_at_surface",)),
-    "avg_sdswrf": (
-        _IRRADIANCE, "W m**-2", ("msdwswrf", "mean_surface_downward_short_wave_radiation_flux"),
-    ),
-    "tp": ("rain", "m", ("total_precipitation",)),
-    "tcc": ("cloud_cover", "1", ("total_cloud_cover",)),
-    "z": ("", "m**2 s**-2", ("geopotential", "geopotential_at_surface")),
+_ERA5_FIELDS = {
+    "t2m": ("ambient_temperature", "K"), "d2m": ("ambient_dew_point_temperature", "K"),
+    "sp": ("ambient_pressure", "Pa"), "tcc": ("cloud_cover", "1"), "tp": ("rain", "m"),
+    **dict.fromkeys(("u10", "v10", "u100", "v100"), ("wind_speed", "m s**-1")),
+    **dict.fromkeys(("ssrd", "fdir"), (_IRRADIANCE, "J m**-2")), "avg_sdswrf": (_IRRADIANCE, "W m**-2"),
 }  # fmt: skip
-"""Short name of a field of ERA5 -> a signal in its unit, the unit where the file states none, other names."""
+"""Short name of a field of ERA5 -> a signal in its unit, the unit where the file states none."""
+_OTHER_NAMES = {
+    "t2m": ("2m_temperature", "2t", "t_2m", "VAR_2T"),
+    "d2m": ("2m_dewpoint_temperature", "2d", "d_2m", "VAR_2D"),
+    "sp": ("surface_pressure", "surf_pres"), "tcc": ("total_cloud_cover",), "tp": ("total_precipitation",),
+    "u10": ("u_10", "10m_u_component_of_wind", "10u", "VAR_10U"),
+    "v10": ("v_10", "10m_v_component_of_wind", "10v", "VAR_10V"),
+    "u100": ("u_100", "100m_u_component_of_wind", "100u", "VAR_100U"),
+    "v100": ("v_100", "100m_v_component_of_wind", "100v", "VAR_100V"),
+    "ssrd": ("surface_solar_radiation_downwards",),
+    "fdir": ("total_sky_direct_solar_radiation_at_surface",),
+    "avg_sdswrf": ("msdwswrf", "mean_surface_downward_short_wave_radiation_flux"),
+    "z": ("geopotential", "geopotential_at_surface"),
+}  # fmt: skip
+"""Short name of a field of ERA5, or of the height of its ground -> its other names."""
 _ACCUMULATED = ("ssrd", "fdir", "tp")
 
 
@@ -210,7 +219,11 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
     spots = [name for name in ("latitude", "longitude") if name in names]
     # stamps carry no offset, and are in UTC
     table = table_in(data, "", [*used, *spots], time_name, Notation(timezone="UTC", decimal="."))
-    fields = {name: Field(table.values[name]) for name in used}
+    fields = {
+        short: Field(table.values[name], name)
+        for name in used
+        if (short := short_name(name)) is not None and short != "z"
+    }
     if len(spots) < 2:
         return PointFields(file, table.time, fields, warnings=table.warnings)
     at = np.unique(np.column_stack([table.values[name] for name in spots]), axis=0)
@@ -232,7 +245,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
 
 def short_name(name: str) -> str | None:
     """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for an unused field."""
-    for short, (_, _, others) in _ERA5_FIELDS.items():
+    for short, others in _OTHER_NAMES.items():
         if {name, name.lower()} & {short, *others}:
             return short
     return None
@@ -251,47 +264,29 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
 
     Raises TableFault with every fault: an unknown unit, values impossible in their unit, no temperature.
     """
-    given = {short: (name, one) for name, one in points.fields.items() if (short := short_name(name))}
+    given = points.fields
     if temperature and "t2m" not in given:
+        found = ", ".join(one.name for one in given.values()) or "no field"
         raise TableFault(
-            f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
-            "ask for it in the request"
+            f"no 2 m temperature (t2m, 2m_temperature); found {found}: ask for it in the request"
         )
-    if not len(points.time):
-        raise TableFault("has no hour in it: fetch it again")
-    order = np.argsort(points.time, kind="stable")
-    time = points.time[order]
-    fresh = np.append(True, np.diff(time) > 0.0)
-    weather = SiteWeather(points.file, time[fresh], points.place, warnings=list(points.warnings))
-    if not fresh.all():
-        weather.warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
-    value = _values(weather, given, order[fresh])
+    weather, value = _weather_of(points, _ERA5_FIELDS)
+    for short, one in given.items():
+        weather.faults += _power_for_energy(short, one, weather.time, value[short])
+    _make_hourly(weather, given, value)
     _add_era5_fields(weather, given, value)
     if temperature and "d2m" not in value:
         weather.warnings.append(NO_HUMIDITY)
     return weather.record(points.site, sha256)
 
 
-def _values(
-    weather: SiteWeather, given: Mapping[str, tuple[str, Field]], places: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Values (T,) [SI unit] of each field at some rows of the file; sums are over one hour."""
-    value: dict[str, np.ndarray] = {}
-    for short, (name, one) in given.items():
-        if short != "z":
-            signal, own, _ = _ERA5_FIELDS[short]
-            raw = np.asarray(one.value, dtype=float)[places]
-            endless = np.isinf(raw)
-            if endless.any():
-                weather.warnings.append(f"{name}: {int(endless.sum())} values are infinite, taken as missing")
-            raw = np.where(endless, np.nan, raw)
-            value[short] = converted(name, raw, own if one.unit is None else one.unit, signal, weather.faults)
-            weather.faults += _power_for_energy(short, name, one.unit, weather.time, value[short])
+def _make_hourly(weather: SiteWeather, given: Mapping[str, Field], value: dict[str, np.ndarray]) -> None:
+    """Make sums since midnight those of single hours."""
     daily = {one: _since_midnight(weather.time, value[one]) for one in _ACCUMULATED if one in value}
     for short, told in daily.items():
         # a field that hardly ever changes is written as the others of its file
         if told or (told is None and True in daily.values()):
-            name = given[short][0]
+            name = given[short].name
             step = modal_step(weather.time)[0]
             if step > HOUR_S:
                 weather.faults.append(
@@ -300,22 +295,21 @@ def _values(
                 )
             value[short] = _hourly_sums(weather.time, value[short])
             weather.warnings.append(f"{name}: sums since 00:00 UTC, turned into those of each hour")
-    return value
 
 
 def _add_era5_fields(
-    weather: SiteWeather, given: Mapping[str, tuple[str, Field]], value: Mapping[str, np.ndarray]
+    weather: SiteWeather, given: Mapping[str, Field], value: Mapping[str, np.ndarray]
 ) -> None:
     """Add the series; radiation and rain belong to the hour before their stamp."""
 
     def named(*shorts: str) -> dict[str, Any]:
-        stated = {one: given[one][1].unit for one in shorts}
+        stated = {one: given[one].unit for one in shorts}
         units = dict.fromkeys(
             f'the unit "{unit}"' if unit else f"no unit, so {_ERA5_FIELDS[one][1]} was taken"
             for one, unit in stated.items()
         )
         remedy = f"the file states {' and '.join(units)}; correct it or fetch the file again"
-        return {"names": " and ".join(given[one][0] for one in shorts), "remedy": remedy}
+        return {"names": " and ".join(given[one].name for one in shorts), "remedy": remedy}
 
     for short in ("t2m", "d2m", "sp", "tcc"):
         if short in value:
@@ -338,11 +332,9 @@ def _add_era5_fields(
         )
 
 
-def _power_for_energy(
-    short: str, name: str, unit: str | None, time: np.ndarray, value: np.ndarray
-) -> list[str]:
+def _power_for_energy(short: str, one: Field, time: np.ndarray, value: np.ndarray) -> list[str]:
     """The fault of radiation in W/m² that is taken for J/m² and becomes 3600 times too small."""
-    signal, own, _ = _ERA5_FIELDS[short]
+    (signal, own), unit = _ERA5_FIELDS[short], one.unit
     if signal != _IRRADIANCE or unit_in_weather(unit or own, signal) in (None, ("W/m2", 1.0)):
         return []
     known = value[np.isfinite(value)]
@@ -352,8 +344,8 @@ def _power_for_energy(
         return []
     said = f'the file states "{unit}"' if unit else "it has no unit, so J/m² of an hour was taken"
     return [
-        f"{name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like W/m²: "
-        "correct the unit or multiply by 3600"
+        f"{one.name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like "
+        "W/m²: correct the unit or multiply by 3600"
     ]
 
 

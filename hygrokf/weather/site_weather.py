@@ -38,7 +38,7 @@ _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     "kgm-2s-1": ("mm", HOUR_S),
     "m": ("mm", 1000.0),
     "inch": ("mm", 25.4),
-    **dict.fromkeys(("(0-1)", "dimensionless"), ("1", 1.0)),
+    **dict.fromkeys(("(0-1)", "dimensionless", "kg/kg", "kgkg-1"), ("1", 1.0)),
 }
 """Units of weather files, in lower case and without blanks, * and ^: a name in `UNITS`, and how many of it.
 Energies and rates are those of an hour."""
@@ -179,37 +179,42 @@ SHIFTED = "the columns are shifted, or in other units"
 WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
 
 
-def placed_in_year(
-    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, own: str
+def placed_in_years(
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """Hours moved to one calendar year: their stamps, their columns, and warnings.
+    """Hours moved to each of several calendar years: their stamps, their columns, and warnings.
 
-    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: 1900 … 2200.
-    own: the years of the file in words, "" where it is that year.
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first one,
+    1900 … 2200. years: how many. own: the years of the file in words, "" where it is that year.
 
-    29 February is a repetition of the 28th where the year needs it and the file has none; it is left out
+    29 February is a repetition of the 28th where a year needs it and the file has none; it is left out
     where the year has none.  Raises TableFault for a year out of range.
     """
-    if not 1900 <= year <= 2200:
-        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
-    month, day = stamps[:, 1], stamps[:, 2]
-    leap_day = (month == 2) & (day == 29)
-    before = np.flatnonzero((month == 2) & (day == 28))
-    keep, said = np.arange(len(month)), []
-    placed = stamps.copy()
-    placed[:, 0] = year
-    if calendar.isleap(year) and not leap_day.any() and len(before) == 24:
-        keep = np.insert(keep, before[-1] + 1, before)
-        placed = placed[keep]
-        placed[before[-1] + 1 : before[-1] + 25, 2] = 29
-        said.append(f"{year} is a leap year: 28 February is repeated as 29 February")
-    elif not calendar.isleap(year) and leap_day.any():
-        keep = np.flatnonzero(~leap_day)
-        placed = placed[keep]
-        said.append(f"{year} is not a leap year: 29 February is left out")
+    last = year + years - 1
+    if not 1900 <= year <= last <= 2200:
+        raise TableFault(f"year must lie within 1900 … 2200, found {year if last > 2200 >= year else last}")
+    months, days = stamps[:, 1], stamps[:, 2]
+    leap_day = (months == 2) & (days == 29)
+    before = np.flatnonzero((months == 2) & (days == 28))
+    rows, placed, repeated, said = [], [], [], []
+    for one in range(year, last + 1):
+        keep, day = np.arange(len(days)), days
+        if calendar.isleap(one) and not leap_day.any() and len(before) == 24:
+            keep, day = np.insert(keep, before[-1] + 1, before), np.insert(day, before[-1] + 1, 24 * [29])
+            repeated.append(str(one))
+        elif not calendar.isleap(one) and leap_day.any():
+            keep, day = keep[~leap_day], day[~leap_day]
+            said.append(f"{one} is not a leap year: 29 February is left out")
+        rows.append(keep)
+        placed.append(np.column_stack([np.full(len(day), one), months[keep], day, stamps[keep, 3]]))
     if own:
-        said.append(f"hours of {own} stand in {year}: a typical year, not the weather of {year}")
-    return placed, {name: one[keep] for name, one in columns.items()}, said
+        span = f"{year}" if years == 1 else f"{year} … {last}"
+        said.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
+    if repeated:
+        leap = "is a leap year" if len(repeated) == 1 else "are leap years"
+        said.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
+    kept = np.concatenate(rows)
+    return np.concatenate(placed), {name: one[kept] for name, one in columns.items()}, said
 
 
 def local_seconds(stamps: np.ndarray) -> np.ndarray:

@@ -4,8 +4,6 @@ Time."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
@@ -18,6 +16,7 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import to_si
+from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import (
     ZERO_CELSIUS_K,
@@ -35,7 +34,7 @@ from hygrokf.weather.site_weather import (
     hours_table,
     local_seconds,
     place_text,
-    placed_in_year,
+    placed_in_years,
 )
 
 _HEADER = 8
@@ -57,11 +56,12 @@ _FEWEST_COLUMNS = 22
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
-def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
+def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int = 1) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
     path: .epw, as gzip, or in a ZIP archive. year: calendar year to which every hour is moved; needed for a
-        typical year, whose months are of different years.  None: the file's own year.
+        typical year, whose months are of different years.  None: the file's own year. years: in how many
+        calendar years from `year` on the hours are repeated.
 
     Hour h of a day ends at h o'clock of local standard time, in the header's time zone.  Temperature,
     humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m², so W/m² as the mean)
@@ -75,22 +75,23 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     file = Path(path)
     # archives of weather services hold statistics and design days beside the EPW file
     content, digest = only_content(file, ("epw",), "an EPW file, whose first line begins with LOCATION")
-    rows = list(csv.reader(io.StringIO(content.data.decode("utf-8-sig", "replace"))))
+    rows = [cells for _, cells in csv_rows(content.data, "utf-8-sig")]
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
     calendar, value = _hours(rows, faults)
     if faults:
         raise TableFault(*faults)
-    years = np.unique(calendar[:, 0])
+    written = np.unique(calendar[:, 0])
     warnings: list[str] = []
-    if year is None and len(years) > 1:
+    if year is None and len(written) > 1:
         raise TableFault(
-            f"is a typical year composed of months from {years[0]} … {years[-1]}; state the calendar year "
-            "to assign to it, such as year = 2019"
+            f"is a typical year composed of months from {written[0]} … {written[-1]}; state the calendar "
+            "year to assign to it, such as year = 2019"
         )
     if year is not None:
-        own = "" if list(years) == [year] else f"{years[0]} … {years[-1]}"
-        calendar, value, warnings = placed_in_year(calendar, value, year, own)
+        same = years == 1 and list(written) == [year]
+        own = "" if same else f"{written[0]} … {written[-1]}"
+        calendar, value, warnings = placed_in_years(calendar, value, year, years, own)
     time = local_seconds(calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
@@ -226,12 +227,12 @@ def is_try(text: str) -> bool:
     return end is not None and end > 0 and {"MM", "DD", "HH"} <= set(lines[end - 1].split())
 
 
-def read_try(path: str | os.PathLike[str], year: int | None = None) -> Record:
+def read_try(path: str | os.PathLike[str], year: int | None = None, years: int = 1) -> Record:
     """Record of ambient signals from a test reference year, in SI units and UTC.
 
     path: .dat of the edition of 2017 (a place by Rechtswert and Hochwert) or of 2011 (a region), plain, as
         gzip, or alone in a ZIP archive. year: calendar year to which the hours are moved; needed, as the file
-        has none.
+        has none. years: in how many calendar years from it on they are repeated.
 
     Hour h of a day ends at h o'clock of Central European Time, in summer too.  Temperature, pressure,
     humidity, wind and cloud are instants at that end; radiation is the mean of the hour, global radiation
@@ -265,7 +266,7 @@ def read_try(path: str | os.PathLike[str], year: int | None = None) -> Record:
     stamps = np.column_stack(
         [np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))]
     ).astype(int)
-    stamps, column, said = placed_in_year(stamps, column, year, "a test reference year")
+    stamps, column, said = placed_in_years(stamps, column, year, years, "a test reference year")
     warnings += said
     time = local_seconds(stamps) - ZONE_H * HOUR_S
     if (np.abs(np.diff(time) - HOUR_S) > 1.0).any():

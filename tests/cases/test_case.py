@@ -97,6 +97,10 @@ def read(folder: Path, *changes: tuple[str, str], add: str = "", **more):
     return read_case(folder / "case.toml", **more)
 
 
+def test_the_name_is_by_default_that_of_the_file(folder):
+    assert read(folder).name != "case" and read(folder, ('name = "uk-01"\n', "")).name == "case"
+
+
 def faults(folder: Path, *changes: tuple[str, str], add: str = "") -> tuple[str, ...]:
     return faults_of(read, folder, *changes, add=add)
 
@@ -286,7 +290,7 @@ def test_until_and_start(folder):
 @pytest.mark.parametrize("year", [2019, 2022])
 def test_periods_lie_in_the_record(folder, key, year):
     (fault,) = faults(folder, add=f'[identification]\n{key} = "{year}-01-01T00:00:00Z"\n')
-    assert fault.startswith(f"case.toml, line 18: {key} = {year}-01-01T00:00Z is outside")
+    assert fault.startswith(f"case.toml, line 18, [identification]: {key} = {year}-01-01T00:00Z is outside")
     assert "2020-06-01T00:00Z to 2020-06-21T20:00Z" in fault
 
 
@@ -309,7 +313,7 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
     assert type(again) is CaseFault and again.faults == found and str(again) == str(caught.value)
     expected = (
         'case.toml, line 2: unknown key "rated_power_kw"',
-        'case.toml, line 16: unknown unit "kWh"',
+        'case.toml, line 16, [[source]] 3 signals.active_power: unknown unit "kWh"',
         'cabinet.csv: no column "rH"',
         'cabinet.csv: column "time": 3000 of 3000 stamps have no offset',
         'ambient.csv: column "T": expected numbers, found text in 1 of 3000 rows: line 4 "x',

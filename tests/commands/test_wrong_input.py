@@ -40,6 +40,7 @@ ERROR = column("T_cab_degC", lambda row, cell: "error" if row == 10 else cell)
 MIDNIGHT = rows("ambient.csv", lambda lines: [*lines[:7], "midnight" + lines[7][20:], *lines[8:]])
 NAIVE = rows("cabinet.csv", lambda lines: [line.replace("Z,", ",") for line in lines])
 YEAR_BEFORE = rows("ambient.csv", lambda lines: [line.replace("2020-", "2019-") for line in lines])
+FIRST = "case.toml, line 12, [[source]] 1 signals"
 ONE = "hygrokf: case.toml: 1 fault\n  1. "
 ZONE = 'time = "time"\ntimezone = "Europe/Berln"'
 DAMAGED = "hygrokf: result/fit.json: damaged, or of another version than hygrokf"
@@ -58,16 +59,18 @@ WRONG: dict[str, tuple] = {
     "unknown key": (FIT, case(("rated_power_kW", "rated")),
         ONE + 'case.toml, line 3: unknown key "rated"; expected name, rated_power_kW'),
     "unknown unit": (FIT, case(('"degC"', '"grad"')),
-        ONE + 'case.toml, line 12: unknown unit "grad" for cabinet_temperature; units that fit: K, degC'),
+        ONE + f'{FIRST}.cabinet_temperature: unknown unit "grad" for cabinet_temperature; units that fit:'),
     "unknown signal": (FIT, case(("cabinet_temperature", "cabin_temperature")),
-        ONE + 'case.toml, line 12: unknown signal "cabin_temperature"; did you mean "cabinet_temperature"'),
+        ONE + f'{FIRST}.cabin_temperature: unknown signal "cabin_temperature"',
+        'did you mean "cabinet_temperature"'),
     "bad stamp word": (FIT, case(('"start"', '"begin"')),
-        ONE + 'case.toml, line 26: stamp must be one of instant, start, middle, end, found "begin"'),
+        ONE + "case.toml, line 26, [[source]] 3: stamp must be one of instant, start, middle, end, found"),
     "unknown timezone": (FIT, case(('time = "time"', ZONE)),
         ONE + 'cabinet.csv: unknown timezone "Europe/Berln": expected a fixed', 'mean "Europe/Berlin"'),
     "until outside": (FIT, case(("2020-08-01T", "2030-08-01T")),
-        ONE + "case.toml, line 32: until = 2030-08-01T00:00Z is outside of the record (2020-07-15T00:00Z to"),
-    "no ambient": (FIT, leave_out("ambient_temp"), ONE + "case.toml: no source names signals.ambient_temp"),
+        ONE + "case.toml, line 32, [identification]: until = 2030-08-01T00:00Z is outside of the record",
+        "(2020-07-15T00:00Z to"),
+    "no ambient": (FIT, leave_out("ambient_temp"), ONE + "case.toml: no source names ambient_temp"),
     "no source file": (FIT, gone("scada.csv"), ONE + "scada.csv: no such file"),
     # the tables
     "missing column": (FIT, case(('"T_cab_degC"', '"T_cab"')),
@@ -164,12 +167,12 @@ WRONG: dict[str, tuple] = {
         "that is no"),
     # the case for a fit
     "simulate without ambient": (SIMULATE, leave_out("ambient_temperature"),
-        ONE + "case.toml: no source names signals.ambient_temperature, the input that every model needs"),
+        ONE + "case.toml: no source names ambient_temperature, the input that every model needs"),
     "simulate without ambient humidity": (SIMULATE, leave_out("ambient_relative_humidity"),
         "hygrokf: case.toml: the model reads an ambient humidity (relative, absolute or dew point)",
         "which the record does not have (it has cabinet_temperature,"),
     "evaluate without cabinet": (EVALUATE, NO_CABINET,
-        ONE + "case.toml: nothing in the cabinet to identify; expected one of signals.cabinet_temperature"),
+        ONE + "case.toml: nothing in the cabinet to identify; expected one of cabinet_temperature"),
     "evaluate without readings": (EVALUATE, NO_READING,
         ONE + "no reading of cabinet_temperature, cabinet_relative_humidity can be used; the columns hold"),
     # the report
@@ -239,11 +242,12 @@ def test_every_fault_of_a_case_is_listed_at_once(folder):
     said = run(FIT)
     expected = [
         "case.toml, line 3: rated_power_kW must be a number above 0, found -3",
-        "case.toml, line 6: site: latitude_deg must lie within -90 … 90, found 152.4",
-        'case.toml, line 32: until: expected an ISO 8601 stamp such as "2020-12-01T00:00:00Z", found "soon"',
-        'case.toml, line 21: unknown signal "rainfall"',
-        'case.toml, line 27: unknown unit "kWh" for active_power',
-        'case.toml, line 26: stamp must be one of instant, start, middle, end, found "begin"',
+        "case.toml, line 6, [site]: site: latitude_deg must lie within -90 … 90, found 152.4",
+        'case.toml, line 32, [identification]: until: expected an ISO 8601 stamp such as '
+        '"2020-12-01T00:00:00Z", found "soon"',
+        'case.toml, line 21, [[source]] 2 signals.rainfall: unknown signal "rainfall"',
+        'case.toml, line 27, [[source]] 3 signals.active_power: unknown unit "kWh" for active_power',
+        'case.toml, line 26, [[source]] 3: stamp must be one of instant, start, middle, end, found "begin"',
         'cabinet.csv: no column "T"',
         'cabinet.csv: column "time": 1847 of 1847 stamps have no offset',
         'ambient.csv: column "RH_amb_pct": expected numbers, found text in 2 of 2854 rows: '

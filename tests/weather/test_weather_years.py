@@ -64,7 +64,8 @@ def test_a_typical_year_repeated(tmp_path: Path) -> None:
     assert len(warm) == 2 * 8760 + 8784 and np.all(np.diff(warm.time) == 3600.0)
     assert warm.value[:8000:9] == pytest.approx(warm.value[8760 + 8784 :][:8000:9], nan_ok=True)
     said = " ".join(record.warnings)
-    assert "2006 … 2011 are repeated in every year 2019 … 2021" in said and "leap years 2020" in said
+    assert "hours of 2006 … 2011 stand in 2019 … 2021: a typical year" in said
+    assert said.count("28 February") == 1 and "2020 is a leap year: 28 February is repeated" in said
 
 
 def test_faults_of_every_file_at_once(tmp_path: Path) -> None:
