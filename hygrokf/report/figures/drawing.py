@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,17 +95,28 @@ class NothingToShow(ValueError):
     """The data for a figure are missing; the message is one sentence that says which, and why."""
 
 
+_inside = ContextVar("_inside", default=False)
+"""Whether the style is set already: to set it takes as long as to draw a small panel."""
+
+
 @contextmanager
 def styled() -> Iterator[None]:
     """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
+    if _inside.get():
+        yield
+        return
     import matplotlib
 
     plain = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
     style: Any = {**plain, **_STYLE}
-    with matplotlib.rc_context(style):
-        yield
+    token = _inside.set(True)
+    try:
+        with matplotlib.rc_context(style):
+            yield
+    finally:
+        _inside.reset(token)
 
 
 def expect_matplotlib() -> None:

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.identification.composition import Step
-from hygrokf.identification.fit_results import FitResults, FormEstimate, Interval, TimeConstant
+from hygrokf.identification.fit_results import FitResults, Interval, TimeConstant
 from hygrokf.identification.steady_state import Regression
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import Figure
@@ -289,7 +289,11 @@ def _composed(name: str, found: TimeConstant, steps: list[Step]) -> Panel:
     marks: list[Mark] = [bounds(*part, MEASURED, 2.6, 0.55) for part in parts]
     marks += [bounds(*whole, MEASURED, 5.0, 1.0), CrossLine(found.value_h, "x", INK, 0.8)]
     # other estimates, each on the row of the source that it stands for
-    others = [("forms", f.value_h, QUIET, 2.5 + 4.0 * f.weight) for f in found.forms if _other_form(f)]
+    others = [
+        ("forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
+        for one in found.forms
+        if one.form != "base" and one.weight >= SHOWN_WEIGHT
+    ]
     if found.simulation is not None:
         others.append(("free run", found.simulation.value_h, SIMULATED, 4.5))
     places = {row.source: place for place, row in enumerate(steps)}
@@ -298,10 +302,6 @@ def _composed(name: str, found: TimeConstant, steps: list[Step]) -> Panel:
             marks.append(point(value, places[source], "D", colour, size, edge="white"))
     labels = [LABELS[row.source] for row in steps]
     return Panel(tuple(marks), Axis("[h]", most=5), rows(labels), f"{name} time constant")
-
-
-def _other_form(one: FormEstimate) -> bool:
-    return one.form != "base" and one.weight >= SHOWN_WEIGHT
 
 
 FIGURES: Mapping[str, tuple[str, str, Callable[[FitResults, Mapping[str, np.ndarray]], Picture]]] = {

@@ -386,12 +386,14 @@ class Picture:
         """Draw the first panels, one on each of the axes."""
         last = len(axes) - 1
         for place, (one, panel) in enumerate(zip(axes, self.panels, strict=False)):
+            inner_x = "x" in self.shared and place + self.columns <= last
+            inner_y = "y" in self.shared and place % self.columns > 0
+            # before ticks are made, so that no labels are made that nobody sees
+            one.tick_params(labelbottom=not inner_x, labelleft=not inner_y)
             panel.on(one)
-            if "x" in self.shared and place + self.columns <= last:
-                one.tick_params(labelbottom=False)
+            if inner_x:
                 one.set_xlabel("")
-            if "y" in self.shared and place % self.columns:
-                one.tick_params(labelleft=False)
+            if inner_y:
                 one.set_ylabel("")
 
     def _handles(self) -> list[Artist]:
@@ -470,7 +472,7 @@ def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
         return 0.05
     words, size = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
     if which == "x":
-        return 0.07 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
+        return 0.085 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
     return 0.08 + LETTER_EM * size * max((len(word) for word in words.values()), default=1)
 
 
