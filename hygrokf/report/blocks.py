@@ -13,7 +13,7 @@ from hygrokf.identification.verdict_terms import REJECT, WORDS, Inherited, verdi
 from hygrokf.identification.wording import interval
 
 if TYPE_CHECKING:
-    from hygrokf.report.figures.drawing import Panels
+    from hygrokf.report.figures.panels import Picture
 
 FREE_RUN = (
     "Free run: a simulation from weather, power and other inputs alone, which sees no reading of the cabinet."
@@ -163,7 +163,7 @@ class Figure:
     name: str
     heading: str
     caption: str
-    draw: Callable[[], Panels]
+    draw: Callable[[], Picture]
 
 
 @dataclass(frozen=True)

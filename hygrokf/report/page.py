@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hygrokf.identification.verdict_terms import MARKS, VERDICTS, WORDS
 from hygrokf.identification.wording import one_line
 from hygrokf.report.blocks import Figure, Page, Table
-from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg
+from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg, styled
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -74,6 +74,8 @@ def _drawn(figure: Figure) -> tuple[Markup | None, str]:
     from markupsafe import Markup
 
     try:
-        return Markup(inline_svg(figure.draw().figure(), figure.name, one_line(figure.heading))), ""
+        picture = figure.draw()
+        with styled():
+            return Markup(inline_svg(picture.figure(), figure.name, one_line(figure.heading))), ""
     except NothingToShow as why:
         return None, one_line(str(why))

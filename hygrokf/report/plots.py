@@ -61,20 +61,20 @@ def plot_step_response(found: StepResponse, axes: Axes | Sequence[Axes] | None =
 def _plotted(made: Callable[[], Figure], name: str, axes: Axes | Sequence[Axes] | None) -> tuple[Axes, ...]:
     """Draw on the axes given, in the user's style, or on a new figure of pyplot in that of the reports."""
     try:
-        panels = made().draw()
+        picture = made().draw()
     except NothingToShow as why:
         raise HygrokfError(f"{name}: nothing to plot. {why}") from None
     if axes is None:
         from matplotlib import pyplot
 
         with styled():
-            figure = pyplot.figure(figsize=(WIDTH_IN, panels.height_in))
-            return tuple(panels.on_figure(figure))
+            figure = pyplot.figure(figsize=(WIDTH_IN, picture.height_in))
+            return tuple(picture.on_figure(figure))
     given = tuple(axes) if isinstance(axes, Iterable) else (axes,)
-    if not 1 <= len(given) <= len(panels.draw):
+    if not 1 <= len(given) <= len(picture.panels):
         raise ValueError(
-            f"axes: expected 1 … {len(panels.draw)} axes, one for each panel of the picture, found "
+            f"axes: expected 1 … {len(picture.panels)} axes, one for each panel of the picture, found "
             f"{len(given)}"
         )
-    panels.on(given)
+    picture.on(given)
     return given

@@ -497,7 +497,9 @@ def test_the_map_shows_simulation_less_reading_at_its_day_and_hour() -> None:
     base = made(17)
     table = np.zeros(len(base.time_h))
     table[96 * 10 + 4 * 15 : 96 * 10 + 4 * 16] = -50.0
-    shown = figure_day_hour(with_effect(base, "temperature", table)).figure().axes[0].images[0].get_array()
+    shown = (
+        figure_day_hour(with_effect(base, "temperature", table)).figure().axes[0].collections[0].get_array()
+    )
     assert np.unravel_index(np.nanargmax(shown), shown.shape) == (15, 10)
 
 

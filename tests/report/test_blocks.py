@@ -26,7 +26,8 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
-from hygrokf.report.figures.drawing import NothingToShow, Panels
+from hygrokf.report.figures.drawing import NothingToShow
+from hygrokf.report.figures.panels import Curve, Panel, Picture
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import block_text, cells, page_text, table_text
 
@@ -35,8 +36,8 @@ BELIEVED = Card("thermal", "1.46 h", "believe", "1.37 … 1.55", symbol="R_AT·C
 REJECTED = Card("hygric", "0.3 h", "reject", "0.2 … 0.4", "It drifts.")
 
 
-def drawing() -> Panels:
-    return Panels((lambda axes: axes.plot([0.0, 1.0], [1.0, 2.0]),), 1.0)
+def drawing() -> Picture:
+    return Picture((Panel((Curve((0.0, 1.0), (1.0, 2.0), "black"),)),), 1.0)
 
 
 def nothing():

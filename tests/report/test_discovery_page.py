@@ -330,12 +330,19 @@ def test_no_name_is_said_to_be_certain(confidence: float | None, said: str) -> N
 # --- the course of the error -------------------------------------------------------------------
 
 
+def _steps(line) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (n + 1,) and levels (n,) of a line of steps without gaps between them."""
+    x, y = (np.asarray(one, float) for one in line.get_data())
+    np.testing.assert_array_equal(x[1:-1:2], x[2::2])
+    np.testing.assert_array_equal(y[::2], y[1::2])
+    return np.append(x[::2], x[-1]), y[::2]
+
+
 def test_the_course_of_the_error_shows_each_day_of_both_models() -> None:
     before, after = residuals_case(), residuals_case(0.2)
     warm, damp = figure_error_course(before, after).figure().axes
-    base, extended = warm.patches
-    for one, residuals in ((base, before), (extended, after)):
-        values, edges, _ = one.get_data()
+    for one, residuals in zip(warm.get_lines(), (before, after), strict=True):
+        edges, values = _steps(one)
         late = residuals.validation
         expected = [
             np.sqrt(np.nanmean(residuals.temperature_error[late & (residuals.time_h // 24 == day)] ** 2))
@@ -351,7 +358,7 @@ def test_days_without_readings_are_gaps_and_no_held_out_part_is_told() -> None:
     error = before.temperature_error.copy()
     error[24 * 33 : 24 * 34] = np.nan
     warm, _ = figure_error_course(replace(before, temperature_error=error), after).figure().axes
-    values, _, _ = warm.patches[0].get_data()
+    _, values = _steps(warm.get_lines()[0])
     assert np.flatnonzero(np.isnan(values)).tolist() == [3]
     nothing = np.zeros(len(error), bool)
     with pytest.raises(NothingToShow, match="held out"):

@@ -7,8 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,23 +25,28 @@ from hygrokf.report.figures.drawing import (
     SHADE,
     SIMULATED,
     NothingToShow,
-    Panels,
-    area_handle,
-    calendar,
-    days,
-    line,
-    line_handle,
-    logarithmic,
-    name_rows,
 )
-from hygrokf.transfer.comparison import ColumnScores, ComparisonResults
-from hygrokf.transfer.results import ParameterChange, RecordCourse, TransferResult
+from hygrokf.report.figures.panels import (
+    Axis,
+    CrossLine,
+    Curve,
+    Mark,
+    Panel,
+    Picture,
+    Shade,
+    bounds,
+    course,
+    point,
+    rows,
+    strokes,
+)
+from hygrokf.transfer.comparison import ComparisonResults
+from hygrokf.transfer.results import RecordCourse, TransferResult
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-
-REGIMES = {"operation": "o", "standstill": "s", "total": "D"}
+REGIMES = {"operation": ("o", 3.4), "standstill": ("s", 3.4), "total": ("D", 4.0)}
+"""Regime → its marker and size [pt]."""
+BEST = ("|", INK, 9.0)
+"""Marker of the best rule."""
 COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
 LONGEST = 30
 """Characters of a label beyond which it is cut."""
@@ -67,7 +70,7 @@ def short_labels(labels: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Panel:
+class Shown:
     """One record's readings with lines for the simulations: label and colour by name in the course."""
 
     title: str
@@ -85,47 +88,41 @@ class Panel:
         return bool(np.isfinite(self.course.measured.get(quantity, np.empty(0))).any())
 
 
-def figure_courses(panels: Sequence[Panel]) -> Panels:
+def figure_courses(records: Sequence[Shown]) -> Picture:
     """Twelve days of each record: a row for each quantity, a column for each record."""
-    rows = [q for q in SCORED if any(panel.has(q) for panel in panels)]
-    if not rows:
+    quantities = [q for q in SCORED if any(one.has(q) for one in records)]
+    if not quantities:
         raise NothingToShow("There are no readings to show.")
-
-    def draw(axes: Axes, quantity: str, panel: Panel) -> None:
+    panels = []
+    for quantity in quantities:
         name, unit = QUANTITIES[quantity]
         shift = ZERO_CELSIUS_K if quantity == "temperature_K" else 0.0
-        for name_, (_, colour) in {MEASURED_NAME: ("", MEASURED), **panel.lines}.items():
-            made = panel.course.simulated.get(name_, panel.course.measured)
-            if quantity in made:
-                width = 1.3 if name_ == MEASURED_NAME else 0.9
-                line(axes, panel.course.time_s, made[quantity] - shift, panel.span, colour, width)
-        axes.set_ylabel(f"{name} [{'°C' if shift else unit}]".replace(" ", "\n", name.count(" ")))
-        if quantity == rows[0] and len(panels) > 1:
-            axes.set_title(panel.title, fontsize=7.5)
-        calendar(axes, panel.span, 9 // len(panels) + 1)
-
-    def handles() -> list[Artist]:
-        words = dict(pair for panel in panels for pair in panel.lines.values())
-        return [line_handle(colour, label) for label, colour in {"reading": MEASURED, **words}.items()]
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity, panel=panel) for quantity in rows for panel in panels),
-        height_in=3.0 if len(rows) > 1 else 3.4,
-        columns=len(panels),
-        shared="xy",
-        handles=handles,
-    )
+        label = f"{name} [{'°C' if shift else unit}]".replace(" ", "\n", name.count(" "))
+        for one in records:
+            made = {MEASURED_NAME: one.course.measured, **one.course.simulated}
+            lines = {MEASURED_NAME: ("reading", MEASURED), **one.lines}
+            marks = tuple(
+                course(one.course.time_s, made[key][quantity] - shift, one.span, colour, width, words)
+                for key, (words, colour) in lines.items()
+                if quantity in made[key]
+                for width in (1.3 if key == MEASURED_NAME else 0.9,)
+            )
+            x = Axis(limits=one.span, kind="time", most=9 // len(records) + 1)
+            title = one.title if quantity == quantities[0] and len(records) > 1 else ""
+            panels.append(Panel(marks, x, Axis(label), title))
+    height_in = 3.0 if len(quantities) > 1 else 3.4
+    return Picture(tuple(panels), height_in, columns=len(records), shared="xy")
 
 
-def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCourse]) -> Panels:
+def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCourse]) -> Picture:
     """Readings and simulations of the first records; columns on the same instants of a case share a panel."""
     if not courses:
         raise NothingToShow(
             "These results hold no courses: `hygrokf compare` adds them when it is run again."
         )
     groups: dict[tuple[str, bytes], list[int]] = {}
-    for i, (one, course) in enumerate(zip(found.columns, courses, strict=True)):
-        groups.setdefault((one.case, course.time_s.tobytes()), []).append(i)
+    for i, (one, own) in enumerate(zip(found.columns, courses, strict=True)):
+        groups.setdefault((one.case, own.time_s.tobytes()), []).append(i)
     labels = short_labels([one.label for one in found.columns])
     panels = []
     for (case, _), group in list(groups.items())[:MOST_RECORDS]:
@@ -133,61 +130,47 @@ def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCour
         made = {f"column {i}": courses[i].simulated["simulated"] for i in group}
         lines = {f"column {i}": (labels[i], colour_of(i)) for i in group}
         title = short_labels([case])[0] if unique else labels[group[0]]
-        panels.append(Panel(title, replace(courses[group[0]], simulated=made), lines))
+        panels.append(Shown(title, replace(courses[group[0]], simulated=made), lines))
     return figure_courses(panels)
 
 
-def figure_errors(found: ComparisonResults, period: str) -> Panels:
+def figure_errors(found: ComparisonResults, period: str) -> Picture:
     """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
     best rule."""
     columns = [one for one in found.columns if any(one.total(period, q) for q in SCORED)]
     if not columns:
         raise NothingToShow("Nothing was scored in this period.")
     shown = [q for q in SCORED if any(one.total(period, q) for one in columns)]
-    labels = short_labels([one.label for one in columns])
-
-    def draw(axes: Axes, quantity: str) -> None:
-        for i, one in enumerate(columns):
+    labels = rows(short_labels([one.label for one in columns]))
+    panels = []
+    for quantity in shown:
+        marks: list[Mark] = []
+        for place, one in enumerate(columns):
             colour = colour_of(found.columns.index(one))
-            _errors_row(axes, one, period, quantity, len(columns) - 1 - i, colour)
-        name_rows(axes, labels)
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
-
-    def handles() -> list[Artist]:
-        marks = {**{regime: (mark, 3.5) for regime, mark in REGIMES.items()}, "best rule": ("|", 9.0)}
-        return [
-            line_handle(INK, words, 0.0, marker=mark, markersize=size)
-            for words, (mark, size) in marks.items()
-        ]
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity) for quantity in shown),
-        height_in=1.1 + 0.34 * len(columns),
-        columns=len(shown),
-        shared="y",
-        handles=handles,
+            by_regime = one.scores.get(period, {}).get(quantity, {})
+            for offset, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
+                row = by_regime.get(regime)
+                if row is None or not math.isfinite(row.rmse):
+                    continue
+                if math.isfinite(row.lower):
+                    marks.append(bounds(row.lower, row.upper, place + offset, colour))
+                marks.append(point(row.rmse, place + offset, mark, colour, size))
+                if row.rules and regime == "total":
+                    best = min(rule.rmse for rule in row.rules.values())
+                    marks.append(point(best, place + offset, *BEST))
+        panels.append(Panel(tuple(marks), _rmse(quantity), labels))
+    key = tuple(
+        replace(point(0.0, 0.0, mark, INK, size), label=words)
+        for words, (mark, size) in {**REGIMES, "best rule": ("|", 9.0)}.items()
     )
+    return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(shown), shared="y", key=key)
 
 
-def _errors_row(
-    axes: Axes, one: ColumnScores, period: str, quantity: str, height: float, colour: str
-) -> None:
-    by_regime = one.scores.get(period, {}).get(quantity, {})
-    for offset, (regime, mark) in zip((0.22, 0.0, -0.22), REGIMES.items(), strict=True):
-        row = by_regime.get(regime)
-        if row is None or not math.isfinite(row.rmse):
-            continue
-        if math.isfinite(row.lower):
-            axes.plot([row.lower, row.upper], [height + offset] * 2, color=colour, linewidth=1.3, alpha=0.55)
-        size = 4.0 if regime == "total" else 3.4
-        axes.plot(row.rmse, height + offset, mark, color=colour, markersize=size)
-        if row.rules and regime == "total":
-            best = min(rule.rmse for rule in row.rules.values())
-            axes.plot(best, height + offset, "|", color=INK, markersize=9, markeredgewidth=1.4)
+def _rmse(quantity: str) -> Axis:
+    return Axis("RMSE of the {} [{}]".format(*QUANTITIES[quantity]), (0.0, None))
 
 
-def figure_weeks(found: ComparisonResults) -> Panels:
+def figure_weeks(found: ComparisonResults) -> Picture:
     """Root mean squared errors of all columns by week."""
     shown = [q for q in SCORED if any(len(one.weeks[q][0]) > 1 for one in found.columns if q in one.weeks)]
     if not shown:
@@ -196,29 +179,26 @@ def figure_weeks(found: ComparisonResults) -> Panels:
     ends = [(m[0], m[-1]) for m in middles if len(m)]
     span = (min(first for first, _ in ends) - WEEK_S / 2, max(last for _, last in ends) + WEEK_S / 2)
     labels = short_labels([one.label for one in found.columns])
-
-    def draw(axes: Axes, quantity: str) -> None:
-        for i, one in enumerate(found.columns):
-            if quantity in one.weeks:
-                middle, value = one.weeks[quantity]
-                axes.plot(days(middle), value, "-o", color=colour_of(i), markersize=2.6)
-        axes.set_ylim(bottom=0.0)
-        axes.set_ylabel("{} [{}]".format(*QUANTITIES[quantity]))
-        calendar(axes, span)
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity) for quantity in shown),
-        height_in=0.6 + 1.5 * len(shown),
-        shared="x",
-        handles=lambda: [line_handle(colour_of(i), label) for i, label in enumerate(labels)],
-    )
+    panels = [
+        Panel(
+            tuple(
+                Curve(one.weeks[q][0], one.weeks[q][1], colour_of(i), 0.9, label, "o", 2.6)
+                for i, (one, label) in enumerate(zip(found.columns, labels, strict=True))
+                if q in one.weeks
+            ),
+            Axis(limits=span, kind="time", most=9),
+            Axis("{} [{}]".format(*QUANTITIES[q]), (0.0, None)),
+        )
+        for q in shown
+    ]
+    return Picture(tuple(panels), height_in=0.6 + 1.5 * len(shown), shared="x")
 
 
 NAMED = 45
 """Turbines up to which every one has its name beside its row."""
 
 
-def figure_spreads(found: Sequence[Scatter]) -> Panels:
+def figure_spreads(found: Sequence[Scatter]) -> Picture:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
@@ -228,61 +208,50 @@ def figure_spreads(found: Sequence[Scatter]) -> Panels:
     if not shown:
         raise NothingToShow("No turbine has a value with bounds.")
     most = max(len(one.turbines) for one in shown)
+    height = 0.95 + (0.155 * most if most <= NAMED else min(0.155 * NAMED, 0.03 * most + 3.0))
+    panels = tuple(_spread(one, most) for one in shown)
+    return Picture(panels, height_in=max(height, 1.9), columns=len(shown))
+
+
+def _spread(one: Scatter, most: int) -> Panel:
     named = most <= NAMED
-    height = 0.95 + (0.155 * most if named else min(0.155 * NAMED, 0.03 * most + 3.0))
-
-    def handles() -> list[Artist]:
-        bounds = ", 95 % bounds" if any(one.compared.lower for one in shown) else ""
-        made = [line_handle(MEASURED, f"turbine{bounds}", marker="o", markersize=3)]
-        if any(one.outliers for one in shown):
-            made.append(line_handle(SIMULATED, "outlier", marker="o", markersize=3))
-        made.append(line_handle(QUIET, "median"))
-        if any(one.between > 0 for one in shown):
-            made.append(area_handle(SHADE, "95 % of turbines"))
-        return made
-
-    return Panels(
-        tuple(partial(_panel, one=one, named=named, most=most) for one in shown),
-        height_in=max(height, 1.9),
-        columns=len(shown),
-        handles=handles,
-    )
-
-
-def _panel(axes: Axes, one: Scatter, named: bool, most: int) -> None:
     order = np.argsort(one.x)
     value, error = np.exp(one.x[order]), one.error[order]
     place = np.arange(len(order))
     odd = np.isin(order, one.outliers)
     low, high = np.exp([one.center - REACH * one.between, one.center + REACH * one.between])
-    axes.axvspan(low, high, color=SHADE, zorder=0)
-    axes.axvline(np.exp(one.center), color=QUIET, linewidth=0.8, zorder=1)
-    for chosen, colour in ((~odd, MEASURED), (odd, SIMULATED)):
-        if np.isfinite(error).all() and chosen.any():
+    bounded = np.isfinite(error).all()
+    marks: list[Mark] = []
+    for chosen, colour, words in ((~odd, MEASURED, "turbine"), (odd, SIMULATED, "outlier")):
+        if not chosen.any():
+            continue
+        if bounded:
             ends = value[chosen] * np.exp(np.outer([-REACH, REACH], error[chosen]))
-            axes.hlines(place[chosen], *ends, color=colour, linewidth=1.1 if named else 0.5, zorder=2)
-        axes.plot(value[chosen], place[chosen], "o", color=colour, markersize=3.2 if named else 1.4, zorder=3)
-    axes.set_ylim(-0.8, max(most, 2) - 0.2)
+            width = 1.1 if named else 0.5
+            marks.append(strokes(ends[0], place[chosen], ends[1], place[chosen], colour, width))
+            words = f"{words}, 95 % bounds" if words == "turbine" else words
+        size = 3.2 if named else 1.4
+        marks.append(Curve(value[chosen], place[chosen], colour, 0.0, words, "o", size))
+    marks.append(CrossLine(float(np.exp(one.center)), "x", QUIET, 0.8, label="median"))
+    if one.between > 0:
+        marks.append(Shade(low, high, SHADE, label="95 % of turbines"))
+    limits = (-0.8, max(most, 2) - 0.2)
+    y = Axis(
+        f"{len(order)} turbines, from the least to the largest", limits, at=(-0.8,), words=("",), grid=False
+    )
     if named:
         names = [one.turbines[i] for i in order]
-        axes.set_yticks(place, [name if len(name) <= 18 else f"{name[:17]}…" for name in names])
-        axes.tick_params(axis="y", length=0)
-    else:
-        axes.set_yticks([])
-        axes.set_ylabel(f"{len(order)} turbines, from the least to the largest")
-    axes.grid(axis="y", visible=False)
-    axes.set_xlabel(f"{one.compared.title} [{one.compared.unit}]")
-    left, right = axes.get_xlim()
+        cut = [name if len(name) <= 18 else f"{name[:17]}…" for name in names]
+        y = Axis(limits=limits, at=place, words=cut, grid=False)
+    label = f"{one.compared.title} [{one.compared.unit}]"
+    ends = value * np.exp(np.outer([-REACH, REACH], error if bounded else np.zeros(len(error))))
+    left, right = 0.97 * float(min(ends.min(), low)), 1.03 * float(max(ends.max(), high))
     if left <= 0 or right / left < 5.0:  # a decade's marks would leave such a narrow axis empty
-        from matplotlib.ticker import MaxNLocator
-
-        axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]))
-    else:
-        axes.set_xlim(max(left, 0.5 * value.min()), right)
-        logarithmic(axes, "x", 4)
+        return Panel(tuple(marks), Axis(label, most=7), y)
+    x = Axis(label, (max(left, 0.5 * float(value.min())), right), "logarithmic", most=4)
+    return Panel(tuple(marks), x, y)
 
 
-RE_ESTIMATED = "#1d7a3a"
 TICKS = (0.05, 0.1, 0.25, 0.5, 0.67, 0.8, 1.0, 1.25, 1.5, 2.0, 4.0, 10.0, 20.0)
 SETS = {
     "as_is": "as it is",
@@ -293,80 +262,63 @@ SETS = {
     "ambient": "rule: c = c_amb",
     "ambient_pressure_balance": "rule: c = c_amb T_amb/T",
 }
-SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": RE_ESTIMATED, "all_own": MEASURED}
+SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": COLOURS[1], "all_own": MEASURED}
 
 
-def figure_course(course: RecordCourse, re_estimated: bool) -> Panels:
+def figure_course(found: RecordCourse, re_estimated: bool) -> Picture:
     """Twelve held-out days: readings, the model as it is, and the re-estimated one, or that with its own
     loggers where nothing was re-estimated."""
     chosen = ("as_is", "re_estimated" if re_estimated else "own_loggers")
     lines = {name: (f"simulated, {SETS[name]}", SET_COLOURS[name]) for name in chosen}
-    return figure_courses([Panel("", course, lines)])
+    return figure_courses([Shown("", found, lines)])
 
 
-def figure_sets(found: TransferResult) -> Panels:
+def figure_sets(found: TransferResult) -> Picture:
     """Errors of the four sets of values and of the rules in the scored period, with bounds."""
-    tables = {q: rows for q, rows in found.rmse.items() if rows}
+    tables = {q: {n: by_set[n] for n in SETS if n in by_set} for q, by_set in found.rmse.items() if by_set}
     if not tables:
         raise NothingToShow("Nothing was scored.")
-
-    def draw(axes: Axes, quantity: str) -> None:
-        rows = tables[quantity]
-        names = [name for name in SETS if name in rows]
-        for i, name in enumerate(names):
-            at, colour = len(names) - 1 - i, SET_COLOURS.get(name, QUIET)
-            bounds = rows[name].bounds
-            if bounds is not None:
-                axes.plot(list(bounds), [at, at], color=colour, linewidth=1.6, alpha=0.55)
+    panels = []
+    for quantity, table in tables.items():
+        marks: list[Mark] = []
+        for place, (name, row) in enumerate(table.items()):
+            colour = SET_COLOURS.get(name, QUIET)
+            if row.bounds is not None:
+                marks.append(bounds(*row.bounds, place, colour))
             mark, size = ("D", 4.5) if name in SET_COLOURS else ("|", 9.0)
-            axes.plot(rows[name].total, at, mark, color=colour, markersize=size)
-        name_rows(axes, [SETS[name] for name in names])
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity) for quantity in tables),
-        height_in=0.75 + 0.2 * max(len(rows) for rows in tables.values()),
-        columns=len(tables),
-    )
+            marks.append(point(row.total, place, mark, colour, size))
+        panels.append(Panel(tuple(marks), _rmse(quantity), rows([SETS[name] for name in table])))
+    return Picture(tuple(panels), 0.75 + 0.2 * max(map(len, tables.values())), columns=len(tables))
 
 
-def figure_parameters(found: TransferResult) -> Panels:
+def figure_parameters(found: TransferResult) -> Picture:
     """Differences of the cabinet's parameters from those of the fit, with 95 % bounds; differing groups in
     red."""
-    compared = {name: row for name, row in found.parameters.items() if row.difference is not None}
-    panels = {
-        kind: {n: r for n, r in compared.items() if r.difference_is == kind}
-        for kind in ("ratio", "difference")
-    }
-    panels = {kind: rows for kind, rows in panels.items() if rows}
-    if not panels:
-        raise NothingToShow("No parameter of the cabinet could be judged.")
-
-    def draw(axes: Axes, kind: str) -> None:
-        rows, ratio = panels[kind], kind == "ratio"
+    panels, most = [], 0
+    for kind in ("ratio", "difference"):
+        ratio = kind == "ratio"
+        changes = {
+            _label(name, "" if ratio else row.unit): (row.difference, row.group in found.re_estimate)
+            for name, row in found.parameters.items()
+            if row.difference is not None and row.difference_is == kind
+        }
+        if not changes:
+            continue
+        most = max(most, len(changes))
+        marks: list[Mark] = [CrossLine(1.0 if ratio else 0.0, "x", QUIET, 0.8)]
+        for place, (change, differs) in enumerate(changes.values()):
+            colour = SIMULATED if differs else MEASURED
+            marks.append(bounds(change.lower, change.upper, place, colour))
+            marks.append(point(change.value, place, "o", colour, 4.0))
+        x = Axis("own value less the fit's")
         if ratio:
             margin = math.exp(found.matters["ln_time_constant"])
-            axes.axvspan(1.0 / margin, margin, color=SHADE, zorder=0)
-        axes.axvline(1.0 if ratio else 0.0, color=QUIET, linewidth=0.8, zorder=1)
-        for i, row in enumerate(rows.values()):
-            colour, at = SIMULATED if row.group in found.re_estimate else MEASURED, len(rows) - 1 - i
-            change = row.difference
-            assert change is not None
-            axes.plot([change.lower, change.upper], [at, at], color=colour, linewidth=1.6, alpha=0.6)
-            axes.plot(change.value, at, "o", color=colour, markersize=4)
-        name_rows(axes, [_label(name, "" if ratio else row.unit) for name, row in rows.items()])
-        axes.set_xlabel("own value over the fit's" if ratio else "own value less the fit's")
-        if ratio:
-            _around(axes, rows)
-            logarithmic(axes, "x")
-            _plain_ratios(axes)
-
-    return Panels(
-        tuple(partial(draw, kind=kind) for kind in panels),
-        height_in=0.75 + 0.19 * max(len(rows) for rows in panels.values()),
-        columns=len(panels),
-    )
+            marks.append(Shade(1.0 / margin, margin, SHADE))
+            x = _ratios([end for change, _ in changes.values() for end in (change.lower, change.upper)])
+        panels.append(Panel(tuple(marks), x, rows(list(changes))))
+    if not panels:
+        raise NothingToShow("No parameter of the cabinet could be judged.")
+    return Picture(tuple(panels), height_in=0.75 + 0.19 * most, columns=len(panels))
 
 
 def _label(name: str, unit: str) -> str:
@@ -374,27 +326,20 @@ def _label(name: str, unit: str) -> str:
     return f"{words} [{unit}]" if unit else words
 
 
-def _around(axes: Axes, rows: Mapping[str, ParameterChange]) -> None:
-    """Limits that show one and all bounds, neither too narrow nor too wide to read."""
-    changes = [row.difference for row in rows.values() if row.difference is not None]
-    ends = [v for change in changes for v in (change.lower, change.upper)]
+def _ratios(ends: Sequence[float]) -> Axis:
+    """Limits that show one and all bounds, neither too narrow nor too wide to read, with plain ratios."""
     reach = max(1.3, 1.1 * max(max(v, 1.0 / v) for v in ends if v > 0))
-    axes.set_xlim(max(1.0 / reach, 0.02), min(reach, 50.0))
-
-
-def _plain_ratios(axes: Axes) -> None:
-    from matplotlib.ticker import FixedLocator
-
-    low, high = axes.get_xlim()
+    low, high = max(1.0 / reach, 0.02), min(reach, 50.0)
     ticks = [t for t in TICKS if low < t < high]
     if high / low > 30:
         ticks = [t for t in ticks if t in (0.05, 0.1, 0.25, 1.0, 4.0, 10.0, 20.0)]
     elif high / low > 3.5:
         ticks = [t for t in ticks if t not in (0.8, 1.25)]
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    words = [f"{t:g}" for t in ticks]
+    return Axis("own value over the fit's", (low, high), "logarithmic", ticks, words)
 
 
-def figure_type(found: TurbineType) -> Panels:
+def figure_type(found: TurbineType) -> Picture:
     """The time constants of a type with bounds and the range of the next turbine."""
     shown = {
         n: r
@@ -403,17 +348,13 @@ def figure_type(found: TurbineType) -> Panels:
     }
     if not shown:
         raise NothingToShow("The type has no time constant.")
-
-    def draw(axes: Axes) -> None:
-        for i, row in enumerate(shown.values()):
-            at, ends = len(shown) - 1 - i, row.in_unit()
-            axes.plot([ends["next_lower"], ends["next_upper"]], [at, at], color=RULE, linewidth=7.0)
-            axes.plot([ends["lower"], ends["upper"]], [at, at], color=MEASURED, linewidth=2.2)
-            axes.plot(ends["value"], at, "o", color=INK, markersize=4)
-        name_rows(axes, [f"{n.replace('_', ' ')} [{r.unit}]" for n, r in shown.items()])
-        logarithmic(axes, "x")
-
-    def handles() -> list[Artist]:
-        return [line_handle(RULE, "next turbine, 95 %", 7.0), line_handle(MEASURED, "type, 95 %", 2.2)]
-
-    return Panels((draw,), height_in=0.8 + 0.3 * len(shown), handles=handles)
+    marks: list[Mark] = []
+    for place, row in enumerate(shown.values()):
+        ends = row.in_unit()
+        following = bounds(ends["next_lower"], ends["next_upper"], place, RULE, 7.0, 1.0)
+        own = bounds(ends["lower"], ends["upper"], place, MEASURED, 2.2, 1.0)
+        marks += [replace(following, label="next turbine, 95 %"), replace(own, label="type, 95 %")]
+        marks.append(point(ends["value"], place, "o", INK, 4.0))
+    labels = rows([f"{n.replace('_', ' ')} [{r.unit}]" for n, r in shown.items()])
+    panel = Panel(tuple(marks), Axis(kind="logarithmic"), labels)
+    return Picture((panel,), height_in=0.8 + 0.3 * len(shown))

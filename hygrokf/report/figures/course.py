@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,24 +23,25 @@ from hygrokf.report.figures.drawing import (
     SHADE,
     SIMULATED,
     NothingToShow,
-    Panels,
-    area_handle,
-    calendar,
-    courses,
-    days,
     envelope,
-    line,
-    line_handle,
-    mark_validation,
     means,
-    segments,
-    shade,
     stretches,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
+from hygrokf.report.figures.panels import (
+    Axis,
+    Band,
+    CrossLine,
+    Curve,
+    Mark,
+    Note,
+    Panel,
+    Picture,
+    Shade,
+    course,
+    courses,
+    strokes,
+    validation,
+)
 
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
@@ -51,6 +50,7 @@ ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
 POWER = "power"
 FORTNIGHT_S = 14.0 * 86400.0
 HATCH = "#9aa4b1"
+UNSCORED = "inputs unknown, not scored"
 NARROW = 170
 """Stretches of time over the width of an excerpt."""
 LENGTH_H = 144.0
@@ -221,12 +221,8 @@ class _Record:
         measured, simulated = (
             array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
         )
-        return (
-            measured,
-            simulated,
-            array(self.series, f"{name}_sd"),
-            array(self.series, AMBIENT_SERIES[name]) - shift,
-        )
+        ambient = array(self.series, AMBIENT_SERIES[name]) - shift
+        return measured, simulated, array(self.series, f"{name}_sd"), ambient
 
     def known(self, name: str) -> bool:
         measured, simulated, _, _ = self.quantity(name)
@@ -237,158 +233,104 @@ class _Record:
         """The quantities that can be shown."""
         return [name for name in (TEMPERATURE, HUMIDITY) if self.known(name)]
 
+    # --- panels ---
 
-def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+    def course(self, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS) -> Panel:
+        """Ambient, measured, simulated with its 95 % band, or the power."""
+        if name == POWER:
+            return self.operation(span, bins)
+        measured, simulated, sd, ambient = self.quantity(name)
+        shown = (
+            ("ambient", ambient, AMBIENT, width),
+            ("readings", measured, MEASURED, 1.25 * width),
+            ("simulated", simulated, SIMULATED, 0.8 * width),
+        )
+        marks, limits = courses(self.time, shown, sd, span, bins)
+        return Panel((*marks, *self.unscored(span)), _time(span), Axis(AXIS_LABEL[name], limits))
+
+    def operation(self, span: tuple[float, float], bins: int = BINS) -> Panel:
+        """Relative power, and bars where the cabinet was pre-heated."""
+        t, v = envelope(self.time, self.power, span, bins)
+        marks: list[Mark] = [Curve(t, v, INK, 0.5), Band(t, 0.0 * v, v, INK, 0.12)]
+        least = 0.004 * (span[1] - span[0])
+        for start, end in stretches(self.time, self.preheating > 0, least=1800.0):
+            if end >= span[0] and start <= span[1]:
+                middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
+                ends = np.array([middle - half, middle + half])
+                if len(marks) == 2:
+                    late = middle > span[0] + 0.7 * (span[1] - span[0])
+                    note = Note("pre-heating", float(ends[1]), 1.04, SIMULATED, boxed=True)
+                    marks.append(replace(note, x=float(ends[0]), side="right") if late else note)
+                marks.append(Curve(ends, np.array([1.04, 1.04]), SIMULATED, 3.0))
+        return Panel((*marks, *self.unscored(span)), _time(span), Axis("power / rated", (-0.05, 1.14)))
+
+    def unscored(self, span: tuple[float, float]) -> tuple[Mark, ...]:
+        """Hatched where inputs are unknown."""
+        least = (span[1] - span[0]) / 300.0
+        return tuple(
+            Shade(max(start, span[0]), min(end, span[1]), HATCH, label=UNSCORED, hatched=True)
+            for start, end in stretches(self.time, ~self.scored, least)
+            if end >= span[0] and start <= span[1]
+        )
+
+    def late(self, span: tuple[float, float]) -> tuple[Mark, ...]:
+        """Shaded in the validation period."""
+        return (Shade(max(self.until, span[0]), span[1], SHADE),) if self.validation else ()
+
+
+def _time(span: tuple[float, float]) -> Axis:
+    return Axis(limits=span, kind="time")
+
+
+def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
     paper)."""
     return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
 
 
-def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
     return _whole(_Record(series), HUMIDITY, why)
 
 
-def _whole(record: _Record, name: str, why: str) -> Panels:
+def _whole(record: _Record, name: str, why: str) -> Picture:
     if not record.known(name):
         raise NothingToShow(why)
     measured, simulated, _, _ = record.quantity(name)
-
-    def course(axes: Axes) -> None:
-        _course(axes, record, name, record.span)
-        axes.set_ylabel(AXIS_LABEL[name])
-
-    def error(axes: Axes) -> None:
-        axes.axhline(0.0, color=QUIET, linewidth=0.6)
-        line(axes, record.time, simulated - measured, record.span, SIMULATED, 0.6)
-        axes.set_ylabel(ERROR_LABEL[name])
-
-    def over_time(axes: Axes, draw: Callable[[Axes], None]) -> None:
-        draw(axes)
-        calendar(axes, record.span, 12)
-        _shade(axes, record, record.span)
-        if draw is course and record.validation:
-            mark_validation(axes, record.until)
-
-    rows = [course, error]
-    if name == TEMPERATURE and record.has_power:
-        rows.append(partial(_power, record=record, span=record.span))
-    return Panels(
-        tuple(partial(over_time, draw=draw) for draw in rows),
-        height_in=4.3 if len(rows) > 2 else 3.5,
-        shared="x",
-        heights=(3.2, 1.1, 1.0)[: len(rows)],
-        handles=partial(_handles, record, name),
+    error = (
+        *record.unscored(record.span),
+        CrossLine(0.0, "y", QUIET),
+        course(record.time, simulated - measured, record.span, SIMULATED, 0.6),
     )
+    rows = [
+        record.course(name, record.span),
+        Panel(error, _time(record.span), Axis(ERROR_LABEL[name])),
+        *([record.operation(record.span)] if name == TEMPERATURE and record.has_power else []),
+    ]
+    rows = [replace(one, marks=(*record.late(record.span), *one.marks)) for one in rows]
+    if record.validation:
+        rows[0] = replace(rows[0], marks=(*rows[0].marks, *validation(record.until, record.span)))
+    height, shares = 4.3 if len(rows) > 2 else 3.5, (3.2, 1.1, 1.0)
+    return Picture(tuple(rows), height, shared="x", heights=shares[: len(rows)])
 
 
-def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Readings, free run and its 95 % band after the identification period, or in the last fortnight: the
     temperature, and below it the humidity."""
     record = _Record(series)
-    names = record.names
-    if not names:
+    if not record.names:
         raise NothingToShow("The fit has neither a temperature nor a humidity of the cabinet to show.")
     begin = record.until if record.validation else record.span[1] - FORTNIGHT_S
     span = (max(begin, record.span[0]), record.span[1])
-
-    def draw(axes: Axes, name: str) -> None:
-        _course(axes, record, name, span)
-        axes.set_ylabel(AXIS_LABEL[name].replace(" [", "\n["))
-        calendar(axes, span, _ticks(axes))
-        _hatch_unscored(axes, record, span)
-
-    return Panels(
-        tuple(partial(draw, name=name) for name in names),
-        height_in=0.45 + 1.25 * len(names),
-        shared="x",
-        handles=partial(_handles, record, names[0]),
-    )
+    panels = []
+    for name in record.names:
+        panel = record.course(name, span)
+        panels.append(replace(panel, y=replace(panel.y, label=AXIS_LABEL[name].replace(" [", "\n["))))
+    return Picture(tuple(panels), height_in=0.45 + 1.25 * len(panels), shared="x")
 
 
-def _ticks(axes: Axes) -> int:
-    """The ticks of a calendar whose labels fit below the axes."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    width_in = axes.get_window_extent().width / figure.dpi
-    return max(2, int(width_in / (0.088 * float(axes.xaxis.label.get_fontsize()))))
-
-
-def _course(
-    axes: Axes, record: _Record, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS
-) -> None:
-    """Ambient, measured, simulated with its 95 % band."""
-    measured, simulated, sd, ambient = record.quantity(name)
-    shown = [
-        (ambient, AMBIENT, width),
-        (measured, MEASURED, 1.25 * width),
-        (simulated, SIMULATED, 0.8 * width),
-    ]
-    courses(axes, record.time, shown, sd, span, bins)
-
-
-def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = BINS) -> None:
-    """Relative power, and bars where the cabinet was pre-heated."""
-
-    t, v = envelope(record.time, record.power, span, bins)
-    axes.plot(days(t), v, color=INK, linewidth=0.5)
-    axes.fill_between(days(t), 0.0, v, color=INK, alpha=0.12)
-    axes.set_ylim(-0.05, 1.14)
-    axes.set_ylabel("power / rated")
-    least = 0.004 * (span[1] - span[0])
-    heated = [
-        (0.5 * (start + end), 0.5 * max(end - start, least))
-        for start, end in stretches(record.time, record.preheating > 0, least=1800.0)
-        if end >= span[0] and start <= span[1]
-    ]
-    for middle, half in heated:
-        ends = days(np.array([middle - half, middle + half]))
-        axes.plot(ends, [1.04, 1.04], color=SIMULATED, linewidth=3.0)
-    for middle, half in heated[:1]:
-        late = middle > span[0] + 0.7 * (span[1] - span[0])
-        axes.annotate(
-            "pre-heating", (days(middle - half if late else middle + half), 1.04),
-            ha="right" if late else "left",
-            xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED,
-            fontsize=6.5,
-            bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
-        )  # fmt: skip
-
-
-def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
-    if record.validation:
-        shade(axes, max(record.until, span[0]), span[1], color=SHADE, zorder=0, linewidth=0)
-    _hatch_unscored(axes, record, span)
-
-
-def _hatch_unscored(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
-    least = (span[1] - span[0]) / 300.0
-    for start, end in stretches(record.time, ~record.scored, least):
-        if end >= span[0] and start <= span[1]:
-            shade(
-                axes, max(start, span[0]), min(end, span[1]), facecolor="none", edgecolor=HATCH, hatch="////",
-                linewidth=0.0, zorder=0.5,
-            )  # fmt: skip
-
-
-def _handles(record: _Record, name: str) -> list[Artist]:
-    measured, simulated, sd, ambient = record.quantity(name)
-    lines = (
-        (measured, MEASURED, "readings"),
-        (simulated, SIMULATED, "simulated"),
-        (ambient, AMBIENT, "ambient"),
-    )
-    handles = [line_handle(colour, label) for value, colour, label in lines if np.isfinite(value).any()]
-    if np.isfinite(sd).any():
-        handles.insert(-1, area_handle(SIMULATED, "95 % band", 0.17))
-    if not record.scored.all():
-        words = "inputs unknown, not scored"
-        handles.append(area_handle("white", words, edgecolor=HATCH, hatch="//////"))
-    return handles
-
-
-def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
     record = _Record(series)
     names = record.names
@@ -396,32 +338,28 @@ def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels
     chosen = choose_excerpts(usable) if names else ()
     if not chosen:
         raise NothingToShow("The record is too short for excerpts.")
-
-    def draw(axes: Axes, name: str, column: int) -> None:
-        excerpt = chosen[column]
-        span = (excerpt.start_s, excerpt.end_s)
-        if name == POWER:
-            _power(axes, record, span, NARROW)
-        else:
-            _course(axes, record, name, span, 1.0, NARROW)
-        calendar(axes, span, 7)
-        _shade(axes, record, span)
-        if column == 0 and name != POWER:
-            axes.set_ylabel(AXIS_LABEL[name])
-        elif column:
-            axes.set_ylabel("")
-        if name == names[0]:
-            late = record.validation and span[0] >= record.until
-            axes.set_title(f"({'abc'[column]}) {excerpt.reason}{' (validation)' if late else ''}")
-
     rows = [*names, POWER] if record.has_power else names
-    return Panels(
-        tuple(partial(draw, name=name, column=column) for name in rows for column in range(len(chosen))),
+    panels = []
+    for name in rows:
+        for letter, excerpt in zip("abc", chosen, strict=False):
+            span = (excerpt.start_s, excerpt.end_s)
+            panel = record.course(name, span, 1.0, NARROW)
+            late = " (validation)" if record.validation and span[0] >= record.until else ""
+            panels.append(
+                replace(
+                    panel,
+                    marks=(*record.late(span), *panel.marks),
+                    x=replace(panel.x, most=7),
+                    y=panel.y if letter == "a" else replace(panel.y, label=""),
+                    title=f"({letter}) {excerpt.reason}{late}" if name == names[0] else "",
+                )
+            )
+    return Picture(
+        tuple(panels),
         height_in=0.75 + 1.55 * len(names) + 0.75 * record.has_power,
         columns=len(chosen),
         shared="x",
         heights=tuple(0.7 if name == POWER else 1.55 for name in rows),
-        handles=partial(_handles, record, names[0]),
     )
 
 
@@ -435,7 +373,7 @@ _EXCERPT_SERIES = (
 # --- residuals -------------------------------------------------------------------------------
 
 
-def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Error of the free run over power, ambient temperature and hour of the day."""
     record = _Record(series)
     errors = {}
@@ -446,55 +384,51 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panel
             errors[name] = value
     if not errors:
         raise NothingToShow("Fewer than 30 readings can be compared with the free run.")
-    ambient = array(series, "ambient_temperature") - ZERO_CELSIUS_K
-    hour = (record.time / 3600.0) % 24.0
-    columns: list[tuple[str, np.ndarray, np.ndarray]] = []
-    if record.has_power:
-        columns.append(("power / rated [1]", np.where(record.operating, record.power, np.nan), _POWER_EDGES))
-    low, high = (
-        np.nanquantile(ambient, [0.005, 0.995]) if np.isfinite(ambient).any() else (math.nan, math.nan)
-    )
-    if math.isfinite(low) and high - low > 1.0:
-        columns.append(("ambient temperature [°C]", ambient, np.linspace(low, high, 11)))
-    columns.append(("hour of the day [UTC]", hour, np.arange(0.0, 25.0, 2.0)))
     late = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
-
-    def draw(axes: Axes, name: str, column: tuple[str, np.ndarray, np.ndarray]) -> None:
-        (label, x, edges), error = column, errors[name]
-        axes.axhline(0.0, color=INK, linewidth=0.7)
-        middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
-        groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
-        if label.startswith("power"):
-            middles, halves = np.append(0.0, middles), np.append(0.02, halves)
-            groups.insert(0, error[~record.operating & ~late])
-            axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
-        elif label.startswith("hour"):
-            axes.set_xticks(np.arange(0, 25, 6))
-        _boxes(axes, middles, halves, groups)
-        if late.any():
-            after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
-            after = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
-            axes.plot(middles[-len(after) :], after, "D", color=SIMULATED, markersize=3.2)
+    panels = []
+    for name, error in errors.items():
         reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
-        axes.set_ylim(-reach, reach)
-        axes.set_xlabel(label)
-        axes.set_ylabel(ERROR_LABEL[name])
-        if column is columns[0]:
-            axes.set_title("Temperature" if name == TEMPERATURE else "Absolute humidity")
-
-    return Panels(
-        tuple(partial(draw, name=name, column=column) for name in errors for column in columns),
-        height_in=0.55 + 1.75 * len(errors),
-        columns=len(columns),
-        shared="xy",
-        handles=partial(_residual_handles, bool(late.any())),
-    )
+        for place, (axis, x, edges) in enumerate(_conditions(record)):
+            middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
+            groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
+            after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
+            medians = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
+            shown: list[Mark] = [CrossLine(0.0, "y", INK, 0.7)]
+            if late.any():
+                words = "median in validation"
+                shown.append(Curve(middles, np.array(medians), SIMULATED, 0.0, words, "D", 3.2))
+            if "stop" in axis.words:
+                middles, halves = np.append(0.0, middles), np.append(0.02, halves)
+                groups.insert(0, error[~record.operating & ~late])
+            title = "" if place else "Temperature" if name == TEMPERATURE else "Absolute humidity"
+            y = Axis(ERROR_LABEL[name], (-reach, reach))
+            panels.append(Panel((*_boxes(middles, halves, groups), *shown), axis, y, title))
+    columns = len(panels) // len(errors)
+    return Picture(tuple(panels), height_in=0.55 + 1.75 * len(errors), columns=columns, shared="xy")
 
 
 _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])
 
 
-def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.ndarray]) -> None:
+def _conditions(record: _Record) -> list[tuple[Axis, np.ndarray, np.ndarray]]:
+    """What errors are shown over: the axis, the values (T,), and the edges of its classes."""
+    found = []
+    if record.has_power:
+        axis = Axis(
+            "power / rated [1]", at=(0.0, 0.25, 0.5, 0.75, 1.0), words=("stop", "0.25", "0.5", "0.75", "1")
+        )
+        found.append((axis, np.where(record.operating, record.power, np.nan), _POWER_EDGES))
+    ambient = array(record.series, "ambient_temperature") - ZERO_CELSIUS_K
+    if np.isfinite(ambient).any():
+        low, high = np.nanquantile(ambient, [0.005, 0.995])
+        if math.isfinite(low) and high - low > 1.0:
+            found.append((Axis("ambient temperature [°C]"), ambient, np.linspace(low, high, 11)))
+    hour = (record.time / HOUR_S) % 24.0
+    found.append((Axis("hour of the day [UTC]", at=range(0, 25, 6)), hour, np.arange(0.0, 25.0, 2.0)))
+    return found
+
+
+def _boxes(middles: np.ndarray, halves: np.ndarray, groups: list[np.ndarray]) -> tuple[Mark, ...]:
     """Median, middle half and middle nine tenths of every group of at least ten values."""
     groups = [values[np.isfinite(values)] for values in groups]
     rows = [
@@ -503,21 +437,13 @@ def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.
         if len(values) >= 10
     ]
     if not rows:
-        return
+        return ()
     x, half, least, low, middle, high, most = np.array(rows).T
     gap = np.full(len(x), np.nan)
-
-    segments(axes, x, least, x, most, MEASURED, 0.7)
-    segments(axes, x - half, middle, x + half, middle, MEASURED, 1.6)
     sides = np.column_stack([x - half, x + half, x + half]).ravel()
     below, above = (np.column_stack([edge, edge, gap]).ravel() for edge in (low, high))
-    axes.fill_between(sides, below, above, color=MEASURED, alpha=0.25)
-
-
-def _residual_handles(validation: bool) -> list[Artist]:
-    return [
-        line_handle(MEASURED, "median"),
-        area_handle(MEASURED, "middle half", 0.25),
-        line_handle(MEASURED, "middle 90 %", 0.7),
-        *([line_handle(SIMULATED, "median in validation", 0, marker="D", markersize=3.2)] * validation),
-    ]
+    return (
+        strokes(x - half, middle, x + half, middle, MEASURED, 1.6, "median"),
+        Band(sides, below, above, MEASURED, 0.25, "middle half"),
+        strokes(x, least, x, most, MEASURED, 0.7, "middle 90 %"),
+    )

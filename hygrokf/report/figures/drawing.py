@@ -1,6 +1,5 @@
-"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar axes, SVG and
-PNG; and the panels of a picture in rows and columns below a key, for pages, summaries, and axes that a
-user gives.
+"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar ticks, SVG and
+PNG.
 
 matplotlib is imported inside the functions that need it, without its global state (`pyplot`).
 """
@@ -10,11 +9,10 @@ from __future__ import annotations
 import io
 import math
 import re
-import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,8 +20,6 @@ from hygrokf.data.timestamps import DAY_S
 from hygrokf.errors import HygrokfError
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MEASURED = "#1b5fa8"
@@ -99,17 +95,28 @@ class NothingToShow(ValueError):
     """The data for a figure are missing; the message is one sentence that says which, and why."""
 
 
+_inside = ContextVar("_inside", default=False)
+"""Whether the style is set already: to set it takes as long as to draw a small panel."""
+
+
 @contextmanager
 def styled() -> Iterator[None]:
     """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
+    if _inside.get():
+        yield
+        return
     import matplotlib
 
     plain = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
     style: Any = {**plain, **_STYLE}
-    with matplotlib.rc_context(style):
-        yield
+    token = _inside.set(True)
+    try:
+        with matplotlib.rc_context(style):
+            yield
+    finally:
+        _inside.reset(token)
 
 
 def expect_matplotlib() -> None:
@@ -271,24 +278,7 @@ def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tu
     return [(start, end) for start, end in joined]
 
 
-# --- axes ------------------------------------------------------------------------------------
-
-
-def days(time_s: np.ndarray | float) -> np.ndarray | float:
-    """Seconds since 1970-01-01T00:00Z as days, what matplotlib's calendar axes count in."""
-    return np.asarray(time_s, dtype=float) / DAY_S
-
-
-def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9) -> None:
-    """A calendar axis in UTC over `span` [s] with at most `ticks` ticks; the first one names year or
-    month."""
-    low, high = span
-    if not high > low:
-        low, high = low - 1800.0, high + 1800.0
-    axes.set_xlim(float(days(low)), float(days(high)))
-    at, words = calendar_ticks(low, high, ticks)
-    axes.set_xticks(days(at), words)
-
+# --- calendar ------------------------------------------------------------------------------
 
 _STEPS = (
     *((number, "m") for number in (1, 2, 5, 10, 15, 30)),
@@ -327,201 +317,3 @@ def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, lis
         words.append(fine if coarse == before else f"{fine}\n{coarse}" + (" UTC" if before is None else ""))
         before = coarse
     return at.astype(float), words
-
-
-def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:
-    """A logarithmic axis ("x" or "y") with plain numbers at 1, 2, 5."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
-
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
-    decades = math.log10(high / low)
-    axis.set_major_locator(
-        LogLocator(base=10.0, subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,), numticks=ticks + 4)
-    )
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_locator(NullLocator())
-    axis.set_minor_formatter(NullFormatter())
-
-
-def line_handle(colour: str, label: str, linewidth: float = 1.6, **style: Any) -> Artist:
-    """The line of a key."""
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], color=colour, label=label, linewidth=linewidth, **style)
-
-
-def area_handle(colour: str, label: str, alpha: float = 1.0, **style: Any) -> Artist:
-    """The filled rectangle of a key."""
-    from matplotlib.patches import Patch
-
-    return Patch(facecolor=colour, label=label, alpha=alpha, **style)
-
-
-def segments(
-    axes: Axes, x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float
-) -> None:
-    """Strokes from points (x1, y1) to points (x2, y2), drawn as one line."""
-    gap = np.full(len(x1), np.nan)
-    x, y = (np.column_stack([a, b, gap]).ravel() for a, b in ((x1, x2), (y1, y2)))
-    axes.plot(x, y, color=colour, linewidth=width)
-
-
-def line(
-    axes: Axes, time: np.ndarray, value: np.ndarray, span: tuple[float, float], colour: str, width: float,
-    bins: int = BINS,
-) -> None:  # fmt: skip
-    """A course (T,) over a stretch of time [s], thinned as in `envelope`; a single value is a point."""
-    t, v = envelope(time, value, span, bins)
-    single = np.isfinite(v).sum() == 1
-    axes.plot(days(t), v, color=colour, linewidth=width, marker="o" if single else None, markersize=3)
-
-
-def courses(
-    axes: Axes, time: np.ndarray, shown: Sequence[tuple[np.ndarray, str, float]], sd: np.ndarray | None,
-    span: tuple[float, float], bins: int = BINS,
-) -> None:  # fmt: skip
-    """Courses (value (T,), colour, width) over a stretch of time [s], the simulation last, with its 95 % band
-    where its standard deviation `sd` (T,) is known; limits show every value, not every excess of the band."""
-    if sd is not None:
-        simulated = shown[-1][0]
-        t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
-        axes.fill_between(days(t), low, high, color=SIMULATED, alpha=0.16, linewidth=0)
-    for value, colour, width in shown:
-        line(axes, time, value, span, colour, width, bins)
-    inside = (time >= span[0]) & (time <= span[1])
-    there = np.concatenate([value[inside & np.isfinite(value)] for value, _, _ in shown])
-    if len(there):
-        margin = 0.07 * float(np.ptp(there)) or 1.0
-        axes.set_ylim(float(there.min()) - margin, float(there.max()) + margin)
-
-
-def mark_validation(axes: Axes, start_s: float) -> None:
-    """Where the validation period begins [s], on calendar axes."""
-    low, high = axes.get_xlim()
-    start = max(float(days(start_s)), low)
-    late = (high - start) / max(high - low, 1e-9) < 0.12
-    axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
-    axes.annotate(
-        "validation", (start, 1.0), xycoords=("data", "axes fraction"), xytext=(-3 if late else 3, -3),
-        textcoords="offset points", ha="right" if late else "left", va="top", fontsize=6.5,
-        fontstyle="italic",
-        bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
-    )  # fmt: skip
-
-
-def shade(axes: Axes, start_s: float, end_s: float, **style: Any) -> None:
-    """Shade a stretch of time [s] over the whole height of calendar axes."""
-    axes.axvspan(float(days(start_s)), float(days(end_s)), **style)
-
-
-def name_rows(axes: Axes, labels: Sequence[str]) -> None:
-    """One label for each row of a picture, the first on top."""
-    axes.set_yticks(range(len(labels)), labels[::-1])
-    axes.set_ylim(-0.6, len(labels) - 0.4)
-    axes.grid(axis="y", visible=False)
-
-
-def empty(axes: Axes, sentence: str) -> None:
-    """Axes that say in one sentence why they are empty."""
-    axes.set_axis_off()
-    text = textwrap.fill(sentence, 34)
-    axes.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, transform=axes.transAxes)
-
-
-SIGN_EM, LETTER_EM, LINE_EM = 3.7, 0.6, 1.75
-"""Width of an entry's sign with the space beside it, of a letter, and height of a line of a key, in sizes of
-its letters."""
-POINT_IN = 1.0 / 72.0
-
-
-@dataclass(frozen=True)
-class Panels:
-    """The panels of one picture.
-
-    `draw`: draws a panel on axes, row by row, the most important panel first.
-    `columns`: panels side by side; `height_in` [in] of the whole picture at the width of a page.
-    `heights`: heights of the rows in proportion; equal without any.
-    `shared`: the axes that the panels of a row ("y") or of a column ("x") have in common, which only the
-        outer ones label.
-    `handles`: makes those of the key.
-    `finish`: adds what belongs to all panels that were drawn, such as a colour scale.
-    """
-
-    draw: tuple[Callable[[Axes], None], ...]
-    height_in: float
-    columns: int = 1
-    shared: Literal["", "x", "y", "xy"] = ""
-    handles: Callable[[], Sequence[Artist]] | None = None
-    finish: Callable[[Sequence[Axes]], None] | None = None
-    heights: tuple[float, ...] = ()
-
-    @property
-    def rows(self) -> int:
-        """Panels one above the other."""
-        return -(-len(self.draw) // self.columns)
-
-    def figure(self) -> Figure:
-        """The picture on a figure of a page's width."""
-        with styled():
-            made = new_figure(self.height_in)
-            self.on_figure(made)
-        return made
-
-    def on(self, axes: Sequence[Axes]) -> None:
-        """Draw the first panels, one on each of the axes, with a key in the first."""
-        self.without_key(axes)
-        if self.handles is not None:
-            axes[0].legend(handles=self.handles(), loc="best")
-
-    def on_figure(self, figure: Figure) -> list[Axes]:
-        """Draw all panels on new axes, below their key; returns the axes."""
-        grid = figure.add_gridspec(self.rows, self.columns, height_ratios=self.heights or None)
-        axes = [figure.add_subplot(grid[divmod(i, self.columns)]) for i in range(len(self.draw))]
-        self.without_key(axes)
-        key = 0.0
-        if self.handles is not None:
-            handles, inches = self.handles(), figure.get_size_inches()
-            columns = _columns(inches[0], [str(one.get_label()) for one in handles])
-            legend = figure.legend(
-                handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0)
-            )
-            legend.set_in_layout(False)
-            lines = -(-len(handles) // columns)
-            key = lines * LINE_EM * _letters() * POINT_IN / inches[1]
-        figure.align_ylabels(axes)
-        figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - key))
-        return axes
-
-    def without_key(self, axes: Sequence[Axes]) -> None:
-        """Draw the first panels, one on each of the axes."""
-        last = len(axes) - 1
-        for place, (one, draw) in enumerate(zip(axes, self.draw, strict=False)):
-            draw(one)
-            if "x" in self.shared and place + self.columns <= last:
-                one.tick_params(labelbottom=False)
-                one.set_xlabel("")
-            if "y" in self.shared and place % self.columns:
-                one.tick_params(labelleft=False)
-                one.set_ylabel("")
-        if self.finish is not None:
-            self.finish(axes)
-
-
-def _columns(width_in: float, labels: Sequence[str]) -> int:
-    """The columns of a key that fit within a width [in]; its entries stand one below the other first."""
-    needs = [(SIGN_EM + LETTER_EM * len(one)) * _letters() * POINT_IN for one in labels]
-    for columns in range(len(needs), 1, -1):
-        rows = -(-len(needs) // columns)
-        if sum(max(needs[i : i + rows]) for i in range(0, len(needs), rows)) <= width_in:
-            return columns
-    return 1
-
-
-def _letters() -> float:
-    """[pt] size of the letters of a key."""
-    from matplotlib import rcParams
-    from matplotlib.font_manager import FontProperties
-
-    return float(FontProperties(size=rcParams["legend.fontsize"]).get_size_in_points())

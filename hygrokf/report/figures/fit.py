@@ -8,9 +8,9 @@ Each function takes (fit, series), the content of `fit.json` and `series.npz`, a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
@@ -33,15 +33,22 @@ from hygrokf.report.figures.drawing import (
     SIMULATED,
     WARM_TO_COLD,
     NothingToShow,
-    Panels,
-    line_handle,
-    logarithmic,
 )
 from hygrokf.report.figures.innovations import figure_innovations
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
+from hygrokf.report.figures.panels import (
+    Axis,
+    ColourScale,
+    CrossLine,
+    Curve,
+    Mark,
+    Note,
+    Panel,
+    Picture,
+    Shade,
+    bounds,
+    point,
+    rows,
+)
 
 THRESHOLD = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
@@ -66,7 +73,7 @@ SHOWN_WEIGHT = 0.01
 # --- heat release ----------------------------------------------------------------------------
 
 
-def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
     paper)."""
     release = fit.heat_release
@@ -79,26 +86,27 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Pa
     if not shown:
         why = f" ({release.statement})" if release is not None and release.statement else ""
         raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
-    ambient = np.concatenate([one.ambient for one in shown])
-    low, high = np.quantile(ambient, [0.02, 0.98])
-    edges = _round_edges(float(low), float(high))
+    edges = _round_edges(*np.quantile(np.concatenate([one.ambient for one in shown]), [0.02, 0.98]))
     highest = max(float(np.nanmax(one.difference)) for one in shown)
     lowest = min(0.0, *(float(np.nanmin(one.difference)) for one in shown))
-
-    def draw(axes: Axes, one: _Points) -> None:
-        (_operation if one.regime == "operation" else _standstill)(axes, one, edges, fit)
-        axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
-        axes.set_ylabel("cabinet − ambient [K]" if one is shown[0] else "")
+    limits = (lowest - 0.3, highest + 0.08 * (highest - lowest))
+    panels = []
+    for one in shown:
+        operation = one.regime == "operation"
         count, episodes = one.data.n_points, one.data.n_episodes
-        axes.set_title(f"{one.regime}: {count} stationary periods, {episodes} episodes")
-
-    return Panels(
-        tuple(partial(draw, one=one) for one in shown),
-        height_in=2.9,
-        columns=len(shown),
-        handles=partial(_line_handles, bool(_likelihood(fit)[0])),
-        finish=partial(_colour_scale, edges),
-    )
+        panels.append(
+            Panel(
+                (*one.cloud(edges), *(_operation(one, edges, fit) if operation else _standstill(one, fit))),
+                Axis("power / rated [1]" if operation else "ambient temperature [°C]"),
+                Axis("cabinet − ambient [K]" if one is shown[0] else "", limits),
+                f"{one.regime}: {count} stationary periods, {episodes} episodes",
+            )
+        )
+    key = [Curve((), (), INK, label="regression over the points")]
+    if _likelihood(fit)[0]:
+        key.append(Curve((), (), INK, 1.0, "final estimate, all data", dashed=True))
+    scale = ColourScale(WARM_TO_COLD, "ambient [°C]", edges=tuple(edges))
+    return Picture(tuple(panels), height_in=2.9, columns=len(shown), key=tuple(key), scale=scale)
 
 
 class _Points:
@@ -113,9 +121,15 @@ class _Points:
         self.ambient = ambient[kept]
         self.coefficients = {name: one.value for name, one in data.coefficients.items()}
 
-    def thinned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def cloud(self, edges: np.ndarray) -> tuple[Curve, ...]:
+        """The points, thinned, in the colours of their classes of ambient temperature."""
         kept = np.unique(np.linspace(0, len(self.power) - 1, min(POINTS, len(self.power))).astype(int))
-        return self.power[kept], self.difference[kept], self.ambient[kept]
+        x = (self.power if self.regime == "operation" else self.ambient)[kept]
+        y, place = self.difference[kept], _classes(self.ambient[kept], edges)
+        return tuple(
+            Curve(x[place == i], y[place == i], colour, 0.0, marker=".", size=5.0, alpha=0.7)
+            for i, colour in enumerate(WARM_TO_COLD)
+        )
 
 
 def released(
@@ -152,87 +166,44 @@ def _classes(value: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(WARM_TO_COLD) - 1)
 
 
-def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, ambient: np.ndarray, edges: np.ndarray) -> None:
-    place = _classes(ambient, edges)
-    for i, colour in enumerate(WARM_TO_COLD):
-        axes.plot(
-            x[place == i], y[place == i], ".", color=colour, markersize=5.0, alpha=0.7, markeredgewidth=0
-        )
-
-
-def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) -> None:
-    power, difference, ambient = one.thinned()
-    _cloud(axes, power, difference, ambient, edges)
-    p = np.linspace(min(0.0, float(power.min())), max(1.0, float(power.max())), 60)
+def _operation(one: _Points, edges: np.ndarray, fit: FitResults) -> list[Mark]:
+    """Curves over the power at a cold, a usual and a warm ambient temperature."""
+    p = np.linspace(min(0.0, float(one.power.min())), max(1.0, float(one.power.max())), 60)
     values, reference = _likelihood(fit)
+    marks: list[Mark] = []
     for degrees in sorted({round(float(e)) for e in np.quantile(one.ambient, [0.1, 0.5, 0.9])}):
         colour = WARM_TO_COLD[int(_classes(np.array([degrees]), edges)[0])]
         curve = released(one.coefficients, "operation", p, degrees - one.reference)
-        axes.plot(p, curve, color=colour, linewidth=1.6)
-        axes.plot(
-            p,
-            released(values, "operation", p, degrees - reference),
-            color=colour,
-            linewidth=1.0,
-            dashes=(4, 2),
-        )
+        final = released(values, "operation", p, degrees - reference)
+        marks += [Curve(p, curve, colour, 1.6), Curve(p, final, colour, 1.0, dashed=True)]
         if math.isfinite(float(curve[-1])):
-            axes.annotate(
-                f"{degrees} °C", (p[-1], curve[-1]), xytext=(3, 0), textcoords="offset points", va="center",
-                color=colour, fontweight="bold", fontsize=7.0, annotation_clip=False,
-            )  # fmt: skip
-    axes.set_xlabel("power / rated [1]")
+            marks.append(Note(f"{degrees} °C", float(p[-1]), float(curve[-1]), colour, bold=True))
+    return marks
 
 
-def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) -> None:
-    _, difference, ambient = one.thinned()
-    _cloud(axes, ambient, difference, ambient, edges)
-    x = np.linspace(float(ambient.min()), float(ambient.max()), 2)
+def _standstill(one: _Points, fit: FitResults) -> list[Mark]:
+    """Lines over the ambient temperature."""
+    x = np.linspace(float(one.ambient.min()), float(one.ambient.max()), 2)
     values, reference = _likelihood(fit)
-    axes.plot(x, released(one.coefficients, "standstill", 0.0, x - one.reference), color=INK, linewidth=1.6)
-    axes.plot(x, released(values, "standstill", 0.0, x - reference), color=INK, linewidth=1.0, dashes=(4, 2))
-    axes.set_xlabel("ambient temperature [°C]")
-
-
-def _line_handles(estimated: bool) -> list[Artist]:
-    handles = [line_handle(INK, "regression over the points")]
-    if estimated:
-        handles.append(line_handle(INK, "final estimate, all data", 1.0, dashes=(4, 2)))
-    return handles
-
-
-def _colour_scale(edges: np.ndarray, axes: Sequence[Axes]) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import BoundaryNorm, ListedColormap
-
-    figure = axes[0].get_figure(root=True)
-    assert figure is not None
-    colours = ScalarMappable(BoundaryNorm(edges, len(WARM_TO_COLD)), ListedColormap(list(WARM_TO_COLD)))
-    bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.03)
-    bar.set_ticks(list(edges), labels=[f"{e:g}" for e in edges])
-    bar.set_label("ambient [°C]")
+    return [
+        Curve(x, released(one.coefficients, "standstill", 0.0, x - one.reference), INK, 1.6),
+        Curve(x, released(values, "standstill", 0.0, x - reference), INK, 1.0, dashed=True),
+    ]
 
 
 # --- time constants --------------------------------------------------------------------------
 
 
-def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
     constants = fit.time_constants
-    shown = [name for name in ("thermal", "hygric") if name in constants and constants[name].value_h > 0]
+    shown = [name for name in PRODUCT if name in constants and constants[name].value_h > 0]
     if not shown:
         raise NothingToShow("No time constant was identified, so there is no profile to show.")
-
-    def draw(axes: Axes, name: str) -> None:
-        _profile(axes, constants[name])
-        axes.set_title(f"{name} time constant {PRODUCT[name]}")
-        axes.set_xlabel("time constant [h]")
-        axes.set_ylabel("2 × drop of log-likelihood" if name == shown[0] else "")
-
-    return Panels(tuple(partial(draw, name=name) for name in shown), height_in=2.5, columns=2)
+    return Picture(tuple(_profile(name, constants[name]) for name in shown), height_in=2.5, columns=2)
 
 
-def _profile(axes: Axes, found: TimeConstant) -> None:
+def _profile(name: str, found: TimeConstant) -> Panel:
     # the likelihood's own bounds, where they stand beside the headline interval
     own = found.profile if found.profile is not None and found.profile.value_h > 0 else found
     value, low, high = own.value_h, own.lower_h, own.upper_h
@@ -243,52 +214,42 @@ def _profile(axes: Axes, found: TimeConstant) -> None:
     free = found.simulation or Interval()
     simulated = (free.value_h, free.lower_h, free.upper_h)
     ends = [v for v in (value, low, high, *simulated) if math.isfinite(v) and value / 8 < v < value * 8]
-    shown = points[points[:, 1] <= top]
-    left = min([*ends, *shown[:, 0]]) / 1.04
-    right = max([*ends, *shown[:, 0]]) * 1.04
+    ends += list(points[points[:, 1] <= top, 0])
+    left, right = min(ends) / 1.04, max(ends) * 1.04
     lower = low if math.isfinite(low) and low > 0 else left / 10
     upper = high if math.isfinite(high) else right * 10
-    axes.axvspan(lower, upper, color=MEASURED, alpha=0.09, linewidth=0)
-    if len(points) >= 3:
-        x, y = _smooth_profile(points, value)
-        axes.plot(x, y, color=MEASURED, linewidth=1.5)
-        axes.plot(points[:, 0], points[:, 1], "o", color=MEASURED, markersize=3.0)
-    axes.axhline(threshold, color=INK, linewidth=0.8, dashes=(4, 2))
     label = f"{100 * found.level:.0f} %" if math.isfinite(found.level) else "threshold"
     if found.factor > 1.005:
         label += f", widened × {found.factor:.2f}"
-    axes.text(
-        0.99, threshold + 0.02 * top, label, transform=axes.get_yaxis_transform(), ha="right", va="bottom"
-    )
-    axes.axvline(value, color=MEASURED, linewidth=0.8)
+    marks: list[Mark] = [
+        Shade(lower, upper, MEASURED, 0.09),
+        CrossLine(threshold, "y", INK, 0.8, dashed=True),
+        Note(label, 1.0, threshold, INK, "right", "bottom", "x"),
+        CrossLine(value, "x", MEASURED, 0.8),
+        Note(f"{value:.3g} h", value, top, MEASURED, "left", "top", bold=True),
+    ]
+    if len(points) >= 3:
+        marks.append(Curve(*_smooth_profile(points, value), MEASURED, 1.5))
+        marks.append(Curve(points[:, 0], points[:, 1], MEASURED, 0.0, marker="o"))
     if math.isfinite(simulated[0]):
         height = 1.62 * threshold
-        reach = [s if math.isfinite(s) else simulated[0] for s in simulated]
-        axes.plot(reach[1:], [height, height], color=SIMULATED, linewidth=1.6)
-        axes.plot(reach[:1], [height], "D", color=SIMULATED, markersize=4.0)
+        first, last = (s if math.isfinite(s) else simulated[0] for s in simulated[1:])
+        marks.append(bounds(first, last, height, SIMULATED, alpha=1.0))
+        marks.append(point(simulated[0], height, "D", SIMULATED, 4.0))
         middle = min(max(simulated[0], left), right)
-        side = (
-            "left"
-            if middle < left * (right / left) ** 0.3
-            else "right"
-            if middle > left * (right / left) ** 0.7
-            else "center"
+        third = math.log(middle / left) / math.log(right / left)
+        side: Literal["left", "center", "right"] = (
+            "left" if third < 0.3 else "right" if third > 0.7 else "center"
         )
-        axes.annotate(
-            "by simulation (free run)", (middle, height), xytext=(0, 6), textcoords="offset points", ha=side,
-            color=SIMULATED, fontweight="bold", fontsize=7.0,
-            bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
-        )  # fmt: skip
-    axes.set_ylim(0.0, top)
-    axes.set_xlim(left, right)
-    if right / left > 3.0:
-        logarithmic(axes, "x")
-    else:
-        axes.locator_params(axis="x", nbins=6)
-    axes.annotate(
-        f"{value:.3g} h", (value, top), xytext=(3, -3), textcoords="offset points", va="top", color=MEASURED,
-        fontweight="bold",
-    )  # fmt: skip
+        words = "by simulation (free run)"
+        marks.append(Note(words, middle, 1.04 * height, SIMULATED, side, "bottom", bold=True, boxed=True))
+    kind: Literal["logarithmic", "linear"] = "logarithmic" if right / left > 3.0 else "linear"
+    return Panel(
+        tuple(marks),
+        Axis("time constant [h]", (left, right), kind, most=6),
+        Axis("2 × drop of log-likelihood", (0.0, top)),
+        f"{name} time constant {PRODUCT[name]}",
+    )
 
 
 def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:
@@ -302,24 +263,15 @@ def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.nd
 # --- composition of intervals ----------------------------------------------------------------
 
 
-def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Panels:
+def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Picture:
     """One panel a time constant: a bar for each step of the interval, the last one the headline."""
-    shown = [
-        (name, fit.time_constants[name])
-        for name in ("thermal", "hygric")
-        if name in fit.time_constants and len(_steps(fit.time_constants[name])) > 1
-    ]
-    if not shown:
+    steps = {name: _steps(fit.time_constants[name]) for name in PRODUCT if name in fit.time_constants}
+    steps = {name: found for name, found in steps.items() if len(found) > 1}
+    if not steps:
         raise NothingToShow("No interval is composed of several sources, so there is nothing to take apart.")
-
-    def draw(axes: Axes, name: str, found: TimeConstant) -> None:
-        _composed(axes, found)
-        axes.set_title(f"{name} time constant")
-        axes.set_xlabel("[h]")
-
-    return Panels(
-        tuple(partial(draw, name=name, found=found) for name, found in shown),
-        height_in=0.75 + 0.2 * max(len(_steps(found)) for _, found in shown),
+    return Picture(
+        tuple(_composed(name, fit.time_constants[name], found) for name, found in steps.items()),
+        height_in=0.75 + 0.2 * max(map(len, steps.values())),
         columns=2,
     )
 
@@ -332,35 +284,27 @@ def _steps(found: TimeConstant) -> list[Step]:
     return [row for i, row in enumerate(rows) if i == 0 or row.sd_ln > SHOWN_SD]
 
 
-def _composed(axes: Axes, found: TimeConstant) -> None:
-    rows = _steps(found)
-    last = len(rows) - 1
-    for place, row in enumerate(rows):
-        bold = place == last
-        axes.plot(
-            [row.lower_h, row.upper_h], [place, place], color=MEASURED, linewidth=5.0 if bold else 2.6,
-            alpha=1.0 if bold else 0.55, solid_capstyle="butt",
-        )  # fmt: skip
-    axes.axvline(found.value_h, color=INK, linewidth=0.8)
-    for one in found.forms:
-        if one.form != "base" and one.weight >= SHOWN_WEIGHT:
-            _mark(axes, rows, "forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
+def _composed(name: str, found: TimeConstant, steps: list[Step]) -> Panel:
+    *parts, whole = [(row.lower_h, row.upper_h, place) for place, row in enumerate(steps)]
+    marks: list[Mark] = [bounds(*part, MEASURED, 2.6, 0.55) for part in parts]
+    marks += [bounds(*whole, MEASURED, 5.0, 1.0), CrossLine(found.value_h, "x", INK, 0.8)]
+    # other estimates, each on the row of the source that it stands for
+    others = [
+        ("forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
+        for one in found.forms
+        if one.form != "base" and one.weight >= SHOWN_WEIGHT
+    ]
     if found.simulation is not None:
-        _mark(axes, rows, "free run", found.simulation.value_h, SIMULATED, 4.5)
-    axes.set_yticks(range(len(rows)), [LABELS[row.source] for row in rows])
-    axes.set_ylim(last + 0.6, -0.6)
-    axes.locator_params(axis="x", nbins=5)
-    axes.grid(False, axis="y")
+        others.append(("free run", found.simulation.value_h, SIMULATED, 4.5))
+    places = {row.source: place for place, row in enumerate(steps)}
+    for source, value, colour, size in others:
+        if source in places and math.isfinite(value):
+            marks.append(point(value, places[source], "D", colour, size, edge="white"))
+    labels = [LABELS[row.source] for row in steps]
+    return Panel(tuple(marks), Axis("[h]", most=5), rows(labels), f"{name} time constant")
 
 
-def _mark(axes: Axes, rows: list[Step], source: str, value: float, colour: str, size: float) -> None:
-    """Another estimate, on the row of the source that it stands for; none where that adds nothing."""
-    places = [i for i, row in enumerate(rows) if row.source == source]
-    if places and math.isfinite(value):
-        axes.plot([value], places, "D", color=colour, markersize=size, markeredgecolor="white", clip_on=True)
-
-
-FIGURES: Mapping[str, tuple[str, str, Callable[[FitResults, Mapping[str, np.ndarray]], Panels]]] = {
+FIGURES: Mapping[str, tuple[str, str, Callable[[FitResults, Mapping[str, np.ndarray]], Picture]]] = {
     "validation": (
         "Readings and free run after the identification period",
         "The model saw the weather and the power of these days, and no reading of the cabinet. Red should "

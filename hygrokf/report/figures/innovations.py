@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,33 +18,33 @@ from hygrokf.evaluation.diagnosis import (
 )
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.wording import one_line
-from hygrokf.report.figures.drawing import (
-    INK,
-    MEASURED,
-    QUIET,
-    SIMULATED,
-    NothingToShow,
-    Panels,
-    calendar,
-    empty,
-    line,
-    logarithmic,
-    segments,
+from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, NothingToShow
+from hygrokf.report.figures.panels import (
+    Axis,
+    Band,
+    CrossLine,
+    Curve,
+    Mark,
+    Note,
+    Panel,
+    Picture,
+    Shade,
+    course,
+    strokes,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
 INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
 LEVEL = 0.95
+WHITE, TOGETHER = "95 % if white", "95 %, all lags together"
+"""Limits of a correlation."""
 
 
 def figure_innovations(
     fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
-) -> Panels:
+) -> Picture:
     """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
     period."""
     found = fit.innovations.outputs.get(output)
@@ -63,25 +61,21 @@ def figure_innovations(
         raise NothingToShow(f"No diagnosis: {why}.")
     cross = _shown_inputs(found)
     reach = max((correlation_reach(one) for _, one in cross), default=0.0)
-    without = "no input varies, or none is known: no cross-correlation"
-
-    def crossed(axes: Axes, name: str, one: CrossCorrelation) -> None:
-        correlation(axes, [one], [MEASURED], reach)
-        axes.set_title(
-            f"Correlation with {one_line(name).replace('_', ' ')}", fontweight="normal", fontsize=7.0
-        )
-
-    draw = (
-        partial(_autocorrelation, data=found.autocorrelation),
-        partial(_cumulative, data=found.cumulative_periodogram or CumulativePeriodogram()),
-        partial(periodogram, shown=[found.periodogram], colours=[MEASURED]),
-        partial(_histogram, e=value[known]),
-        partial(_quantiles, e=value[known]),
-        partial(_course, time=time, value=np.where(known, value, np.nan)),
-        *(partial(crossed, name=name, one=one) for name, one in cross),
-        *([] if cross else [partial(empty, sentence=without)]),
+    e = value[known]
+    panels = (
+        _autocorrelation(found.autocorrelation),
+        _cumulative(found.cumulative_periodogram or CumulativePeriodogram()),
+        periodogram([found.periodogram], [MEASURED], "Periodogram (white = 1)"),
+        _histogram(e),
+        _quantiles(e),
+        _course(time[known], e),
+        *(
+            correlation([one], [MEASURED], reach, f"Correlation with {one_line(name).replace('_', ' ')}")
+            for name, one in cross
+        ),
+        *([] if cross else [Panel(title="no input varies, or none is known: no cross-correlation")]),
     )
-    return Panels(draw, height_in=1.6 * -(-len(draw) // 3), columns=3)
+    return Picture(panels, height_in=1.6 * -(-len(panels) // 3), columns=3)
 
 
 def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
@@ -92,23 +86,24 @@ def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
     return list(rows[:, np.isfinite(rows).all(axis=0)])
 
 
-def _limits(axes: Axes, data: Autocorrelation | CrossCorrelation) -> float:
-    """Both confidence limits of a correlation; returns the wider one."""
+def _limits(data: Autocorrelation | CrossCorrelation, label: bool = False) -> tuple[list[Mark], float]:
+    """Both confidence limits of a correlation, and the wider one."""
     single, together = data.limit, data.limit_all
+    marks: list[Mark] = [CrossLine(0.0, "y")]
     if math.isfinite(single):
-        axes.axhspan(-single, single, color=QUIET, alpha=0.16, linewidth=0)
-    for sign in (-1.0, 1.0):
-        if math.isfinite(together):
-            axes.axhline(sign * together, color=INK, linewidth=0.7, dashes=(4, 2))
-    return together if math.isfinite(together) else 0.0
+        marks.append(Shade(-single, single, QUIET, 0.16, WHITE * label, "y"))
+    if not math.isfinite(together):
+        return marks, 0.0
+    marks += [CrossLine(sign * together, "y", INK, 0.7, True, TOGETHER * label) for sign in (-1.0, 1.0)]
+    return marks, together
 
 
-def _stems(axes: Axes, lag: np.ndarray, value: np.ndarray, limit: float) -> None:
+def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
     beyond = np.abs(value) > limit
-    axes.axhline(0.0, color=QUIET, linewidth=0.6)
-    for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED, 1.3)):
-        x = lag[chosen]
-        segments(axes, x, np.zeros(len(x)), x, value[chosen], colour, width)
+    return [
+        strokes(lag[chosen], np.zeros(chosen.sum()), lag[chosen], value[chosen], colour, width)
+        for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED, 1.3))
+    ]
 
 
 def _reach(limit: float, *values: np.ndarray) -> float:
@@ -116,48 +111,49 @@ def _reach(limit: float, *values: np.ndarray) -> float:
     return min(max(1.9 * limit, 1.15 * largest, 0.02), 1.02)
 
 
-def _autocorrelation(axes: Axes, data: Autocorrelation) -> None:
+def _autocorrelation(data: Autocorrelation) -> Panel:
     lag, value = _columns(data.lag_h, data.value)
-    axes.set_title("Autocorrelation")
     if len(lag) < 2 or not lag[-1] > 0:
-        return empty(axes, "no autocorrelation in fit.json")
-    limit = _limits(axes, data)
-    _stems(axes, lag, value, limit)
+        return Panel(title="no autocorrelation in fit.json")
+    marks, limit = _limits(data)
     reach = _reach(limit, value)
-    axes.set_ylim(-reach, reach)
-    axes.set_xlim(0.0, float(lag[-1]) * 1.02)
-    axes.locator_params(axis="y", nbins=5)
-    _hours(axes, 0.0, float(lag[-1]))
-    axes.set_xlabel("lag [h]")
+    return Panel(
+        (*marks, *_stems(lag, value, limit)),
+        _hours("lag [h]", 0.0, float(lag[-1])),
+        Axis(limits=(-reach, reach), most=5),
+        "Autocorrelation",
+    )
 
 
-def _hours(axes: Axes, low: float, high: float, ticks: float = 8.5) -> None:
-    for step in (1.0, 3.0, 6.0, 12.0, 24.0):
-        if (high - low) / step <= ticks:
-            if (high - low) / step >= 2:
-                axes.set_xticks(np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step)
-            break
+def _hours(label: str, low: float, high: float, ticks: float = 8.5) -> Axis:
+    """An axis of lags [h] with ticks at hours, parts of a day, or days."""
+    step = next((one for one in (1.0, 3.0, 6.0, 12.0, 24.0) if (high - low) / one <= ticks), 0.0)
+    at: tuple[float, ...] = ()
+    if step and (high - low) / step >= 2:
+        at = tuple(step * np.arange(math.ceil(low / step), math.floor(high / step) + 1))
+    return Axis(label, (1.02 * low, 1.02 * high), at=at)
 
 
-def _cumulative(axes: Axes, data: CumulativePeriodogram) -> None:
+def _cumulative(data: CumulativePeriodogram) -> Panel:
     frequency, value = _columns(data.frequency_per_h, data.value)
-    axes.set_title("Cumulative periodogram")
     if len(frequency) < 2 or not frequency[-1] > 0:
-        return empty(axes, "no cumulative periodogram in fit.json")
-    limit, end = data.limit, float(frequency[-1])
+        return Panel(title="no cumulative periodogram in fit.json")
+    end = float(frequency[-1])
     line = np.array([0.0, end])
-    axes.fill_between(line, line / end - limit, line / end + limit, color=QUIET, alpha=0.16, linewidth=0)
-    axes.plot(line, line / end, color=QUIET, linewidth=0.6)
-    outside = data.statistic > limit
-    axes.plot(frequency, value, color=SIMULATED if outside else MEASURED, linewidth=1.2)
-    axes.set_xlim(0.0, end)
-    axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("frequency [1/h]")
     words = "p < 0.001" if data.p < 0.001 else f"p = {data.p:.2f}"
-    axes.text(0.04, 0.95, f"Kolmogorov–Smirnov\n{words}", transform=axes.transAxes, va="top", fontsize=7.0)
+    marks = (
+        Band(line, line / end - data.limit, line / end + data.limit, QUIET),
+        Curve(line, line / end, QUIET, 0.6),
+        Curve(frequency, value, SIMULATED if data.statistic > data.limit else MEASURED, 1.2),
+        Note(f"Kolmogorov–Smirnov\n{words}", 0.03, 0.98, INK, "left", "top", "xy"),
+    )
+    limits = (0.0, end)
+    return Panel(marks, Axis("frequency [1/h]", limits), Axis(limits=(0.0, 1.0)), "Cumulative periodogram")
 
 
-def periodogram(axes: Axes, shown: Sequence[Periodogram | None], colours: Sequence[str]) -> None:
+def periodogram(
+    shown: Sequence[Periodogram | None], colours: Sequence[str], title: str, label: str = ""
+) -> Panel:
     """Power over the period, of white innovations 1, with the 95 % band of the first one."""
     every = [
         (_columns(one.frequency_per_h, one.power, one.lower, one.upper), colour)
@@ -170,24 +166,23 @@ def periodogram(axes: Axes, shown: Sequence[Periodogram | None], colours: Sequen
         if len(rows[0]) > 1 and rows[0][0] > 0 and np.all(np.diff(rows[0]) > 0)
     ]
     if not every:
-        return empty(axes, "no periodogram in fit.json")
+        return Panel(title="no periodogram in fit.json")
     frequency, _, lower, upper = every[0][0]
     period = 1.0 / frequency
-    axes.fill_between(period, np.maximum(lower, 1e-3), upper, color=QUIET, alpha=0.16, linewidth=0)
-    axes.axhline(1.0, color=QUIET, linewidth=0.6)
-    for rows, colour in every:
-        axes.plot(1.0 / rows[0], np.maximum(rows[1], 1e-3), color=colour, linewidth=0.9)
     powers = np.concatenate([rows[1] for rows, _ in every])
-    axes.set_ylim(max(0.02, 0.7 * float(powers.min())), 1.4 * max(float(powers.max()), 4.0))
-    logarithmic(axes, "y")
+    limits = (max(0.02, 0.7 * float(powers.min())), 1.4 * max(float(powers.max()), 4.0))
     high, low = min(float(period[0]), 2000.0), float(period[-1])
-    axes.set_xscale("log")
-    axes.set_xlim(high, low)
     ticks = [p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= p <= high]
-    axes.set_xticks(ticks, [f"{p:g}" for p in ticks])
-    axes.minorticks_off()
-    axes.set_title("Periodogram (white = 1)")
-    axes.set_xlabel("period [h]")
+    return Panel(
+        (
+            Band(period, np.maximum(lower, 1e-3), upper, QUIET),
+            CrossLine(1.0, "y"),
+            *(Curve(1.0 / rows[0], np.maximum(rows[1], 1e-3), colour) for rows, colour in every),
+        ),
+        Axis("period [h]", (high, low), "logarithmic", ticks, [f"{p:g}" for p in ticks]),
+        Axis(label, limits, "logarithmic"),
+        title,
+    )
 
 
 def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
@@ -206,44 +201,42 @@ def correlation_reach(one: CrossCorrelation) -> float:
 
 
 def correlation(
-    axes: Axes, shown: Sequence[CrossCorrelation | None], colours: Sequence[str], reach: float
-) -> None:
+    shown: Sequence[CrossCorrelation | None], colours: Sequence[str], reach: float, title: str
+) -> Panel:
     """Correlations with an input over the lag, those of several models as lines, within the limits of the
     first one."""
     pairs = zip(shown, colours, strict=True)
     every = [(one, colour) for one, colour in pairs if one is not None and one.lag_h]
-    limit = _limits(axes, every[0][0])
+    several = len(colours) > 1
+    marks, limit = _limits(every[0][0], several)
+    marks.append(CrossLine(0.0, "x"))
     for one, colour in every:
         lag, value = _columns(one.lag_h, one.value)
-        if colours[1:]:
-            axes.plot(lag, value, color=colour, linewidth=0.9)
-        else:
-            _stems(axes, lag, value, limit)
+        marks += [Curve(lag, value, colour)] if several else _stems(lag, value, limit)
     lag, _ = _columns(every[0][0].lag_h, every[0][0].value)
-    axes.axhline(0.0, color=QUIET, linewidth=0.6)
-    axes.axvline(0.0, color=QUIET, linewidth=0.6)
-    axes.set_ylim(-reach, reach)
-    axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
-    _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
-    axes.locator_params(axis="y", nbins=5)
-    axes.set_xlabel("lag [h], > 0: later")
+    return Panel(
+        tuple(marks),
+        _hours("lag [h], > 0: later", float(lag[0]), float(lag[-1]), 5.0),
+        Axis(limits=(-reach, reach), most=5),
+        title,
+        plain=True,
+    )
 
 
-def _histogram(axes: Axes, e: np.ndarray) -> None:
+def _histogram(e: np.ndarray) -> Panel:
     edges = np.linspace(-4.5, 4.5, 46)
     count, _ = np.histogram(np.clip(e, -4.499, 4.499), edges)
-    width = edges[1] - edges[0]
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    axes.fill_between(middle, 0.0, count / (len(e) * width), step="mid", color=MEASURED, alpha=0.3)
+    height = np.repeat(count / (len(e) * (edges[1] - edges[0])), 2)
     x = np.linspace(-4.5, 4.5, 120)
-    axes.plot(x, np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi), color=INK, linewidth=0.9)
-    axes.set_title("Histogram and standard normal")
-    axes.set_xlim(-4.5, 4.5)
-    axes.set_ylim(0.0, None)
-    axes.set_xlabel("e/√S [1]; the ends hold all beyond")
+    marks = (
+        Band(np.repeat(edges, 2)[1:-1], 0.0 * height, height, MEASURED, 0.3),
+        Curve(x, np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi), INK),
+    )
+    label, limits = "e/√S [1]; the ends hold all beyond", (-4.5, 4.5)
+    return Panel(marks, Axis(label, limits), Axis(limits=(0.0, None)), "Histogram and standard normal")
 
 
-def _quantiles(axes: Axes, e: np.ndarray) -> None:
+def _quantiles(e: np.ndarray) -> Panel:
     """Quantiles of the innovations against those of the standard normal, with a pointwise 95 % band."""
     n = len(e)
     normal = NormalDist()
@@ -255,20 +248,23 @@ def _quantiles(axes: Axes, e: np.ndarray) -> None:
     # standard error of an order statistic: √(p(1−p)/n) over the density
     spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))
     reach = normal.inv_cdf(0.5 + 0.5 * LEVEL)
-    axes.fill_between(x, x - reach * spread, x + reach * spread, color=QUIET, alpha=0.16, linewidth=0)
-    axes.plot(x, x, color=QUIET, linewidth=0.6)
-    axes.plot(x, np.sort(e)[place], ".", color=MEASURED, markersize=2.6, markeredgewidth=0)
-    axes.set_title("Quantiles of e/√S")
-    axes.set_xlabel("standard normal [1]")
+    marks = (
+        Band(x, x - reach * spread, x + reach * spread, QUIET),
+        Curve(x, x, QUIET, 0.6),
+        Curve(x, np.sort(e)[place], MEASURED, 0.0, marker=".", size=2.6),
+    )
+    return Panel(marks, Axis("standard normal [1]"), title="Quantiles of e/√S")
 
 
-def _course(axes: Axes, time: np.ndarray, value: np.ndarray) -> None:
-    known = np.isfinite(value)
-    span = (float(time[known][0]), float(time[known][-1]))
-    line(axes, time, value, span, MEASURED, 0.5, 200)
-    for level in (-3.0, 3.0):
-        axes.axhline(level, color=INK, linewidth=0.7, dashes=(4, 2))
-    reach = max(4.5, 1.1 * float(np.max(np.abs(value[known]))))
-    axes.set_ylim(-min(reach, 12.0), min(reach, 12.0))
-    calendar(axes, span, 5)
-    axes.set_title("Course (±3 dashed)")
+def _course(time: np.ndarray, value: np.ndarray) -> Panel:
+    span = (float(time[0]), float(time[-1]))
+    reach = min(max(4.5, 1.1 * float(np.max(np.abs(value)))), 12.0)
+    return Panel(
+        (
+            course(time, value, span, MEASURED, 0.5, bins=200),
+            *(CrossLine(level, "y", INK, 0.7, dashed=True) for level in (-3.0, 3.0)),
+        ),
+        Axis(limits=span, kind="time", most=5),
+        Axis(limits=(-reach, reach)),
+        "Course (±3 dashed)",
+    )

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,26 +23,22 @@ from hygrokf.discovery.residuals import (
     displayed,
     words,
 )
-from hygrokf.evaluation.diagnosis import CrossCorrelation, OutputDiagnosis, Periodogram
+from hygrokf.evaluation.diagnosis import OutputDiagnosis
 from hygrokf.evaluation.innovation_tests import diagnose
-from hygrokf.report.figures.drawing import (
-    INK,
-    QUIET,
-    SIMULATED,
-    NothingToShow,
-    Panels,
-    area_handle,
-    calendar,
-    empty,
-    line_handle,
-    mark_validation,
-    means,
-)
+from hygrokf.report.figures.drawing import INK, SIMULATED, NothingToShow, means
 from hygrokf.report.figures.innovations import correlation, correlation_reach, periodogram
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
+from hygrokf.report.figures.panels import (
+    Axis,
+    Band,
+    ColourScale,
+    CrossLine,
+    Curve,
+    Map,
+    Mark,
+    Panel,
+    Picture,
+    validation,
+)
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
@@ -77,7 +71,7 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 # --- over drivers ----------------------------------------------------------------------------
 
 
-def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residuals | None) -> Panels:
+def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residuals | None) -> Picture:
     """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
     shares; a row for each quantity, a column for each driver.
 
@@ -89,35 +83,24 @@ def figure_drivers(residuals: Residuals, drivers: Sequence[str], after: Residual
     chosen = [name for name in drivers if name in early.drivers]
     if not chosen:
         raise NothingToShow("No driver varies enough to hold the error against it.")
-    from matplotlib import rcParams
-
-    def draw(axes: Axes, quantity: str, name: str) -> None:
+    panels = []
+    for quantity in quantities:
         error = -early.error[quantity]
         reach = 1.05 * float(np.nanquantile(np.abs(error), 0.95)) or 1.0
-        axes.axhline(0.0, color=INK, linewidth=0.7)
-        value, unit = displayed(name, early.drivers[name])
-        edges = _shares(value[np.isfinite(error)])
-        _bands(axes, value, error, edges)
-        if late is not None and name in late.drivers:
-            other, _ = displayed(name, late.drivers[name])
-            x, middle = _medians(other, -late.error[quantity], edges)
-            axes.plot(x, middle, color=AFTER, linewidth=1.4, marker="o", markersize=2.4)
-        axes.set_ylim(-reach, reach)
-        axes.locator_params(axis="x", nbins=5)
-        short = unit.replace("% of the rated power", "% of rated")
-        label = textwrap.fill(f"{words(name)} [{short or '1'}]", 27)
-        axes.set_xlabel(label, fontsize=rcParams["xtick.labelsize"])
-        axes.set_ylabel(error_label(quantity))
-        if name == chosen[0]:
-            axes.set_title(TITLE[quantity])
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity, name=name) for quantity in quantities for name in chosen),
-        height_in=0.7 + 1.7 * len(quantities),
-        columns=len(chosen),
-        shared="xy",
-        handles=partial(_band_handles, after is not None),
-    )
+        for name in chosen:
+            value, unit = displayed(name, early.drivers[name])
+            edges = _shares(value[np.isfinite(error)])
+            marks = _bands(value, error, edges, "median" if after is None else "median, before")
+            if marks and late is not None and name in late.drivers:
+                other, _ = displayed(name, late.drivers[name])
+                line = _medians(other, -late.error[quantity], edges)
+                marks.append(Curve(*line, AFTER, 1.4, "after", "o", 2.4))
+            short = unit.replace("% of the rated power", "% of rated")
+            x = Axis(textwrap.fill(f"{words(name)} [{short or '1'}]", 27), most=5)
+            title = TITLE[quantity] if name == chosen[0] else ""
+            y = Axis(error_label(quantity), (-reach, reach))
+            panels.append(Panel(tuple(marks), x, y, title) if marks else Panel(title="too few hours"))
+    return Picture(tuple(panels), height_in=0.7 + 1.7 * len(quantities), columns=len(chosen), shared="xy")
 
 
 def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
@@ -163,31 +146,23 @@ def _medians(value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> tuple[n
     return x, median
 
 
-def _bands(axes: Axes, value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> None:
+def _bands(value: np.ndarray, error: np.ndarray, edges: np.ndarray, label: str) -> list[Mark]:
     rows = [(x, *np.quantile(part, [0.1, 0.25, 0.5, 0.75, 0.9])) for x, part in _groups(value, error, edges)]
     if not rows:
-        empty(axes, "too few hours")
-        return
+        return []
     x, least, low, middle, high, most = np.array(rows).T
-    axes.fill_between(x, least, most, color=SIMULATED, alpha=0.10, linewidth=0)
-    axes.fill_between(x, low, high, color=SIMULATED, alpha=0.20, linewidth=0)
-    axes.plot(x, middle, color=SIMULATED, linewidth=1.4, marker="o", markersize=2.4)
-
-
-def _band_handles(overlaid: bool) -> list[Artist]:
-    before = "median" + (", before" if overlaid else "")
     return [
-        line_handle(SIMULATED, before, 1.4, marker="o", markersize=2.4),
-        *([line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4)] if overlaid else []),
-        area_handle(SIMULATED, "middle half", 0.30),
-        area_handle(SIMULATED, "middle 80 %", 0.10),
+        CrossLine(0.0, "y", INK, 0.7),
+        Curve(x, middle, SIMULATED, 1.4, label, "o", 2.4),
+        Band(x, low, high, SIMULATED, 0.20, "middle half"),
+        Band(x, least, most, SIMULATED, 0.10, "middle 80 %"),
     ]
 
 
 # --- course of the error ---------------------------------------------------------------------
 
 
-def figure_error_course(before: Residuals, after: Residuals) -> Panels:
+def figure_error_course(before: Residuals, after: Residuals) -> Picture:
     """Root mean square of the free run's error on each held-out day, of the base and of the extended model,
     by quantity; shaded where one lies below the other."""
     # a corrected clock can move an instant past midnight
@@ -195,41 +170,28 @@ def figure_error_course(before: Residuals, after: Residuals) -> Panels:
     if not len(numbers):
         raise NothingToShow("No readings were held out.")
     day = np.arange(numbers.min(), numbers.max() + 1.0)
-    every = {q: [_daily_rms(one, q, day) for one in (before, after)] for q in QUANTITIES}
-    courses = {q: pair for q, pair in every.items() if all(np.isfinite(one).any() for one in pair)}
-    if not courses:
+    # a step of its own for each day, so that the areas end where the days do
+    time = DAY_S * (np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)))
+    every = {q: [np.repeat(_daily_rms(one, q, day), 2) for one in (before, after)] for q in QUANTITIES}
+    panels = []
+    for quantity, (base, extended) in every.items():
+        if not (np.isfinite(base).any() and np.isfinite(extended).any()):
+            continue
+        better, worse = np.minimum(base, extended), np.maximum(base, extended)
+        marks = (
+            Curve(time, base, SIMULATED, 1.2, "base model"),
+            Curve(time, extended, AFTER, 1.2, "extended model"),
+            Band(
+                time, np.where(extended < base, better, np.nan), base, AFTER, 0.14, "smaller with the cause"
+            ),
+            Band(time, base, np.where(extended > base, worse, np.nan), SIMULATED, 0.14, "larger"),
+        )
+        top = 1.08 * float(np.nanmax([base, extended])) or 1.0
+        x = Axis(limits=(time[0], time[-1]), kind="time")
+        panels.append(Panel(marks, x, Axis(f"RMS [{UNITS[quantity]}]", (0.0, top), most=5), TITLE[quantity]))
+    if not panels:
         raise NothingToShow("No held-out readings can be compared with the simulations.")
-
-    def draw(axes: Axes, quantity: str) -> None:
-        base, extended = courses[quantity]
-        for better, colour in ((extended < base, AFTER), (extended > base, SIMULATED)):
-            # a step of its own for each day, so that the areas end where the days do
-            axes.fill_between(
-                np.repeat(day, 2) + np.tile((0.0, 1.0), len(day)), np.repeat(base, 2),
-                np.repeat(extended, 2), where=np.repeat(better, 2), color=colour, alpha=0.14, linewidth=0,
-            )  # fmt: skip
-        for value, colour in ((base, SIMULATED), (extended, AFTER)):
-            axes.stairs(value, np.append(day, day[-1] + 1.0), baseline=None, color=colour, linewidth=1.2)
-        axes.set_ylim(0.0, 1.08 * float(np.nanmax([base, extended])) or 1.0)
-        axes.locator_params(axis="y", nbins=5)
-        calendar(axes, (DAY_S * day[0], DAY_S * (day[-1] + 1.0)), 12)
-        axes.set_ylabel(f"RMS [{UNITS[quantity]}]")
-        axes.set_title(TITLE[quantity])
-
-    def handles() -> list[Artist]:
-        return [
-            line_handle(SIMULATED, "base model"),
-            line_handle(AFTER, "extended model"),
-            area_handle(AFTER, "smaller with the cause", 0.2),
-            area_handle(SIMULATED, "larger", 0.2),
-        ]
-
-    return Panels(
-        tuple(partial(draw, quantity=quantity) for quantity in courses),
-        height_in=0.62 + 1.35 * len(courses),
-        shared="x",
-        handles=handles,
-    )
+    return Picture(tuple(panels), height_in=0.62 + 1.35 * len(panels), shared="x")
 
 
 def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
@@ -245,52 +207,35 @@ def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndar
 
 def figure_day_hour(
     residuals: Residuals, quantity: str = TEMPERATURE, after: Residuals | None = None
-) -> Panels:
+) -> Picture:
     """Error of the free run by day (across) and hour of the day (up), over identification and validation."""
-    from matplotlib.colors import LinearSegmentedColormap
-
     if quantity not in _known(residuals):
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
     models = [("", residuals)] if after is None else [(", before", residuals), (", after", after)]
     maps = [_by_day(one, quantity) for _, one in models]
-    reach = float(np.nanquantile(np.abs(maps[0][1]), 0.97)) or 1.0
-    colours = LinearSegmentedColormap.from_list("error", DIVERGING).with_extremes(bad="#e3e6ea")
-
-    def draw(axes: Axes, place: int) -> None:
-        (label, one), (first, table) = models[place], maps[place]
-        axes.grid(False)
-        axes.imshow(
-            table.T, origin="lower", aspect="auto", cmap=colours, vmin=-reach, vmax=reach,
-            interpolation="nearest",
-            extent=(first, first + len(table), 0.0, 24.0),
-        )  # fmt: skip
-        axes.set_yticks(np.arange(0, 25, 6))
-        axes.set_ylabel("hour [UTC]")
-        first, table = maps[0]
-        calendar(axes, (DAY_S * first, DAY_S * (first + len(table))), 12)
-        held_out(axes, one)
-        axes.set_title(f"{TITLE[quantity]}, simulation − reading{label}")
-
-    def scale(axes: Sequence[Axes]) -> None:
-        figure = axes[0].get_figure(root=True)
-        assert figure is not None
-        bar = figure.colorbar(
-            axes[0].images[0], ax=list(axes), extend="both", extendfrac=0.03, fraction=0.03, pad=0.01
+    first, table = maps[0]
+    reach = float(np.nanquantile(np.abs(table), 0.97)) or 1.0
+    scale = ColourScale(DIVERGING, UNITS[quantity], -reach, reach)
+    span = (DAY_S * first, DAY_S * (first + len(table)))
+    panels = []
+    for (label, one), (day, values) in zip(models, maps, strict=True):
+        shown = Map(DAY_S * (day + np.arange(len(values) + 1)), np.arange(25.0), values, scale)
+        panels.append(
+            Panel(
+                (shown, *held_out(one, span)),
+                Axis(limits=span, kind="time", grid=False),
+                Axis("hour [UTC]", (0.0, 24.0), at=range(0, 25, 6), grid=False),
+                f"{TITLE[quantity]}, simulation − reading{label}",
+            )
         )
-        bar.set_label(UNITS[quantity])
-
-    return Panels(
-        tuple(partial(draw, place=place) for place in range(len(maps))),
-        height_in=0.5 + 1.55 * len(maps),
-        shared="x",
-        finish=scale,
-    )
+    return Picture(tuple(panels), height_in=0.5 + 1.55 * len(maps), shared="x", scale=scale)
 
 
-def held_out(axes: Axes, residuals: Residuals) -> None:
-    """Where the validation period begins, on calendar axes."""
-    if residuals.validation.any():
-        mark_validation(axes, float(residuals.time_s[np.argmax(residuals.validation)]))
+def held_out(residuals: Residuals, span: tuple[float, float]) -> tuple[Mark, ...]:
+    """Where the validation period begins in a stretch of time [s]."""
+    if not residuals.validation.any():
+        return ()
+    return validation(float(residuals.time_s[np.argmax(residuals.validation)]), span)
 
 
 def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
@@ -306,41 +251,31 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
 # --- innovations -----------------------------------------------------------------------------
 
 
-def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> Panels:
+def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> Picture:
     """Periodogram of the standardised innovations and, by quantity, their largest cross-correlations with
     drivers."""
     quantities = _known(residuals, innovations=True)
     found = _diagnosed(residuals)
     later = _diagnosed(after) if after is not None else {}
-    drawn: list[Callable[[Axes], None]] = []
+    panels = []
     for quantity in quantities:
         base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
         rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
         best = sorted(rows, key=lambda name: rows[name].p)[:INPUTS]
         reach = max((correlation_reach(rows[name]) for name in best), default=0.1)
-
-        def spectrum(axes: Axes, quantity: str, shown: tuple[Periodogram | None, ...]) -> None:
-            periodogram(axes, shown, COLOURS)
-            axes.set_title(TITLE[quantity])
-            axes.set_ylabel("power (white = 1)")
-
-        def correlated(
-            axes: Axes, name: str, shown: tuple[CrossCorrelation | None, ...], reach: float
-        ) -> None:
-            correlation(axes, shown, COLOURS, reach)
-            axes.set_title(textwrap.fill(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
-
-        drawn.append(partial(spectrum, quantity=quantity, shown=(base.periodogram, wider.periodogram)))
+        spectra = (base.periodogram, wider.periodogram)
+        panels.append(periodogram(spectra, COLOURS, TITLE[quantity], "power (white = 1)"))
         for name in best:
             shown = (rows[name], wider.cross_correlation.get(name))
-            drawn.append(partial(correlated, name=name, shown=shown, reach=reach))
-        drawn += [lambda axes: axes.set_axis_off()] * (INPUTS - len(best))
-    return Panels(
-        tuple(drawn),
-        height_in=0.75 + 1.65 * len(quantities),
-        columns=1 + INPUTS,
-        handles=partial(_line_handles, after is not None),
-    )
+            title = textwrap.fill(f"with {words(name)}", 26)
+            panels.append(correlation(shown, COLOURS, reach, title))
+        panels += [Panel()] * (INPUTS - len(best))
+    before = "innovations" if after is None else "innovations, before"
+    key = [Curve((), (), SIMULATED, 1.4, before)]
+    if after is not None:
+        key.append(Curve((), (), AFTER, 1.4, "after"))
+    height = 0.75 + 1.65 * len(quantities)
+    return Picture(tuple(panels), height, columns=1 + INPUTS, key=tuple(key))
 
 
 def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
@@ -353,12 +288,3 @@ def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
         for one in (innovations, inputs)
     )
     return diagnose(residuals.time_h[early], known, varying, longest_h=LONGEST_LAG_H).outputs
-
-
-def _line_handles(overlaid: bool) -> list[Artist]:
-    return [
-        line_handle(SIMULATED, "innovations" + (", before" if overlaid else ""), 1.4),
-        *([line_handle(AFTER, "after", 1.4)] if overlaid else []),
-        area_handle(QUIET, "95 % if white", 0.16),
-        line_handle(INK, "95 %, all lags together", 0.7, dashes=(4, 2)),
-    ]

@@ -1,0 +1,587 @@
+"""The panels of a picture as data: what is drawn on each, with labels, units and limits; and the one place
+that draws them, in rows and columns below a key, for pages, summaries, and axes that a user gives.
+
+matplotlib is imported inside the functions that need it.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.report.figures.drawing import (
+    BINS,
+    INK,
+    LEVEL_SD,
+    QUIET,
+    SIMULATED,
+    band,
+    calendar_ticks,
+    envelope,
+    new_figure,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis as MatplotlibAxis
+    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.figure import Figure
+
+SMALL_PT = 6.8
+"""[pt] size of notes in a panel."""
+DASHES = (4, 2)
+MARKER_EDGE = {"|": 1.4, ".": 0.0}
+"""[pt] width of the edges of markers that are not as usual."""
+BOX = {"facecolor": "white", "alpha": 0.78, "pad": 0.7, "linewidth": 0}
+KEY_WIDTH = 1.0
+"""[pt] least width of a line in a key."""
+BOUND_WIDTH = 1.6
+"""[pt] width of the line between two bounds."""
+Numbers: TypeAlias = Sequence[float] | np.ndarray
+Limits: TypeAlias = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points (n,), (n,) joined by a line, as markers, or both; `width` 0: markers alone.
+
+    The key names it by its `label`; a mark without a label is not in the key.
+    """
+
+    x: Numbers
+    y: Numbers
+    colour: str
+    width: float = 0.9
+    label: str = ""
+    marker: str = ""
+    size: float = 3.0
+    dashed: bool = False
+    alpha: float = 1.0
+    edge: str = ""
+
+
+@dataclass(frozen=True)
+class Band:
+    """The area between two edges (n,) over x (n,)."""
+
+    x: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    colour: str
+    alpha: float = 0.16
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Shade:
+    """A stretch of one axis ("x", "y"), shaded over the whole of the other one."""
+
+    low: float
+    high: float
+    colour: str
+    alpha: float = 1.0
+    label: str = ""
+    of: Literal["x", "y"] = "x"
+    hatched: bool = False
+
+
+@dataclass(frozen=True)
+class CrossLine:
+    """A straight line across the panel at a place of one axis ("x", "y")."""
+
+    at: float
+    of: Literal["x", "y"]
+    colour: str = QUIET
+    width: float = 0.6
+    dashed: bool = False
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Note:
+    """Words beside a point; `shares` names the coordinates that are shares of the axes: "", "x", "y", "xy".
+
+    `side` and `level`: where the point lies, seen from the words' box.
+    """
+
+    text: str
+    x: float
+    y: float
+    colour: str = INK
+    side: Literal["left", "center", "right"] = "left"
+    level: Literal["bottom", "center", "top"] = "center"
+    shares: Literal["", "x", "y", "xy"] = ""
+    bold: bool = False
+    boxed: bool = False
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """The colours of numbers: from `low` to `high`, in equal steps of their logarithm, or a colour for each
+    class between `edges`; `label` and `ticks` of the bar that explains them."""
+
+    colours: tuple[str, ...]
+    label: str
+    low: float = 0.0
+    high: float = 1.0
+    logarithmic: bool = False
+    edges: tuple[float, ...] = ()
+    ticks: tuple[float, ...] = ()
+    missing: str = "#e3e6ea"
+    """Colour of places without a value."""
+
+    def colour_map(self) -> Colormap:
+        """The colours as matplotlib knows them."""
+        from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+
+        if self.edges:
+            return ListedColormap(self.colours)
+        return LinearSegmentedColormap.from_list(self.label, self.colours).with_extremes(bad=self.missing)
+
+    def norm(self) -> Normalize:
+        """Which number has which colour, as matplotlib knows it."""
+        from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
+
+        if self.edges:
+            return BoundaryNorm(self.edges, len(self.colours))
+        return (LogNorm if self.logarithmic else Normalize)(self.low, self.high)
+
+    def explained(self, figure: Figure, **where: Any) -> None:
+        """Draw the bar that explains the colours."""
+        from matplotlib.cm import ScalarMappable
+
+        look: Any = {"extend": "neither" if self.edges or self.logarithmic else "both", "extendfrac": 0.03}
+        bar = figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), **look, **where)
+        if ticks := self.ticks or self.edges:
+            bar.set_ticks(list(ticks), labels=[f"{one:g}" for one in ticks])
+            bar.minorticks_off()
+        bar.set_label(self.label)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Colours of values (n, m), NaN where there is none, between edges (n + 1,) across and (m + 1,) up."""
+
+    x: np.ndarray
+    y: np.ndarray
+    values: np.ndarray
+    scale: ColourScale
+
+
+Mark: TypeAlias = Curve | Band | Shade | CrossLine | Note | Map
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a panel.
+
+    `limits`: None where the marks decide.  `kind`: "time" counts seconds since 1970 and shows a calendar in
+    UTC.  `at` and `words`: ticks and what is written there; else `most` ticks, in `steps` times a power of
+    ten.
+    """
+
+    label: str = ""
+    limits: Limits = (None, None)
+    kind: Literal["linear", "logarithmic", "time"] = "linear"
+    at: Numbers = ()
+    words: Sequence[str] = ()
+    most: int = 0
+    steps: tuple[float, ...] = ()
+    grid: bool = True
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One system of axes and what is drawn on it; without marks, the title says why in a sentence."""
+
+    marks: tuple[Mark, ...] = ()
+    x: Axis = Axis()
+    y: Axis = Axis()
+    title: str = ""
+    plain: bool = False
+    """Whether the title is set like the labels, not as a heading."""
+
+    def on(self, axes: Axes) -> None:
+        """Draw the panel on axes."""
+        if not self.marks:
+            axes.set_axis_off()
+            words = textwrap.fill(self.title, 34)
+            axes.text(0.5, 0.5, words, ha="center", va="center", color=QUIET, transform=axes.transAxes)
+            return
+        unit = DAY_S if self.x.kind == "time" else 1.0
+        for mark in self.marks:
+            _draw(mark, axes, unit)
+        _scaled(self.x, axes, "x")
+        _scaled(self.y, axes, "y")
+        look: dict[str, Any] = {"fontweight": "normal", "fontsize": SMALL_PT} if self.plain else {}
+        axes.set_title(self.title, **look)
+
+
+def _draw(mark: Mark, axes: Axes, unit: float) -> None:
+    """Draw a mark; what it says of x is in units of `unit`."""
+    dashes: dict[str, Any] = {"dashes": DASHES} if getattr(mark, "dashed", False) else {}
+    match mark:
+        case Curve():
+            axes.plot(
+                np.asarray(mark.x) / unit, mark.y, color=mark.colour, linewidth=mark.width, alpha=mark.alpha,
+                linestyle="-" if mark.width else "none", **_marker(mark), **dashes,
+            )  # fmt: skip
+        case Band():
+            axes.fill_between(
+                mark.x / unit, mark.low, mark.high, color=mark.colour, alpha=mark.alpha, linewidth=0
+            )
+        case Shade():
+            look: dict[str, Any] = {"color": mark.colour, "alpha": mark.alpha, "zorder": 0.0}
+            if mark.hatched:
+                look = {"facecolor": "none", "edgecolor": mark.colour, "hatch": "////", "zorder": 0.5}
+            if mark.of == "x":
+                axes.axvspan(mark.low / unit, mark.high / unit, linewidth=0, **look)
+            else:
+                axes.axhspan(mark.low, mark.high, linewidth=0, **look)
+        case CrossLine(of="x"):
+            axes.axvline(mark.at / unit, color=mark.colour, linewidth=mark.width, **dashes)
+        case CrossLine():
+            axes.axhline(mark.at, color=mark.colour, linewidth=mark.width, **dashes)
+        case Note():
+            x_of, y_of = ("axes fraction" if one in mark.shares else "data" for one in "xy")
+            x = mark.x if "x" in mark.shares else mark.x / unit
+            shift = {"left": 3, "right": -3}.get(mark.side, 0), {"top": -3, "bottom": 3}.get(mark.level, 0)
+            axes.annotate(
+                mark.text, (x, mark.y), xycoords=(x_of, y_of), xytext=shift, textcoords="offset points",
+                ha=mark.side, va=mark.level, color=mark.colour, fontsize=SMALL_PT, annotation_clip=False,
+                fontweight="bold" if mark.bold else "normal", bbox=BOX if mark.boxed else None,
+            )  # fmt: skip
+        case Map():
+            look = {"cmap": mark.scale.colour_map(), "norm": mark.scale.norm(), "rasterized": True}
+            axes.pcolormesh(mark.x / unit, mark.y, mark.values.T, **look)
+
+
+def _marker(line: Curve) -> dict[str, Any]:
+    """How a line's markers look to matplotlib."""
+    look: dict[str, Any] = {"marker": line.marker, "markersize": line.size}
+    if line.edge:
+        look["markeredgecolor"] = line.edge
+    if line.marker in MARKER_EDGE:
+        look["markeredgewidth"] = MARKER_EDGE[line.marker]
+    return look
+
+
+def _scaled(axis: Axis, axes: Axes, which: Literal["x", "y"]) -> None:
+    """Limits, ticks and label of an axis whose marks are drawn."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    made = axes.xaxis if which == "x" else axes.yaxis
+    name = "left right" if which == "x" else "bottom top"
+    unit = DAY_S if axis.kind == "time" else 1.0
+    low, high = axis.limits
+    if axis.kind == "time" and low is not None and high is not None and not high > low:
+        low, high = low - HOUR_S / 2, high + HOUR_S / 2
+    ends: dict[str, Any] = {
+        key: v / unit for key, v in zip(name.split(), (low, high), strict=True) if v is not None
+    }
+    if axis.kind == "logarithmic":
+        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    if ends:
+        (axes.set_xlim if which == "x" else axes.set_ylim)(**ends)
+    if len(axis.at):
+        made.set_ticks(np.asarray(axis.at) / unit, axis.words or None)
+        made.set_minor_locator(NullLocator())
+    elif axis.kind == "time" and low is not None and high is not None:
+        at, words = calendar_ticks(low, high, axis.most or 12)
+        made.set_ticks(at / unit, words)
+    elif axis.kind == "logarithmic":
+        low, high = made.get_view_interval()
+        subs = (1.0, 2.0, 5.0) if math.log10(high / low) < 2.2 else (1.0,)
+        made.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=(axis.most or 6) + 4))
+        made.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        made.set_minor_locator(NullLocator())
+    elif axis.most or axis.steps:
+        from matplotlib.ticker import MaxNLocator
+
+        made.set_major_locator(MaxNLocator(axis.most or "auto", steps=axis.steps or [1, 2, 2.5, 5, 10]))
+    if not axis.grid:
+        axes.grid(visible=False, axis=which)
+    made.set_label_text(axis.label)
+
+
+# --- the picture -----------------------------------------------------------------------------
+
+LETTER_EM, LINE_EM = 0.67, 1.25
+"""Width of a letter and height of a line in sizes of its letters; wide enough for the page's fonts."""
+SIGN_EM, KEY_LETTER_EM, KEY_LINE_EM = 3.7, 0.6, 1.75
+"""Width of a key's sign with the space beside it, of a letter, and height of a line."""
+GAP_IN, ROW_IN, BAR_IN = 0.09, 0.03, 0.62
+"""[in] space between columns and between rows of panels, and width of a bar of colours with its labels."""
+POINT_IN = 1.0 / 72.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The panels of one picture, row by row, the most important panel first.
+
+    `height_in` [in] of the whole picture at the width of a page; `columns`: panels side by side.
+    `heights`: heights of the rows in proportion; equal without any.
+    `shared`: the axes that the panels of a row ("y") or of a column ("x") have in common, which only the
+        outer ones label.
+    `key`: marks that only the key shows, after those of the panels that have a label.
+    `scale`: the colours that a bar beside the panels explains.
+    """
+
+    panels: tuple[Panel, ...]
+    height_in: float
+    columns: int = 1
+    shared: Literal["", "x", "y", "xy"] = ""
+    heights: tuple[float, ...] = ()
+    key: tuple[Mark, ...] = ()
+    scale: ColourScale | None = None
+
+    def figure(self) -> Figure:
+        """The picture on a figure of a page's width."""
+        with styled():
+            made = new_figure(self.height_in)
+            self.on_figure(made)
+        return made
+
+    def on(self, axes: Sequence[Axes]) -> None:
+        """Draw the first panels, one on each of the axes, with a key in the first and a bar beside all."""
+        self._draw(axes)
+        if handles := self._handles():
+            axes[0].legend(handles=handles, loc="best")
+        if self.scale is not None:
+            figure = axes[0].get_figure(root=True)
+            assert figure is not None
+            self.scale.explained(figure, ax=list(axes))
+
+    def on_figure(self, figure: Figure) -> list[Axes]:
+        """Draw all panels on new axes, below their key; returns the axes."""
+        rows = -(-len(self.panels) // self.columns)
+        # about the final places, by which ticks are chosen
+        axes = [figure.add_subplot(rows, self.columns, i + 1) for i in range(len(self.panels))]
+        self._draw(axes)
+        width, height = map(float, figure.get_size_inches())
+        key = 0.0
+        if handles := self._handles():
+            columns = _columns(width, [str(one.get_label()) for one in handles])
+            figure.legend(handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 1.0))
+            key = -(-len(handles) // columns) * KEY_LINE_EM * _points("legend.fontsize") * POINT_IN
+        right = width - (BAR_IN + GAP_IN if self.scale is not None else 0.0)
+        grid = [axes[i : i + self.columns] for i in range(0, len(axes), self.columns)]
+        _place(grid, right, height - key, (width, height), self.heights or (1.0,) * rows)
+        if self.scale is not None:
+            boxes = [one.get_position() for one in axes]
+            low, high = min(one.y0 for one in boxes), max(one.y1 for one in boxes)
+            beside = figure.add_axes((right / width, low, 0.14 / width, high - low))
+            self.scale.explained(figure, cax=beside)
+        return axes
+
+    def _draw(self, axes: Sequence[Axes]) -> None:
+        """Draw the first panels, one on each of the axes."""
+        last = len(axes) - 1
+        for place, (one, panel) in enumerate(zip(axes, self.panels, strict=False)):
+            inner_x = "x" in self.shared and place + self.columns <= last
+            inner_y = "y" in self.shared and place % self.columns > 0
+            # before ticks are made, so that no labels are made that nobody sees
+            one.tick_params(labelbottom=not inner_x, labelleft=not inner_y)
+            panel.on(one)
+            if inner_x:
+                one.set_xlabel("")
+            if inner_y:
+                one.set_ylabel("")
+
+    def _handles(self) -> list[Artist]:
+        """The entries of the key: every label once."""
+        marks = [mark for panel in self.panels for mark in panel.marks]
+        found: dict[str, Artist] = {}
+        for mark in (*marks, *self.key):
+            if isinstance(mark, Curve | Band | Shade | CrossLine) and mark.label and mark.label not in found:
+                found[mark.label] = _handle(mark)
+        return list(found.values())
+
+
+def _handle(mark: Curve | Band | Shade | CrossLine) -> Artist:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    if isinstance(mark, Band | Shade):
+        if isinstance(mark, Shade) and mark.hatched:
+            return Patch(facecolor="white", edgecolor=mark.colour, hatch="//////", label=mark.label)
+        return Patch(facecolor=mark.colour, alpha=min(1.3 * mark.alpha, 1.0), label=mark.label)
+    width = max(mark.width, KEY_WIDTH) if mark.width else 0.0
+    look: dict[str, Any] = {"dashes": DASHES} if mark.dashed else {}
+    look |= _marker(mark) if isinstance(mark, Curve) else {}
+    return Line2D([], [], color=mark.colour, label=mark.label, linewidth=width, **look)
+
+
+def _place(
+    grid: list[list[Axes]], width: float, height: float, size: tuple[float, float], heights: Sequence[float]
+) -> None:
+    """Give axes in rows and columns their places, from the letters beside them; `width`, `height` [in] are
+    what there is, of a figure of `size` [in].
+
+    Nothing is drawn for it: a layout that measures would draw everything twice.
+    """
+    around = [[_around(one) for one in row] for row in grid]
+    left, right = (
+        [max(row[i][side].sum() for row in around if i < len(row)) for i in range(len(grid[0]))]
+        for side in (0, 1)
+    )
+    top, bottom = ([max(one[side].sum() for one in row) for row in around] for side in (2, 3))
+    wide = (width - sum(left) - sum(right) - GAP_IN * (len(left) - 1)) / len(left)
+    free = height - sum(top) - sum(bottom) - ROW_IN * (len(grid) - 1)
+    up = height
+    for row, share, above, below in zip(grid, heights, top, bottom, strict=True):
+        high = max(free * share / sum(heights), 0.2)
+        up -= above + high
+        at = 0.0
+        for i, axes in enumerate(row):
+            at += left[i]
+            axes.set_position((at / size[0], up / size[1], wide / size[0], high / size[1]))
+            axes.yaxis.set_label_coords(-(left[i] - 0.02) / wide, 0.5)
+            axes.yaxis.label.set_verticalalignment("top")
+            ticks = _around(axes)[3][0]
+            axes.xaxis.set_label_coords(0.5, -ticks / high)
+            at += wide + right[i] + GAP_IN
+        up -= below + ROW_IN
+
+
+def _around(axes: Axes) -> tuple[np.ndarray, ...]:
+    """[in] what ticks and titles need left of, right of, above and below axes."""
+    if not axes.axison:
+        return (np.zeros(2),) * 4
+    return (
+        np.array([_ticks_in(axes, "y"), _lines(axes.get_ylabel(), "axes.labelsize")]),
+        np.array([_beyond(axes), 0.0]),
+        np.array([0.04, _lines(axes.get_title(loc="left"), "axes.titlesize")]),
+        np.array([_ticks_in(axes, "x"), _lines(axes.get_xlabel(), "axes.labelsize")]),
+    )
+
+
+def _ticks_in(axes: Axes, which: Literal["x", "y"]) -> float:
+    """[in] room that the labels of an axis's ticks need beside the axes."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    shown = axis.get_tick_params()["labelbottom" if which == "x" else "labelleft"]
+    if not shown:
+        return 0.05
+    words, size = _words(axis), _points(f"{which}tick.labelsize") * POINT_IN
+    if which == "x":
+        return 0.085 + LINE_EM * size * max((1 + word.count("\n") for word in words.values()), default=1)
+    return 0.08 + LETTER_EM * size * max((len(word) for word in words.values()), default=1)
+
+
+def _beyond(axes: Axes) -> float:
+    """[in] room right of axes, where the label of the last tick reaches beyond them."""
+    words = _words(axes.xaxis) if axes.xaxis.get_tick_params()["labelbottom"] else {}
+    last = max(words, default=0.0)
+    size = LETTER_EM * _points("xtick.labelsize") * POINT_IN
+    return max(0.04, 0.5 * size * len(words.get(last, "").split("\n")[0]) * (last > 0.97))
+
+
+def _words(axis: MatplotlibAxis) -> dict[float, str]:
+    """Labels of the ticks that show, by their places as a share of the axis."""
+    at, (low, high) = axis.get_majorticklocs(), sorted(axis.get_view_interval())
+    words = axis.get_major_formatter().format_ticks(list(at))
+    found = {(one - low) / (high - low): word for one, word in zip(at, words, strict=False)}
+    return {share: word for share, word in found.items() if 0.0 <= share <= 1.0}
+
+
+def _lines(text: str, size: str) -> float:
+    """[in] height of lines of text with the space to what they describe; 0 without any."""
+    return 0.04 + LINE_EM * _points(size) * POINT_IN * (1 + text.count("\n")) if text else 0.0
+
+
+def _points(name: str) -> float:
+    """[pt] a size of letters among matplotlib's settings."""
+    from matplotlib import rcParams
+    from matplotlib.font_manager import FontProperties
+
+    sizes: dict[Any, Any] = dict(rcParams)
+    return float(FontProperties(size=sizes[name]).get_size_in_points())
+
+
+def _columns(width_in: float, labels: Sequence[str]) -> int:
+    """The columns of a key that fit within a width [in]; its entries stand one below the other first."""
+    letters = _points("legend.fontsize") * POINT_IN
+    needs = [(SIGN_EM + KEY_LETTER_EM * len(one)) * letters for one in labels]
+    for columns in range(len(needs), 1, -1):
+        rows = -(-len(needs) // columns)
+        if sum(max(needs[i : i + rows]) for i in range(0, len(needs), rows)) <= width_in:
+            return columns
+    return 1
+
+
+# --- marks of several pictures ---------------------------------------------------------------
+
+
+def course(
+    time: np.ndarray, value: np.ndarray, span: tuple[float, float], colour: str, width: float,
+    label: str = "", bins: int = BINS,
+) -> Curve:  # fmt: skip
+    """A course (T,) over a stretch of time [s], thinned as in `envelope`; a single value is a point."""
+    t, v = envelope(time, value, span, bins)
+    there = np.isfinite(v).sum()
+    return Curve(t, v, colour, width, label if there else "", marker="o" if there == 1 else "")
+
+
+def courses(
+    time: np.ndarray, shown: Sequence[tuple[str, np.ndarray, str, float]], sd: np.ndarray | None,
+    span: tuple[float, float], bins: int = BINS,
+) -> tuple[tuple[Mark, ...], Limits]:  # fmt: skip
+    """Courses (label, value (T,), colour, width) over a stretch of time [s], the simulation last, with its
+    95 % band where its standard deviation `sd` (T,) is known; and limits, which show every value, not every
+    excess of the band."""
+    marks: list[Mark] = [
+        course(time, value, span, colour, width, label, bins) for label, value, colour, width in shown
+    ]
+    if sd is not None:
+        simulated = shown[-1][1]
+        t, low, high = band(time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
+        marks.append(Band(t, low, high, SIMULATED, label="95 % band" if np.isfinite(sd).any() else ""))
+    inside = (time >= span[0]) & (time <= span[1])
+    there = np.concatenate([value[inside & np.isfinite(value)] for _, value, _, _ in shown])
+    if not len(there):
+        return tuple(marks), (None, None)
+    margin = 0.07 * float(np.ptp(there)) or 1.0
+    return tuple(marks), (float(there.min()) - margin, float(there.max()) + margin)
+
+
+def validation(start_s: float, span: tuple[float, float]) -> tuple[Mark, ...]:
+    """Where the validation period begins [s] in a stretch of time [s]."""
+    start = max(start_s, span[0])
+    late = (span[1] - start) / max(span[1] - span[0], 1e-9) < 0.12
+    note = Note("validation", start, 1.0, INK, "right" if late else "left", "top", "y", boxed=True)
+    return (CrossLine(start, "x", INK, 0.9, dashed=True), note)
+
+
+def strokes(
+    x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float,
+    label: str = "", alpha: float = 1.0,
+) -> Curve:  # fmt: skip
+    """Strokes from points (x1, y1) to points (x2, y2), as one line."""
+    gap = np.full(len(x1), np.nan)
+    x, y = (np.column_stack([a, b, gap]).ravel() for a, b in ((x1, x2), (y1, y2)))
+    return Curve(x, y, colour, width, label, alpha=alpha)
+
+
+def bounds(
+    low: float, high: float, at: float, colour: str, width: float = BOUND_WIDTH, alpha: float = 0.6
+) -> Curve:
+    """Two bounds joined by a level line."""
+    return Curve((low, high), (at, at), colour, width, alpha=alpha)
+
+
+def point(x: float, y: float, marker: str, colour: str, size: float, edge: str = "") -> Curve:
+    """A single marker."""
+    return Curve((x,), (y,), colour, 0.0, marker=marker, size=size, edge=edge)
+
+
+def rows(labels: Sequence[str]) -> Axis:
+    """An axis with a row for each label, the first one, at 0, on top."""
+    return Axis(limits=(len(labels) - 0.4, -0.6), at=range(len(labels)), words=labels, grid=False)
