@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from validation.frame import DATA, Claim
-from validation.paper.experiments import Plan, experiments, plain
+from validation.paper.experiments import Plan, plain, repeated
 from validation.paper.sites import eave_deviations, expect_files, nacelle_deviation
 from validation.paper.tables import spread_note, spread_rows, table
 
@@ -24,7 +24,7 @@ def one(variant: str, seed: int, *, data: str = "", days: float = 200.0, starts:
     expect_files(folder)
     deviation = {"nacelle": nacelle_deviation(folder), "eaves": eave_deviations(folder)}
     plan = Plan(days=days, until_day=0.85 * days, starts=starts or (4 if seed == SHOWN else 1))
-    return {**plain(experiments(plan, folder, seed)), "deviation": deviation}
+    return {**plain(repeated(plan, folder, seed)), "deviation": deviation}
 
 
 def docs(lines: Sequence[Mapping]) -> None:

@@ -94,7 +94,7 @@ class Outcome:
     runs: dict[tuple[str, str], Simulation]
 
 
-def experiments(plan: Plan, folder: Path, seed: int) -> Outcome:
+def repeated(plan: Plan, folder: Path, seed: int) -> Outcome:
     """The three experiments with one seed.  Raises DataFault where the drivers cannot be read."""
     first = home(plan, folder, seed)
     other = sister(plan, folder, seed, first.plant)
