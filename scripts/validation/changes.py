@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from plants import DISTURBANCES, plant
+from plants import DISTURBANCES
 from plants.as_record import to_record
 
 from hygrokf.cases.case_file import read_case
@@ -29,7 +29,7 @@ from hygrokf.live.tracker import Course, offline_course
 from hygrokf.live.turbines import PROPERTY_S
 from validation.counts import markdown, rate
 from validation.frame import Claim
-from validation.tracked import DAY_S, identified, plan_of
+from validation.tracked import DAY_S, identified, plan_of, turbine_plant
 
 PLANT_LEARNT_DAYS, PLANT_DAYS = 60.0, 240.0
 FOUND_DAYS = 14.0
@@ -105,15 +105,7 @@ def changed(seed: int, variants: Sequence[str], dates: Dates) -> dict[str, list]
 
 
 def _plant(seed: int, disturbance: str, sensor_errors: str) -> list:
-    made = plant(
-        seed,
-        days=PLANT_DAYS,
-        operation="turbine",
-        weather="fronts",
-        preheating=True,
-        disturbance=disturbance,
-        sensor_errors=sensor_errors,
-    )
+    made = turbine_plant(seed, PLANT_DAYS, disturbance=disturbance, sensor_errors=sensor_errors)
     record = to_record(made)
     cut = record.start_s + PLANT_LEARNT_DAYS * DAY_S
     fit = identified(record, cut)

@@ -26,7 +26,7 @@ from hygrokf.climate.statistics import scalars
 from hygrokf.data.record import Record
 from hygrokf.physics.cold_surface import Surface, condenses
 from validation.counts import markdown
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 from validation.records import expect, measured
 
 NAMES = (
@@ -147,15 +147,15 @@ def _row(found, truth: float) -> dict:
 def table(lines: Sequence[Mapping]) -> str:
     """How often each statistic's bounds held, by variant."""
     parts = []
-    for variant in dict.fromkeys(line["variant"] for line in lines):
-        these = [line["statistics"] for line in lines if line["variant"] == variant]
+    for variant, some in by_variant(lines).items():
+        these = [line["statistics"] for line in some]
         rows = []
         for name in these[0]:
-            some = [one[name] for one in these]
-            width = np.mean([one["upper"] - one["lower"] for one in some])
-            error = np.mean([one["value"] - one["truth"] for one in some])
-            held = sum(one["held"] for one in some)
-            rows.append((name.replace("_", " "), held, len(some), f"{width:.3g}", f"{error:+.2g}"))
+            of = [one[name] for one in these]
+            width = np.mean([one["upper"] - one["lower"] for one in of])
+            error = np.mean([one["value"] - one["truth"] for one in of])
+            held = sum(one["held"] for one in of)
+            rows.append((name.replace("_", " "), held, len(of), f"{width:.3g}", f"{error:+.2g}"))
         rows.append(("all", sum(row[1] for row in rows), sum(row[2] for row in rows), "", ""))
         plain = sum(row["certain"] and row["held"] for one in these for row in one.values())
         parts += [

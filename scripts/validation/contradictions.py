@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from plants import plant
 
 from hygrokf.live.alarms import BEYOND, innovations
 from validation.counts import markdown
 from validation.frame import Claim
-from validation.tracked import DAY_S, tracked
+from validation.tracked import DAY_S, tracked_plant
 
 SETTLED_S = 2 * DAY_S
 """[s] of tracking before the first reading is judged."""
@@ -30,9 +29,7 @@ def one(variant: str, seed: int, *, days: float = 60.0, learnt: float = 45.0) ->
     been noticed had it begun with them; steps go up and down by turns.  What the filter predicts for a
     reading does not depend on the reading, so that every reading can be the first one of a step.
     """
-    made = plant(seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True)
-    begin = float(made.drivers.time[0]) + learnt * DAY_S
-    case = tracked(made, begin)
+    case, begin = tracked_plant(seed, learnt, days)
     found = [one for one in innovations(case.course) if one.time_s > begin + SETTLED_S]
     line: dict = {"days": days - SETTLED_S / DAY_S}
     for signal, steps in STEPS.items():

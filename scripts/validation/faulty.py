@@ -37,7 +37,7 @@ from hygrokf.live.tracker import Reading, record_of
 from hygrokf.live.turbine import Turbine
 from hygrokf.live.turbines import Fleet
 from validation.counts import markdown
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 from validation.tracked import identified, plan_of
 
 FITTED_DAYS, TRACKED_DAY, LAST_DAY = 30.0, 60.0, 96.0
@@ -204,8 +204,7 @@ def _alarm(alarm: Alarm, made: FaultyPlant, raw: np.ndarray) -> dict:
 def table(lines: Sequence[Mapping]) -> str:
     """Sums by fault: truly condensing and dry instants, and alarms by kind; then what is claimed of it."""
     rows, held = [], []
-    for name in dict.fromkeys(line["variant"] for line in lines):
-        some = [line for line in lines if line["variant"] == name]
+    for name, some in by_variant(lines).items():
         wet, missed, raw, dry, false = (
             sum(line[key] for line in some) for key in ("wet", "missed", "missed_raw", "dry", "false")
         )

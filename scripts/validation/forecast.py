@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from plants import plant
 
 from hygrokf.live.condition import probability_above, probability_below
 from hygrokf.live.forecast import conditions_by_member, mixture
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios
 from validation.counts import Rate, between_plants, markdown, reliability
 from validation.frame import ROOT, Claim
-from validation.tracked import DAY_S, SURFACE, tracked, truth
+from validation.tracked import DAY_S, SURFACE, tracked_plant, truth
 
 EVERY_S = 12 * 3600.0
 """[s] within which one forecast is made, at a random full hour."""
@@ -40,9 +39,7 @@ FEWEST = 20
 
 def one(variant: str, seed: int, *, days: float = 60.0, learnt: float = 60.0) -> dict:
     """Forecasts of a plant over some days after those that its model was identified on, and the truth."""
-    made = plant(seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True)
-    begin = float(made.drivers.time[0]) + learnt * DAY_S
-    case = tracked(made, begin)
+    case, begin = tracked_plant(seed, learnt, days)
     random = np.random.default_rng([seed, 41])
     rows, silent = [], 0
     for after in np.arange(0.0, days * DAY_S - HORIZON_S - EVERY_S, EVERY_S):

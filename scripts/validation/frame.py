@@ -113,6 +113,14 @@ def plain(value):
     return value
 
 
+def by_variant(lines: Iterable[Line]) -> dict[str, list[Line]]:
+    """Lines by their variant, in the order in which these occur."""
+    found: dict[str, list[Line]] = {}
+    for line in lines:
+        found.setdefault(line["variant"], []).append(line)
+    return found
+
+
 # -- running -------------------------------------------------------------------------------------------------
 def line_of(claim: Claim, case: Case, settings: Mapping) -> dict:
     """The line of a case.  What is raised is part of it: a study counts failures, it does not stop at

@@ -16,7 +16,7 @@ from hygrokf.data.record import Record
 from hygrokf.live.restart_advice import LONGEST_H, STAYS_H, restart
 from hygrokf.live.scenarios import NoScenarios
 from validation.counts import markdown, rate
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 from validation.tracked import DAY_S, SURFACE, tracked, truth
 
 LIMIT = 0.6
@@ -110,10 +110,7 @@ def _drivers(
 
 def table(lines: Sequence[Mapping]) -> str:
     """Of each variant what came of the advice."""
-    variants = dict.fromkeys(line["variant"] for line in lines)
-    return "\n\n".join(
-        f"{variant}: {_table([line for line in lines if line['variant'] == variant])}" for variant in variants
-    )
+    return "\n\n".join(f"{variant}: {_table(some)}" for variant, some in by_variant(lines).items())
 
 
 def _table(lines: Sequence[Mapping]) -> str:

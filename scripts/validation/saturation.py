@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-from plants import plant
 
 from hygrokf.data.readings import SATURATED
 from hygrokf.live.condition import Condition, air_condition, inputs_of, only
@@ -15,7 +14,7 @@ from hygrokf.live.forecast import moments_by_member
 from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
 from validation.counts import between_plants, markdown, reliability
 from validation.frame import Claim
-from validation.tracked import DAY_S, Surface, Tracked, tracked, truth
+from validation.tracked import DAY_S, Surface, Tracked, tracked_plant, truth
 
 SETTLED_S = 2 * DAY_S
 """[s] of tracking before the first forecast."""
@@ -43,11 +42,7 @@ def one(variant: str, seed: int, *, days: float = 60.0, learnt: float = 45.0) ->
     is a forecast and a surface: the highest probability within `WITHIN_H`, and whether there was condensation
     at any instant of them.
     """
-    made = plant(
-        seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True, **cabinet(seed)
-    )
-    begin = float(made.drivers.time[0]) + learnt * DAY_S
-    case = tracked(made, begin)
+    case, begin = tracked_plant(seed, learnt, days, **cabinet(seed))
     rows: list[tuple] = []
     windows: list[tuple] = []
     for number, name in enumerate(SCENARIOS):

@@ -25,7 +25,7 @@ from hygrokf.identification.procedure import identify
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import offline_course
 from validation.counts import markdown
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 from validation.tracked import plan_of
 
 DAYS = 30.0
@@ -165,8 +165,7 @@ def _moved(
 def table(lines: Sequence[Mapping]) -> str:
     """The tables of the variants that there are."""
     made = {"fitted": _table_of_fits, "tracked": _table_of_tracked}
-    variants = dict.fromkeys(line["variant"] for line in lines)
-    return "\n\n".join(made[v]([line for line in lines if line["variant"] == v]) for v in variants)
+    return "\n\n".join(made[variant](some) for variant, some in by_variant(lines).items())
 
 
 def _table_of_fits(lines: Sequence[Mapping]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from plants import plant
 from plants.as_record import to_record
 from plants.plant import Plant
 
@@ -82,6 +83,19 @@ def tracked(
     found = plan_of(fit, record)
     course = offline_course(found, record)
     return Tracked(made, record, found, course, course.seconds, heating_sd(fit))
+
+
+def turbine_plant(seed: int, days: float, **options: object) -> Plant:
+    """A cabinet in a turbine that stands still at times and pre-heats, under moist fronts."""
+    return plant(seed, days=days, operation="turbine", weather="fronts", preheating=True, **options)
+
+
+def tracked_plant(seed: int, learnt: float, days: float, **options: object) -> tuple[Tracked, float]:
+    """Such a plant, identified on its first days and tracked over others, and the time [s] at which these
+    begin."""
+    made = turbine_plant(seed, learnt + days, **options)
+    begin = float(made.drivers.time[0]) + learnt * DAY_S
+    return tracked(made, begin), begin
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ import numpy as np
 from builders.transfer_pairs import KINDS, pair, record_of
 from plants.plant import plant
 
-from hygrokf.data.structured import plain
 from hygrokf.identification.procedure import identify
 from hygrokf.identification.turbine_type import pool_types
 from hygrokf.transfer.procedure import transfer_fit
 from validation.counts import markdown
-from validation.frame import Claim
+from validation.frame import Claim, by_variant
 
 TURBINES, TYPE_DAYS, NEXT_DAYS = 5, 30.0, 8.0
 SPREADS = {"thermal_time_constant": 0.12, "hygric_k": 0.2, "heat": 0.08}
@@ -44,7 +43,6 @@ def _judged(made) -> dict:
         # in their own order on both sides
         "right": found.verdict == word and sorted(found.re_estimate) == sorted(names),
         "p": {row.group: row.alone.p for row in found.groups if row.alone is not None},
-        "gain": {q: plain(rows["re_estimated"].over_as_is) for q, rows in found.gains.items()},
     }
 
 
@@ -85,12 +83,10 @@ def _type(seed: int) -> dict:
 
 def table(lines: Sequence[Mapping]) -> str:
     """The tables of the variants that there are."""
-    parts = []
-    for variant in dict.fromkeys(line["variant"] for line in lines):
-        some = [line for line in lines if line["variant"] == variant]
-        made = _types if variant == "types" else _pairs
-        parts.append(f"{variant}\n\n{made(some)}")
-    return "\n\n".join(parts)
+    return "\n\n".join(
+        f"{variant}\n\n{(_types if variant == 'types' else _pairs)(some)}"
+        for variant, some in by_variant(lines).items()
+    )
 
 
 def _pairs(lines: Sequence[Mapping]) -> str:

@@ -49,9 +49,9 @@ def flood(folder: Path, seed: int, count: int = 50_000, turbines: int = 10, thro
             send(messages[first : first + CHUNK])
             done = min(first + CHUNK, len(messages))
             if done % AHEAD < CHUNK or done == len(messages):
-                until(lambda done=done: taken(store) >= done - AHEAD, tracker.said, PATIENCE_S)
+                until(lambda done=done: taken(store) >= done - AHEAD, tracker.said, patience_s=PATIENCE_S)
                 memory.append((done, tracker.resident_kB() or 0))
-        until(lambda: taken(store) >= len(messages), tracker.said, PATIENCE_S)
+        until(lambda: taken(store) >= len(messages), tracker.said, patience_s=PATIENCE_S)
         spent = time.monotonic() - began
         tracker.stop()
     # what comes again when its time is long final is late, too

@@ -11,10 +11,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from builders.brokers import PATIENCE_S as CONFIRMING_S
 from builders.brokers import Mosquitto, mosquitto, peer, publish
+from builders.waiting import eventually
 
 from validation.faults.plant import Message, Plant
 from validation.frame import ROOT
@@ -23,13 +25,8 @@ PATIENCE_S = 120.0
 CLIENT, TOPICS = "tracker", "scada/#"
 
 
-def until(happened: Callable[[], object], words: Callable[[], object] = lambda: "",
-    patience_s: float = PATIENCE_S) -> None:  # fmt: skip
-    """Wait until something has happened; AssertionError with these words where it does not in time."""
-    end = time.monotonic() + patience_s
-    while not happened():
-        assert time.monotonic() < end, f"it did not happen: {words()}"
-        time.sleep(0.02)
+until = partial(eventually, patience_s=PATIENCE_S)
+"""Wait until something has happened; AssertionError with what is said where it does not in time."""
 
 
 class Tracker:
