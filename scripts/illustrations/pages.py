@@ -6,20 +6,21 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from validation.counts import markdown
+from validation.frame import ROOT
+
 DOCS = ROOT / "docs"
 PICTURES = DOCS / "pictures"
 QUANTITIES = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m³"}
 
 
-def write_table(page: str, name: str, rows: Sequence[Sequence[str]], note: str = "") -> None:
+def write_table(page: str, name: str, rows: Sequence[Sequence[str]], note: str = "",
+                program: str = "scripts/pictures") -> None:  # fmt: skip
     """Put a table, its head in the first row, between the marks of that name."""
-    lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
-    lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
-    body = "\n".join(lines) + (f"\n\n{note}" if note else "")
+    body = markdown(rows[0], rows[1:]) + (f"\n\n{note}" if note else "")
     (path,) = DOCS.rglob(page)
     text = path.read_text(encoding="utf-8")
-    begin, end = f"<!-- made by scripts/pictures: {name} -->", "<!-- end -->"
+    begin, end = f"<!-- made by {program}: {name} -->", "<!-- end -->"
     head, found, rest = text.partition(begin)
     if not found or end not in rest:
         raise SystemExit(f"{page}: expected the marks {begin} and {end}")

@@ -17,10 +17,6 @@ from hygrokf.data.record import Record
 
 EXCERPTS = Path(__file__).parent / "greenhouse_data"
 WHOLE = Path(__file__).resolve().parents[2] / "../shared/data"
-COMPARTMENTS = ("Reference", "Koala", "CVA")
-ACTUATORS = ("heater_duty", "fan_duty")
-"""What is logged and used: the heating pipe's warmth above the air, and the vents' opening.  The lamps'
-signal is 100 % for 97 % of the time, so that withholding it hides nothing."""
 CLASSES = {
     "heater_duty": ("unlogged_heater",),
     "fan_duty": ("cooling_switching", "wind_driven_exchange", "exchange_step", "door_opening"),

@@ -9,9 +9,7 @@ from hygrokf.modelling.design import Design, design, extended
 
 HOUR = 3600.0
 START = 1.6e9
-HEAT = {
-    "throttled_heating": {"reads": "cabinet_temperature", "start": 288.15, "full": 285.15, "idle": True}
-}
+HEAT = {"throttled_heating": {"reads": "cabinet_temperature", "start": 288.15, "full": 285.15, "idle": True}}
 
 
 def weather(days: float = 12.0, cabinet: bool = True, step: float = 600.0) -> Record:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from battery.measured import absent, measured
 from builders import greenhouse
 from builders.documents import document
 from plants.as_record import to_record
@@ -20,6 +19,8 @@ from plants.hidden import hidden_plant
 from plants.paper import paper_case
 from plants.plant import Plant
 from threadpoolctl import threadpool_info, threadpool_limits
+from validation.frame import Absent
+from validation.records import measured
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
@@ -345,7 +346,9 @@ def test_a_greenhouse_ends_in_an_answer_that_simulates_better() -> None:
 @pytest.mark.slow
 def test_a_measured_cabinet_errs_no_more_than_its_base_model() -> None:
     """A step was accepted once, and the held-out error grew from 1.12 to 1.63 K."""
-    if reason := absent("controller"):
-        pytest.skip(reason)
-    results = discover(measured("controller")).results
+    try:
+        record = measured("controller")
+    except Absent as reason:
+        pytest.skip(str(reason))
+    results = discover(record).results
     assert all(one.rmse_after < 1.02 * one.rmse_before for one in results.gains)

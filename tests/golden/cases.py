@@ -282,7 +282,7 @@ def found(cause: str, form: int) -> Callable[[Path], str]:
 
 def attic(folder: Path) -> str:
     """What `discover` finds in a measured attic."""
-    from battery.measured import measured
+    from validation.records import measured
 
     return discovered(measured("attic R2"), folder)
 

@@ -293,7 +293,7 @@ def hook_to(server: WebhookServer, folder: Path, **more: object) -> Webhook:
 def test_no_message_is_lost_or_doubled_whatever_the_receiver_does(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from trials.notification import outages
+    from validation.notices import outages
 
     found = outages(kind, 10, 1, tmp_path)
     assert (found.lost, found.doubled, found.outages) == (0, 0, 10)
@@ -303,7 +303,7 @@ def test_no_message_is_lost_or_doubled_whatever_the_receiver_does(
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mail", "webhook"])
 def test_a_hundred_outages(kind: str, tmp_path: Path) -> None:
-    from trials.notification import outages
+    from validation.notices import outages
 
     found = outages(kind, 100, 2, tmp_path)
     assert (found.lost, found.doubled, found.outages) == (0, 0, 100)

@@ -23,7 +23,7 @@ PROGRAMS = [
 
 def test_programs_are_found() -> None:
     names = {path.name for path in PROGRAMS}
-    assert {"climate_trials", "live_trials", "first_fit.py", "command.py"} <= names
+    assert {"validate", "golden", "first_fit.py", "command.py"} <= names
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -47,9 +47,7 @@ def test_what_a_program_imports_of_the_package_is_there(path: Path) -> None:
     assert not missing
 
 
-@pytest.mark.parametrize(
-    "name", ["benchmark", "golden", "live_faults", "measured_cabinet", "transfer_trials"]
-)
+@pytest.mark.parametrize("name", ["benchmark", "golden", "validate", "pictures"])
 def test_a_program_goes_on_in_the_repository_s_environment(name: str) -> None:
     """An interpreter that lacks the requirements gives the program to .venv, or says what to run."""
     bare = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}

@@ -3,10 +3,7 @@ docs in full."""
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
-import json
 import re
 import shutil
 from pathlib import Path
@@ -15,15 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from builders.documents import document
-from paper import cabinets, command, experiments, models, sites, tables
 from plants import plant
 from plants.as_record import to_record
+from validation import frame, paper
+from validation.counts import markdown
+from validation.paper import cabinets, experiments, figures, models, sites, tables
 
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import design
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"
 DAYS = 24.0
 NOTE = "Cabinet and local air are simulated"
 
@@ -188,37 +185,29 @@ def test_records_differ_in_the_ambient_alone(drivers: Path) -> None:
 
 # -- a small run ---------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
-def small(drivers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("out") / "paper"
-    assert command.main([str(drivers), "--out", str(out), "--quick", "--days", f"{DAYS:g}", "--seed", "3",
-        "--others", "0:0"]) == 0  # fmt: skip
-    return out
+def small(drivers: Path) -> dict:
+    """The line of a seed on a short record."""
+    settings = {"data": str(drivers), "days": DAYS, "starts": 1}
+    line = frame.line_of(paper.CLAIM, ("cabinets", 3), settings)
+    assert line["failure"] is None, line["trace"]
+    return line
 
 
-def test_everything_is_written_and_says_what_is_simulated(small: Path) -> None:
-    found = json.loads((small / "paper.json").read_text(encoding="utf-8"))
-    assert found["simulated"].startswith(NOTE)
-    names = {one.name for one in small.iterdir()}
-    files = {f"{name}.csv" for name in tables.all_tables(found)}
-    figures = {one.removesuffix(".svg") for one in names if one.endswith(".svg")}
-    assert len(files) == 6 and files <= names and len(figures) == 9
-    assert names == files | {f"{one}.{kind}" for one in figures for kind in ("png", "svg")} | {"paper.json",
-        "report.html"}  # fmt: skip
-    for one in files:
-        rows = list(csv.reader(io.StringIO((small / one).read_text(encoding="utf-8"))))
-        assert len(rows) > 2 and {len(row) for row in rows} == {len(rows[0])}
-        assert all(NOTE in row[-1] for row in rows[1:])
-    for one in figures:
-        assert "simulated" in (small / f"{one}.svg").read_text(encoding="utf-8")
-    page = (small / "report.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 9 and "SIMULATED CABINET" in page and page.count(NOTE) == 7
-    assert not re.search(r"https?://(?!www\.w3\.org)", page)
+def test_the_tables_and_the_pictures_say_what_is_simulated(small: dict) -> None:
+    text = tables.table([small])
+    assert text.count("## ") == 5 and text.count(NOTE) == 2
+    for part in text.split("## ")[1:]:
+        rows = [row.count(" | ") for row in part.splitlines() if row.startswith("| ")]
+        assert len(rows) > 3 and len(set(rows)) == 1
+    assert "| paper, local air | 1.80 | 2.36 | 1.87 | 0.42 | 0.50 | 0.43 |" in text
+    for draw in (figures.figure_errors, figures.figure_constants):
+        assert any("simulated" in one.get_text() for one in draw([small]).texts)
 
 
-def test_scores_are_those_of_the_series(small: Path, drivers: Path) -> None:
+def test_scores_are_those_of_the_series(small: dict) -> None:
     """Totals are put together from operation and standstill, and from both periods; readings are counted
     once."""
-    found = json.loads((small / "paper.json").read_text(encoding="utf-8"))["shown"]["rmse"]
+    found = small["rmse"]
     assert found and all(found.values()) and all(all(one.values()) for one in found.values())
     for by_criterion in found.values():
         for by_period in by_criterion.values():
@@ -245,28 +234,19 @@ def test_sensor_errors_stay_with_their_logger() -> None:
     assert left == values | {"cabinet_relative_humidity_bias": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [(["--days", "5"], "20 to 500"), (["--others", "3"], "FIRST:LAST"), (["--seed", "-1"], "whole number")],
-)
-def test_wrong_options_end_with_status_2(arguments: list[str], words: str, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        command.main(arguments)
-    assert ended.value.code == 2 and words in capsys.readouterr().err
-
-
-def test_absent_drivers_end_with_status_2_and_write_nothing(tmp_path: Path, capsys) -> None:
-    assert command.main([str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert "expected the measured drivers" in said and "Traceback" not in said
-    assert not (tmp_path / "out").exists()
+def test_what_cannot_be_run_is_told(drivers: Path, tmp_path: Path) -> None:
+    settings = {"data": str(drivers), "days": 5.0, "starts": 1}
+    assert "20 to 500 days" in frame.line_of(paper.CLAIM, ("cabinets", 3), settings)["failure"]
+    settings |= {"data": str(tmp_path), "days": DAYS}
+    line = frame.line_of(paper.CLAIM, ("cabinets", 3), settings)
+    assert "expected the measured drivers" in line["absent"]
 
 
 # -- the page in docs ----------------------------------------------------------------------------------------
 def tables_of(text: str) -> dict[str, str]:
     """Name -> what stands between the marks of a table."""
     return dict(
-        re.findall(r"<!-- made by scripts/reproduce_paper: (\w+) -->(.*?)<!-- end -->", text, re.DOTALL)
+        re.findall(r"<!-- made by scripts/validate paper: (\w+) -->(.*?)<!-- end -->", text, re.DOTALL)
     )
 
 
@@ -282,17 +262,19 @@ def test_the_page_in_docs_has_every_table_filled() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is not there")
+@pytest.mark.skipif(not frame.DATA.is_dir(), reason="../shared/data is not there")
 def test_the_page_in_docs_says_what_a_full_run_gives() -> None:
-    """Tables of the page to 2 % or 0.01, and what the page says in words."""
-    found, _ = command.reproduce(experiments.Plan(), DATA)
-    page = document("reproduce_paper.md").read_text(encoding="utf-8")
-    fresh = tables_of(command.filled(page, found))
-    for name, body in tables_of(page).items():
-        assert re.sub(r"[\d.,−]+", "#", body) == re.sub(r"[\d.,−]+", "#", fresh[name]), name
-        np.testing.assert_allclose(numbers(body), numbers(fresh[name]), rtol=0.02, atol=0.0101, err_msg=name)
-    check_said_time_constants(found["seeds"])
-    check_said_scores(found)
+    """The table of the page to 2 % or 0.01, and what the page says in words."""
+    claim = paper.CLAIM
+    seeds = [frame.line_of(claim, case, claim.settings) for case in claim.chosen(claim.seeds)]
+    assert not [line for line in seeds if line["failure"] or "absent" in line]
+    body = tables_of(document("reproduce_paper.md").read_text(encoding="utf-8"))["seeds"].strip()
+    head, *rows = tables.spread_rows(seeds)
+    fresh = f"{markdown(head, rows)}\n\n*{tables.spread_note(seeds)}*"
+    assert re.sub(r"[\d.,−]+", "#", body) == re.sub(r"[\d.,−]+", "#", fresh)
+    np.testing.assert_allclose(numbers(body), numbers(fresh), rtol=0.02, atol=0.0101)
+    check_said_time_constants(seeds)
+    check_said_scores(seeds)
 
 
 def within(values: np.ndarray, low: float, high: float, reach: float = 0.02) -> None:
@@ -305,12 +287,7 @@ def check_said_time_constants(seeds: list[dict]) -> None:
     both = ("likelihood", "free run")
     assert len(seeds) == 11 and all(all(one["converged"].values()) for one in seeds)
     held = {
-        (air, part, criterion): sum(
-            one["time_constants"][air][part][criterion]["lower_h"]
-            <= one["truth"][f"{part}_h"]
-            <= (one["time_constants"][air][part][criterion]["upper_h"] or np.inf)
-            for one in seeds
-        )
+        (air, part, criterion): tables.holding(seeds, air, part, criterion)
         for air in ("local", "era5")
         for part in ("thermal", "hygric")
         for criterion in both
@@ -325,13 +302,13 @@ def check_said_time_constants(seeds: list[dict]) -> None:
     within(np.array(high), 1.06, 1.26)
 
 
-def check_said_scores(found: dict) -> None:
+def check_said_scores(seeds: list[dict]) -> None:
     """What docs/validation/reproduce_paper.md says of the scores beside its tables."""
     kelvin, grams = "temperature_K", "absolute_humidity_g_m3"
-    both, seeds = ("likelihood", "free run"), found["seeds"]
+    both = ("likelihood", "free run")
 
     def total(run: str, quantity: str, criterion: str, period: str = "whole") -> np.ndarray:
-        return np.array(tables.totals(found, run, period, quantity, criterion))
+        return np.array(tables.totals(seeds, run, period, quantity, criterion))
 
     # what ERA5's air adds
     for quantity, criterion, low, top in (
@@ -361,7 +338,7 @@ def check_said_scores(found: dict) -> None:
     within(own, 0.01, 0.61)
     assert (total("sister_outdoor", kelvin, "likelihood") - total("sister", kelvin,
         "likelihood")).max() == pytest.approx(1.1, abs=0.05)  # fmt: skip
-    assert found["deviation"]["nacelle"]["mean_K"] == pytest.approx(1.6, abs=0.05)
+    assert seeds[0]["deviation"]["nacelle"]["mean_K"] == pytest.approx(1.6, abs=0.05)
     within(total("sister", grams, "likelihood"), 0.67, 0.81)
     assert (total("sister", grams, "free run") - total("sister_own", grams, "free run")).max() < 0.015
     # what the simulation has no reason for

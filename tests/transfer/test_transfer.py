@@ -1,6 +1,6 @@
 """Transfers between simulated cabinets: the right verdict, the adapted model, and the objections in words.
 
-The plants share no code with the package.  `scripts/transfer_trials` does the same on many more pairs
+The plants share no code with the package.  `scripts/validate transfer` does the same on many more pairs
 (docs/validation/coverage.md).
 """
 

@@ -1,1 +1,0 @@
-"""What `scripts/discovery_trials` runs and prints."""

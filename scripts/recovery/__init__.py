@@ -1,1 +1,0 @@
-"""What `scripts/coverage` runs and prints."""

@@ -1,1 +1,0 @@
-"""What `scripts/head_to_head` runs and prints."""

@@ -1,1 +1,0 @@
-"""What `scripts/live_trials` runs and prints."""

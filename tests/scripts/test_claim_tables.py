@@ -1,0 +1,161 @@
+"""Tables of claims on lines made by hand: what is counted, and in which denominator."""
+
+from __future__ import annotations
+
+import numpy as np
+from validation import changes, climate, clocks, contradictions, head_to_head, notices, sisters, transfer
+from validation.head_to_head.tables import tables
+
+
+def cells(text: str, start: str) -> list[str]:
+    """Cells of the row that begins so."""
+    (row,) = (line for line in text.splitlines() if line.startswith(f"| {start} |"))
+    return [cell.strip() for cell in row.strip("|").split("|")]
+
+
+def test_pairs_are_counted_by_what_differs() -> None:
+    def line(differ: list[str], told: list[str], right: bool) -> dict:
+        p = {"thermal": 0.001, "heat": 0.3}
+        return {
+            "variant": "power 1.2",
+            "differ": differ,
+            "re_estimate": told,
+            "right": right,
+            "verdict": "wrong",
+            "p": p,
+        }
+
+    text = transfer.table(
+        [line(["thermal"], ["thermal"], True), line(["thermal"], [], False), line([], ["thermal"], False)]
+    )
+    assert cells(text, "thermal") == ["thermal", "2", "1", "1", "1: wrong"]
+    assert cells(text, "nothing") == ["nothing", "1", "0", "–", "1: wrong"]
+    assert cells(text, "**all**")[:3] == ["**all**", "3", "1"]
+    assert text.endswith("Groups that were the same: 4, of these p < 0.05 by themselves: 1.")
+
+
+def test_types_are_held_against_their_next_turbine() -> None:
+    def line(held: bool, alone: float) -> dict:
+        row = {"held": held, "alone": alone, "helped": 0.05, "bounds_held": True}
+        return {"variant": "types", "parameters": {"hygric_k": row}}
+
+    text = transfer.table([line(True, 0.3), line(False, 0.4)])
+    assert cells(text, "`hygric_k`") == ["`hygric_k`", "2", "1", "2", "35 %", "5 %"]
+
+
+def test_climates_are_counted_by_statistic_and_variant() -> None:
+    def row(truth: float, low: float, high: float) -> dict:
+        found = climate._row(type("B", (), {"lower": low, "value": 1.0, "upper": high})(), truth)
+        return {"wetness_h": found}
+
+    lines = [
+        {"variant": "ou", "statistics": row(1.5, 0.5, 1.4)},
+        {"variant": "ou", "statistics": row(0.0, 0.0, 0.0)},
+        {"variant": "shot", "statistics": row(1.0, 0.0, 2.0)},
+    ]
+    first, _, second = climate.table(lines).partition("shot: 1")
+    assert cells(first, "wetness h") == ["wetness h", "1", "2", "0.45", "+0.25"]
+    assert "Of these 1 had bounds without width" in first and cells(second, "all")[1:3] == ["1", "1"]
+
+
+def test_changes_are_found_in_time_late_or_never() -> None:
+    def line(tau: list, calm: list) -> dict:
+        found = {"tau": tau, "exchange": [], "release": [], "none": calm}
+        return {
+            "found": found,
+            "change_day": 60.0,
+            "days": 120.0,
+            "plant_days": 180.0,
+            "plant": [],
+            "other": calm,
+        }
+
+    text = changes.table(
+        [
+            line([["thermal_time_constant", 61.0, 64.0, 0.4]], []),
+            line(
+                [["thermal_time_constant", 61.0, 90.0, 0.4], ["hygric_k", 70.0, 71.0, 0.1]],
+                [["hygric_k", 1, 3, 1]],
+            ),
+        ]
+    )
+    tau = cells(text, changes.WORDS["tau"])
+    assert tau[1] == "2" and tau[2].startswith("1/2 = 50 %") and tau[3:] == ["17.0", "30.0", "1"]
+    assert cells(text, changes.WORDS["release"])[2:5] == ["0/2 = 0 % (0 … 84)", "–", "2 never"]
+    assert cells(text, "plants") == ["plants", "2", "1.0", "0", "0.00", "–"]
+    assert cells(text, "synthetic turbines")[3:] == ["1", "1.52", "hygric_k 1"]
+
+
+def test_clocks_count_what_is_named_in_wrong_and_in_right_records() -> None:
+    right = {f"{kind}, right": ["named: x"] for kind in clocks.KINDS}
+    right |= {f"{kind}, CPU [s]": 0.2 for kind in clocks.KINDS}
+    wrong = {f"{kind}, {source}, {name}": [source == "cabinet.csv", []]
+             for kind in clocks.KINDS for source in clocks.SOURCES for name in clocks.SHIFTS_H}  # fmt: skip
+    wrong |= {f"{kind}, {name}": [True, []] for kind in clocks.KINDS for name in clocks.VALUES}
+    text = clocks.table([{"variant": "right", **right}, {"variant": "wrong", **right, **wrong}])
+    assert "instants: named in right records: 2 ['named: x', 'named: x']; CPU 0.20 s" in text
+    assert (
+        text.count("| cabinet.csv |" + " 1 of 1 |" * 6) == text.count("| scada.csv |" + " 0 of 1 |" * 6) == 2
+    )
+    assert text.count("- °F inside: 1 of 1") == 2
+    assert "cabinet.csv" not in clocks.table([{"variant": "right", **right}])
+
+
+def test_contradictions_are_shares_of_readings() -> None:
+    def line(readings: int, noticed: int) -> dict:
+        found = {"readings": readings, "beyond": 1, "largest": 4.2, "noticed": [0, 0, noticed, readings]}
+        return {"days": 10.0, "cabinet_temperature": found, "cabinet_relative_humidity": found}
+
+    text = contradictions.table([line(100, 50), line(300, 250)])
+    assert text.startswith("2 plants, 20 days")
+    said = "1 K: 0.0 %, 2 K: 0.0 %, 3 K: 75.0 %, 5 K: 100.0 %"
+    assert cells(text, "temperature") == ["temperature", "400", "2", "4.2", said]
+
+
+def test_names_of_rivals_are_worth_what_is_right() -> None:
+    right = ("solar_gain",)
+    outcome = head_to_head.outcome
+    assert outcome([], [], right) == "none" and outcome(["rain_ingress"], [], None) == "not known"
+    assert [outcome(names, alike, right) for names, alike in (
+        (["solar_gain"], []), (["rain_ingress"], ["solar_gain"]), (["rain_ingress", "solar_gain"], []),
+        (["rain_ingress"], []))] == ["right", "in class", "later", "wrong"]  # fmt: skip
+
+    def line(right: tuple, names: list[str], after: float | None, **more: object) -> dict:
+        worth = outcome(names, [], right)
+        errors = {"temperature_K": after}
+        return {"name": "x", "kind": "plant", "method": "pysindy", "right": right, "names": names,
+                "cpu_s": 2.0,
+                "outcome": worth, "before": {"temperature_K": 2.0}, "after": errors, **more}  # fmt: skip
+
+    lines = [line(right, ["solar_gain", "rain_ingress"], 1.0), line(right, [], 2.2), line((), ["wind"], None)]
+    text = tables([*lines, line(None, [], 1.5, kind="box", name="box", method="network")])
+    assert cells(text, "pysindy") == [
+        "pysindy", "1 of 2", "1", "1 of 1", "2", "20 % (worse in 1 of 2)", "–", "2.0 s",
+    ]  # fmt: skip
+    assert cells(text, "box") == ["box", "2.00", "–", "–", "–", "1.50; 2 s"]
+
+
+def test_notices_that_were_lost_do_not_hold() -> None:
+    line = dict.fromkeys(("outages", "restarts", "notices", "lost", "doubled", "repeated"), 3)
+    assert cells(notices.table([{"kind": "mail", "seed": 2, **line}]), "mail") == ["mail", "2", *"333333"]
+
+
+def test_sisters_state_the_source_and_the_verdict() -> None:
+    line = {
+        "source": "turbine 1", "other": "turbine 2", "verdict": "does not transfer", "sentence": "differs",
+        "constant": {"value_h": 0.345, "lower_h": 0.2, "upper_h": 0.58, "verdict": "reject"},
+        "validation_K": 4.2,
+        "groups": [["heat release", "differs", 1e-5, "3.9 K", "it does"]],
+        "parameters": {"hygric_k": ["1", "2", "+1"]}, "rmse": {"temperature_K": {"as_is": 4.5}},
+    }  # fmt: skip
+    text = sisters.table([line])
+    assert text.startswith(
+        "turbine 1: 0.34 h (0.20 … 0.58), reject; free run 4.20 K in validation. On turbine 2: "
+    )
+    assert cells(text, "hygric_k")[1] == "1 → 2" and cells(text, "temperature_K")[1] == "as_is 4.5"
+
+
+def test_saturation_follows_wmo() -> None:
+    """Published values of the saturation pressure over water: 611 Pa at 0 °C, 2339 Pa at 20 °C (WMO No.
+    8)."""
+    np.testing.assert_allclose(climate.saturated(np.array([273.15, 293.15])), [611.2, 2339.0], rtol=3e-3)
