@@ -302,7 +302,7 @@ def shift_levels(step: ShiftStep, finding: Finding | None) -> list[Level]:
     """
     lasting = {shift.name: shift for shift in step.lasting}
     known = finding if lasting else None
-    deviations = {name: TrackedState(*one) for name, one in step.deviations.items()}
+    deviations = step.deviations
     moist = deviations.get(MOIST)
     alike = () if known is None else (known.cause, *known.alike)
     levels = []

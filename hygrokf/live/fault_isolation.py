@@ -91,7 +91,7 @@ class ShiftStep:
     time: float
     lasting: tuple[ParameterShift, ...]
     due: bool
-    deviations: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    deviations: Mapping[str, TrackedState] = field(default_factory=dict)
 
 
 def shift_step(

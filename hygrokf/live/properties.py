@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -63,6 +63,13 @@ class TrackedState(NamedTuple):
 
     x: float
     sd: float
+
+    def to_json(self) -> list[float]:
+        return list(self)
+
+    @classmethod
+    def from_json(cls, data: Sequence[float]) -> TrackedState:
+        return cls(*map(float, data))
 
 
 @dataclass(frozen=True)

@@ -78,18 +78,18 @@ def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, 
 def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterator[Batch]:
     """What the tracker makes of a turbine's readings, day after day."""
     fleet, one = Fleet({name: turbines[name]}), turbines[name]
-    fleet.trackers[name] = Tracker(one.plan, lost=store.losses(name))
+    fleet.tracked[name].tracker = Tracker(one.plan, lost=store.losses(name))
     points = {other: store.point(other) for other in turbines if other != name}
     yield fleet.take_events(store.events(name))
     readings = sorted(store.readings(name, -math.inf), key=lambda reading: reading.time)
     for _, part in groupby(readings, key=lambda reading: reading.time // DAY_S):
-        fleet.trackers[name].take(reading for reading in part if not math.isnan(reading.value))
+        fleet.tracked[name].tracker.take(reading for reading in part if not math.isnan(reading.value))
         fleet.waiting[name] = None
         yield fleet.filter_waiting(Batch())
         while (due := fleet.isolation_due()) is not None:
             final = [n for n, point in points.items() if point and point.time >= due[1].time]
             sisters = {other: turbines[other].plan for other in final}
-            steps = isolation_steps(name, one, due[1], store, fleet.reference_points.get(name), sisters)
+            steps = isolation_steps(name, one, due[1], store, fleet.tracked[name].reference, sisters)
             yield fleet.keep_finding(name, next(found for found in steps if found is not None))
 
 

@@ -251,7 +251,7 @@ class Service:
     def _forecast(self, name: str) -> Batch:
         """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
         fleet = self._open_fleet
-        made = make_forecast(name, self.turbines[name], fleet.trackers[name], self._open_store)
+        made = make_forecast(name, self.turbines[name], fleet.tracked[name].tracker, self._open_store)
         if made is None:
             return Batch()
         made_s, batch = made
@@ -383,7 +383,7 @@ class Service:
             if due is None:
                 return
             name, step = due
-            reference = self._open_fleet.reference_points.get(name)
+            reference = self._open_fleet.tracked[name].reference
             sisters = self._open_fleet.sisters(name, step.time)
             steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference, sisters)
             self._isolation = (name, steps)

@@ -10,11 +10,12 @@ import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from itertools import count
 
 import numpy as np
 
-from hygrokf.data.structured import structured
+from hygrokf.data.structured import JsonObject, plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S
 from hygrokf.live.alarms import (
     CLOCK,
@@ -87,27 +88,95 @@ class KeptState:
     state: str
 
 
+@dataclass(kw_only=True)
+class Kept:
+    """What the store keeps of a turbine, or of what belongs to none, by the names of its memories.
+
+    `excess`: vapour [g/m³] by which the newest humidity reading exceeds the final estimate; `references` and
+    `reference_point`: what shifts are judged against after a stated change, the states of properties and the
+    whole state; `shift_steps`: at which lasting shifts have still to be judged, the first one as soon as its
+    cause is isolated; `judged`: the time [s] up to which its alarms are; `frozen`: the beginning, value and
+    detection of each signal's `Frozen`.
+    """
+
+    changes: list[Change] = field(default_factory=list)
+    parameter_shifts: dict[str, ParameterShift] = field(default_factory=dict)
+    deviations: dict[str, TrackedState] = field(default_factory=dict)
+    references: Mapping[str, TrackedState] = field(default_factory=dict)
+    reference_point: KeptState | None = None
+    finding: Finding | None = None
+    shift_steps: list[ShiftStep] = field(default_factory=list)
+    alarms: dict[str, Standing] = field(default_factory=dict)
+    excess: float = math.nan
+    judged: float = -math.inf
+    frozen: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, memories: JsonObject) -> Kept:
+        """What the memories of a store say."""
+        names = {one.name for one in fields(Kept)}
+        return structured(Kept, {k: v for k, v in memories.items() if k in names and v is not None})
+
+
+@dataclass(kw_only=True)
+class TurbineState(Kept):
+    """What a turbine carries from round to round.
+
+    `fault`: why its readings cannot be filtered; `slot`: of its newest properties; `turn`: number of the last
+    fault isolation; `counted`: the tracker's counts that the store has.
+    """
+
+    turbine: Turbine
+    tracker: Tracker
+    forecast_made_s: float = -math.inf
+    fault: str = ""
+    slot: float = -math.inf
+    turn: int = 0
+    counted: Counter[str] = field(default_factory=Counter)
+
+    @classmethod
+    def from_store(cls, name: str, turbine: Turbine, store: Store) -> TurbineState:
+        """The state that the store holds."""
+        point, memories = store.point(name), store.memories(name)
+        since = -math.inf if point is None else point.time - turbine.plan.context_s
+        kept = Kept.of(memories)
+        kept.alarms = _without_pending(kept.alarms)
+        tracker = Tracker(
+            turbine.plan,
+            point,
+            store.readings(name, since),
+            [change.time for change in kept.changes],
+            store.revised(name, since),
+            kept.judged,
+            {signal: Frozen(signal, *run) for signal, run in kept.frozen.items()},
+            store.losses(name),
+        )
+        made = cls(turbine=turbine, tracker=tracker, **vars(kept))
+        if "forecast" in memories:
+            made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
+        (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
+        made.slot = -math.inf if point is None or last is None else last // PROPERTY_S
+        return made
+
+    @property
+    def reference(self) -> Point | None:
+        """The whole state that shifts are judged against; None for the fit's values."""
+        kept = self.reference_point
+        return None if kept is None else Point(kept.time, state_of(kept.state))
+
+
 class Fleet:
-    """The trackers by turbine, and the data that each turbine carries from round to round.
+    """The state of each turbine, and what belongs to several.
 
     Readings that are ahead of the clock are held back in the `store`.
     """
 
     def __init__(self, turbines: Mapping[str, Turbine], store: Store | None = None) -> None:
-        self.turbines = dict(turbines)
-        self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
-        self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
-        self.deviations: dict[str, dict[str, TrackedState]] = defaultdict(dict)
-        self.standings: dict[str, dict[str, Standing]] = defaultdict(dict)
-        self.faults: dict[str, str] = {}
-        self.forecast_made_s: dict[str, float] = {}
-        self.findings: dict[str, Finding] = {}
-        # vapour [g/m³] by which the newest humidity reading exceeds the final estimate
-        self.excesses: dict[str, float] = {}
-        self.changes: dict[str, list[Change]] = defaultdict(list)
-        # what shifts are judged against after a stated change: states of properties, and the whole state
-        self.references: dict[str, dict[str, TrackedState]] = {}
-        self.reference_points: dict[str, Point] = {}
+        self.tracked = {
+            name: TurbineState(turbine=one, tracker=Tracker(one.plan)) for name, one in turbines.items()
+        }
+        self._common = Kept()
+        self._turns = count(1)
         self.states = States(turbines)
         self._store = store
         self.held = HeldReadings(store)
@@ -115,14 +184,9 @@ class Fleet:
         self.clocks = Clocks(() if store is None else store.held_ahead())
         # turbines with readings that are not yet filtered, longest waiting first
         self.waiting: dict[str, None] = {}
-        # at which lasting shifts have still to be judged, the first one as soon as its cause is isolated
-        self.steps: dict[str, list[ShiftStep]] = defaultdict(list)
-        self._slots: dict[str, float] = {}
-        self._frozen: dict[str, dict[str, Frozen]] = defaultdict(dict)
         self._orders: dict[str, Order] = defaultdict(dict)
         self._now = -math.inf
         self._began = math.inf
-        self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
     @classmethod
     def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
@@ -130,39 +194,9 @@ class Fleet:
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines, store)
         fleet.states = States.from_store(turbines, store)
-        for name, one in turbines.items():
-            point = store.point(name)
-            since = -math.inf if point is None else point.time - one.plan.context_s
-            known = store.memories(name)
-            fleet.changes[name] = structured(list[Change], known.get("changes", []))
-            times = [change.time for change in fleet.changes[name]]
-            readings, versions = store.readings(name, since), store.revised(name, since)
-            judged_s = -math.inf if known.get("judged") is None else structured(float, known["judged"])
-            found = structured(dict[str, tuple[float, float, float]], known.get("frozen", {}))
-            frozen = {signal: Frozen(signal, *parts) for signal, parts in found.items()}
-            lost = store.losses(name)
-            fleet.trackers[name] = Tracker(one.plan, point, readings, times, versions, judged_s, frozen, lost)
-            fleet._frozen[name] = frozen
-            fleet.waiting[name] = None  # committed readings may not have been filtered yet
-            pairs = structured(dict[str, tuple[float, float]], known.get("references", {}))
-            fleet.references[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
-            if known.get("reference_point"):
-                kept = structured(KeptState, known["reference_point"])
-                fleet.reference_points[name] = Point(kept.time, state_of(kept.state))
-            pairs = structured(dict[str, tuple[float, float]], known.get("deviations", {}))
-            fleet.deviations[name] = {key: TrackedState(*pair) for key, pair in pairs.items()}
-            fleet.shifts[name] = structured(dict[str, ParameterShift], known.get("parameter_shifts", {}))
-            fleet.standings[name] = _without_pending(structured(dict[str, Standing], known.get("alarms", {})))
-            if known.get("finding"):
-                fleet.findings[name] = structured(Finding, known["finding"])
-            if known.get("excess") is not None:
-                fleet.excesses[name] = structured(float, known["excess"])
-            if "forecast" in known:
-                fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
-            fleet.steps[name] = structured(list[ShiftStep], known.get("shift_steps") or [])
-            (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
-            fleet._slots[name] = -math.inf if point is None or last is None else last // PROPERTY_S
-        fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
+        fleet.tracked = {name: TurbineState.from_store(name, one, store) for name, one in turbines.items()}
+        fleet.waiting = dict.fromkeys(turbines)  # committed readings may not have been filtered yet
+        fleet._common = Kept.of(store.memories(SOURCE))
         return fleet
 
     def round(
@@ -223,7 +257,8 @@ class Fleet:
         """Let a turbine's tracker take readings, and count those that it does not use."""
         if not observations:
             return
-        tracker = self.trackers[name]
+        state = self.tracked[name]
+        tracker = state.tracker
         readings = [one.reading for one in observations]
         final = {(one.signal, one.time) for one in readings if tracker.is_late(one)}
         outcomes = tracker.take(readings, self._store.versions(name, final) if self._store else None)
@@ -233,13 +268,14 @@ class Fleet:
         ]
         self._note_doubt(name, batch)
         self.waiting.setdefault(name)
-        counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
-        self._counted[name] = Counter(tracker.counts)
+        counts.update({(name, kind): n for kind, n in (tracker.counts - state.counted).items()})
+        state.counted = Counter(tracker.counts)
 
     def _note_doubt(self, name: str, batch: Batch) -> None:
         """Keep that alarms will be judged anew from the point on."""
-        if self.trackers[name].point is not None and self.trackers[name].judged_s == -math.inf:
-            batch.memories[name, "judged"] = None
+        tracker = self.tracked[name].tracker
+        if tracker.point is not None and tracker.judged_s == -math.inf:
+            self._keep(name, batch, judged=-math.inf)
 
     def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
@@ -256,8 +292,9 @@ class Fleet:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
-        known = {name: Evidence(self.excesses.get(name, math.nan), self.changes[name]) for name in courses}
-        found = conditions({name: (self.turbines[name], course) for name, course in courses.items()}, known)
+        states = {name: self.tracked[name] for name in courses}
+        evidence = {name: Evidence(state.excess, state.changes) for name, state in states.items()}
+        found = conditions({name: (states[name].turbine, one) for name, one in courses.items()}, evidence)
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
         for name in done:
@@ -265,17 +302,17 @@ class Fleet:
         return batch
 
     def _advance(self, name: str) -> Course | None:
+        state, course = self.tracked[name], None
         try:
-            course = self.trackers[name].advance()
+            course, state.fault = state.tracker.advance(), ""
         except ValueError as fault:  # no reading is lost: all are in the tracker and in the batch
-            self.faults[name] = str(fault)
-            return None
-        self.faults.pop(name, None)
+            state.fault = str(fault)
         return course
 
     def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
-        tracker, point = self.trackers[name], self.trackers[name].point
+        state = self.tracked[name]
+        tracker, point = state.tracker, state.tracker.point
         final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
         # also where none is kept: the provisional ones of this stretch are not any more
         batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
@@ -284,19 +321,16 @@ class Fleet:
             if found.excess_g_m3 is not None:
                 tracker.excess = float(found.excess_g_m3[-1])
                 if final:
-                    excess = self.excesses[name] = float(found.excess_g_m3[final - 1])
-                    batch.memories[name, "excess"] = excess if math.isfinite(excess) else None
+                    self._keep(name, batch, excess=float(found.excess_g_m3[final - 1]))
         if point is None:
             return
         batch.points[name] = point
         if tracker.ahead is not None:
-            batch.memories[name, "judged"] = tracker.judged_s
-        if tracker.frozen != self._frozen[name]:
-            self._frozen[name] = tracker.frozen
-            batch.memories[name, "frozen"] = {
-                signal: [one.since, one.value, one.known_s] for signal, one in tracker.frozen.items()
-            }
-        self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
+            self._keep(name, batch, judged=tracker.judged_s)
+        frozen = {signal: (one.since, one.value, one.known_s) for signal, one in tracker.frozen.items()}
+        if frozen != state.frozen:
+            self._keep(name, batch, frozen=frozen)
+        self._watch_properties(name, course, point.time, batch)
         for one in innovations(course, point.time):
             # between the two thresholds a level says nothing: that of the other signals
             others = [s for s in course.run.timeline.outputs if s != one.signal]
@@ -304,65 +338,59 @@ class Fleet:
             self._judge(name, one.time_s, [*silent, contradiction_level(one)], (CONTRADICTS,), batch)
         due = (found.time_s > course.judged_s + SAME_S) & (found.time_s <= course.final_s + SAME_S)
         for i in np.flatnonzero(due):
-            levels = estimate_levels(Estimated(found, int(i), course.frozen), self.turbines[name].verdicts)
+            levels = estimate_levels(Estimated(found, int(i), course.frozen), state.turbine.verdicts)
             self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
 
-    def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
+    def _watch_properties(self, name: str, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
         once."""
+        state = self.tracked[name]
+        plan, errors = state.turbine.plan, state.turbine.errors
         slots = np.floor(course.seconds / PROPERTY_S)
-        before = self._slots.get(name, -math.inf)
-        begins = (slots > np.append(before, slots[:-1])) & (course.seconds <= final_s + SAME_S)
+        begins = (slots > np.append(state.slot, slots[:-1])) & (course.seconds <= final_s + SAME_S)
         heard = {signal: course.heard(signal) for signal in course.run.timeline.outputs}
         for i in np.flatnonzero(begins):
-            at, errors = float(course.seconds[i]), self.turbines[name].errors
+            at = float(course.seconds[i])
             mean, covariance = course.trace.mean[i], course.trace.covariance[i]
             newest = {signal: float(times[i]) for signal, times in heard.items()}
             states = states_of(plan.model, mean, covariance, at, newest)
             if not states:
                 return
-            self._slots[name] = slots[i]
+            state.slot = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
             references = self._references(name, at, states, Point(at, course.state(int(i))), batch)
             present = deviations(states, errors, references)
-            self.deviations[name] |= present  # what cannot be observed now stays as it was
-            self.shifts[name] = parameter_shifts(self.shifts[name], at, present)
-            batch.memories[name, "deviations"] = {k: list(d) for k, d in self.deviations[name].items()}
-            batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
-            known = self.deviations[name]
-            self.steps[name].append(shift_step(at, self.shifts[name], known, self._isolated_s(name)))
+            known = state.deviations | present  # what cannot be observed now stays as it was
+            shifts = parameter_shifts(state.parameter_shifts, at, present)
+            self._keep(name, batch, deviations=known, parameter_shifts=shifts)
+            isolated_s = -math.inf if state.finding is None else state.finding.time_s
+            isolated_s = next((one.time for one in reversed(state.shift_steps) if one.due), isolated_s)
+            state.shift_steps.append(shift_step(at, shifts, known, isolated_s))
             self._judge_shifts(name, batch)
-
-    def _isolated_s(self, name: str) -> float:
-        """Time [s] at which the cause of a turbine's shifts was last due; −∞ if it never was."""
-        due = [step.time for step in self.steps[name] if step.due]
-        known = self.findings.get(name)
-        return due[-1] if due else -math.inf if known is None else known.time_s
 
     def _judge_shifts(self, name: str, batch: Batch) -> None:
         """Judge alarms about shifts, step after step up to the next one whose cause is not isolated yet."""
-        steps, finding = self.steps[name], self.findings.get(name)
+        state = self.tracked[name]
+        steps, finding = state.shift_steps, state.finding
         while steps and (not steps[0].due or (finding is not None and finding.time_s == steps[0].time)):
             step = steps.pop(0)
-            levels = with_doubts(shift_levels(step, finding), self.turbines[name].verdicts)
+            levels = with_doubts(shift_levels(step, finding), state.turbine.verdicts)
             self._judge(name, step.time, levels, SHIFT_RULES, batch)
-        batch.memories[name, "shift_steps"] = [asdict(step) for step in steps]
+        self._keep(name, batch, shift_steps=steps)
 
     def _references(
         self, name: str, at: float, states: Mapping[str, TrackedState], point: Point, batch: Batch
     ) -> Mapping[str, TrackedState] | None:
         """The states against which shifts are judged at a time [s]; None for the fit's values."""
-        if not self.changes[name] or at < self.changes[name][-1].time:
+        state = self.tracked[name]
+        if not state.changes or at < state.changes[-1].time:
             return None
-        before = self.references.get(name, {})
-        found = settled(before, self.changes[name][-1].time, at, states)
+        before = state.references
+        found = settled(before, state.changes[-1].time, at, states)
         if found != before:
-            self.references[name] = found
-            batch.memories[name, "references"] = {key: list(one) for key, one in found.items()}
+            self._keep(name, batch, references=found)
         if found and not before:
-            self.reference_points[name] = point
-            kept = KeptState(at, state_text(point.state))
-            batch.memories[name, "reference_point"] = asdict(kept)
+            self._keep(name, batch, reference_point=KeptState(at, state_text(point.state)))
         return found
 
     def take_events(self, events: Iterable[Event]) -> Batch:
@@ -371,20 +399,16 @@ class Fleet:
         batch = Batch()
         for event in events:
             name = event.turbine
-            if name not in self.trackers or event.id in [one.event for one in self.changes[name]]:
+            state = self.tracked.get(name)
+            if state is None or event.id in [one.event for one in state.changes]:
                 continue
-            tracker = self.trackers[name]
-            self.changes[name].append(Change(event.id, tracker.note_change(event.time), event.kind))
-            self.changes[name].sort(key=lambda one: one.time)
-            self.shifts[name], self.references[name], self.deviations[name] = {}, {}, {}
-            self.findings.pop(name, None)
-            self.reference_points.pop(name, None)
-            self.steps[name].clear()
-            batch.memories[name, "changes"] = [asdict(one) for one in self.changes[name]]
-            for key in ("parameter_shifts", "references", "deviations"):
-                batch.memories[name, key] = {}
-            for key in ("finding", "reference_point", "shift_steps"):
-                batch.memories[name, key] = None
+            tracker = state.tracker
+            change = Change(event.id, tracker.note_change(event.time), event.kind)
+            changes = sorted([*state.changes, change], key=lambda one: one.time)
+            self._keep(
+                name, batch, changes=changes, parameter_shifts={}, references={}, deviations={}, finding=None,
+                reference_point=None, shift_steps=[],
+            )  # fmt: skip
             self._note_doubt(name, batch)
             if tracker.point is not None:
                 self._judge(name, tracker.point.time, [], SHIFT_RULES, batch)
@@ -408,14 +432,14 @@ class Fleet:
         self._began, self._now = min(self._began, now), now
         for name in self.held.turbines:
             self._take(name, self.held.release(name, now, batch), batch, counts)
-        for name in self.turbines:
+        for name in self.tracked:
             if name in left or name not in quiet:
                 self._judge_missing(name, now, left.get(name, ""), batch)
         clocks = clock_levels(self.clocks.ahead())
-        for name in (*self.turbines, SOURCE):
+        for name in (*self.tracked, SOURCE):
             self._judge(name, now, clocks.get(name, []), (CLOCK,), batch)
         self._judge(SOURCE, now, source_levels(sources, now), (LOST,), batch)
-        for name in self.turbines:
+        for name in self.tracked:
             self._assess(name, batch)
         batch.counters = {key: count for key, count in counts.items() if count}
         return batch
@@ -438,7 +462,7 @@ class Fleet:
         for name, signals in unreached.items():
             for signal, lost_s in signals.items():
                 for since in (*down_s, now if lost_s is None and name in left else lost_s):
-                    span = self.trackers[name].note_connection(signal, since, now)
+                    span = self.tracked[name].tracker.note_connection(signal, since, now)
                     if span is not None:
                         regained = span[1] if math.isfinite(span[1]) else None
                         batch.losses.append(Loss(name, signal, span[0], regained))
@@ -451,7 +475,7 @@ class Fleet:
     def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:
         """Judge alarms about signals that came and come no more, and signals that never came; not while a
         backlog may still bring them, unless their sender has `left`."""
-        one, heard = self.turbines[name], self.trackers[name].heard()
+        one, heard = self.tracked[name].turbine, self.tracked[name].tracker.heard()
         since = self.states.known_since(name, now, batch)
         if self.backlogs.awaited(name, now) and not left:
             return
@@ -464,46 +488,43 @@ class Fleet:
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
         """A turbine, the one that waits longest first, with the step at which the cause of its shifts is to
         be isolated next; None if no cause is due, and while sisters are waited for."""
-        due = ((name, steps[0]) for name, steps in self.steps.items() if steps)
+        turns = sorted(self.tracked.items(), key=lambda item: item[1].turn)
+        due = ((name, one.shift_steps[0]) for name, one in turns if one.shift_steps)
         return next(((name, step) for name, step in due if not self._awaits_sisters(name, step.time)), None)
 
     def sisters(self, name: str, time: float) -> dict[str, Plan]:
         """The plans of the other turbines whose readings up to a time [s] are final."""
-        return {
-            other: self.turbines[other].plan
-            for other, tracker in self.trackers.items()
-            if other != name and tracker.judged_s >= time
-        }
+        others = {other: state for other, state in self.tracked.items() if other != name}
+        return {other: one.turbine.plan for other, one in others.items() if one.tracker.judged_s >= time}
 
     def _awaits_sisters(self, name: str, time: float) -> bool:
         """Whether the readings of sisters up to a time [s] will be final: for `SISTERS_S`, by the newest
         stamps, so that the order in which turbines are delivered does not matter."""
-        now = self.trackers[name].newest
-        behind = [one for one, tracker in self.trackers.items() if one != name and tracker.judged_s < time]
-        recent = [one for one in behind if self.trackers[one].newest > now - SISTERS_S]
-        return any(one in self.waiting for one in behind) or (now < time + SISTERS_S and bool(recent))
+        now = self.tracked[name].tracker.newest
+        trackers = {other: state.tracker for other, state in self.tracked.items() if other != name}
+        behind = {other: tracker.newest for other, tracker in trackers.items() if tracker.judged_s < time}
+        recent = any(newest > now - SISTERS_S for newest in behind.values())
+        return any(other in self.waiting for other in behind) or (now < time + SISTERS_S and recent)
 
     def open_alarms(self) -> list[Alarm]:
         """The open alarms."""
-        return [
-            one.alarm for known in self.standings.values() for one in known.values() if one.alarm is not None
-        ]
+        owners = (*self.tracked.values(), self._common)
+        return [one.alarm for owner in owners for one in owner.alarms.values() if one.alarm is not None]
 
     def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
         """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
         turbine."""
-        self.forecast_made_s[name], made = made_s, batch.forecasts[name]
+        self.tracked[name].forecast_made_s, made = made_s, batch.forecasts[name]
         self.states.note_forecast(name, None if made is None else made.condition)
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: Finding) -> Batch:
         """Keep the finding of fault isolation, unless a change was stated meanwhile, and judge the alarms
         that it explains."""
-        steps, batch = self.steps.pop(name, []), Batch()
-        self.steps[name] = steps  # the others come first now
-        if steps and steps[0].time == finding.time_s:
-            self.findings[name] = finding
-            batch.memories[name, "finding"] = asdict(finding)
+        state, batch = self.tracked[name], Batch()
+        state.turn = next(self._turns)  # the others come first now
+        if state.shift_steps and state.shift_steps[0].time == finding.time_s:
+            self._keep(name, batch, finding=finding)
             self._judge_shifts(name, batch)
             self._assess(name, batch)
         return batch
@@ -512,9 +533,10 @@ class Fleet:
         """The turbine whose forecast is oldest, if it is at least `every_s` [s] old in the turbine's own
         time."""
         best, oldest = None, every_s
-        for name, tracker in self.trackers.items():
-            if tracker.newest_state is not None:
-                age = tracker.newest_state.time - self.forecast_made_s.get(name, -math.inf)
+        for name, state in self.tracked.items():
+            newest = state.tracker.newest_state
+            if newest is not None:
+                age = newest.time - state.forecast_made_s
                 if age >= oldest:
                     best, oldest = name, age
         return best
@@ -523,11 +545,10 @@ class Fleet:
         self, name: str, now: float, levels: list[Level], rules: tuple[Rule, ...], batch: Batch
     ) -> None:
         """Judge the alarms of some rules by their levels."""
-        before = self.standings[name]
+        before = self.tracked.get(name, self._common).alarms
         after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])
         if after != before:
-            self.standings[name] = after
-            batch.memories[name, "alarms"] = {key: asdict(one) for key, one in after.items()}
+            self._keep(name, batch, alarms=after)
         batch.alarms += changed
 
     def _assess(self, name: str, batch: Batch) -> None:
@@ -535,10 +556,17 @@ class Fleet:
         yet, and the state that the store holds stands."""
         if not math.isfinite(self._now):
             return
-        open_alarms = [one.alarm for one in self.standings[name].values() if one.alarm is not None]
+        state = self.tracked[name]
+        open_alarms = [one.alarm for one in state.alarms.values() if one.alarm is not None]
         catching_up = self.backlogs.awaited(name, self._now)
-        fault = self.faults.get(name, "")
-        self.states.assess(name, self.trackers[name], self._now, open_alarms, fault, catching_up, batch)
+        self.states.assess(name, state.tracker, self._now, open_alarms, state.fault, catching_up, batch)
+
+    def _keep(self, name: str, batch: Batch, **kept: object) -> None:
+        """Let a turbine, or what belongs to none, carry something from now on, and the store keep it."""
+        owner = self.tracked.get(name, self._common)
+        for key, value in kept.items():
+            setattr(owner, key, value)
+            batch.memories[name, key] = plain(value)
 
 
 def _without_pending(standings: Mapping[str, Standing]) -> dict[str, Standing]:

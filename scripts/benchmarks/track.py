@@ -61,9 +61,9 @@ def update(quick: bool) -> Iterator[Figure]:
             store = open_store(f"sqlite:{folder}/live.db")
             fleet = Fleet.from_store(cases.turbines(count), store)
             cases.fill(store, fleet, stamps[:-more])
-            how, taken, committed = cases.mapping(list(fleet.turbines)), [], []
+            how, taken, committed = cases.mapping(list(fleet.tracked)), [], []
             for stamp in stamps[-more:]:
-                texts = [text for name in fleet.turbines for text in cases.messages(name, [stamp])]
+                texts = [text for name in fleet.tracked for text in cases.messages(name, [stamp])]
                 deliveries = [Delivery(text.encode(), stamp[0]) for text in texts]
                 begin = time.process_time()
                 batch = fleet.round(deliveries, how, "mqtt://filled")
@@ -80,8 +80,8 @@ def update(quick: bool) -> Iterator[Figure]:
 
 
 def _parts(fleet: Fleet, repetitions: int) -> Iterator[Figure]:
-    (name, one), *_ = fleet.turbines.items()
-    tracker = fleet.trackers[name]
+    (name, state), *_ = fleet.tracked.items()
+    one, tracker = state.turbine, state.tracker
     record = tracker.record()
     made = model_inputs(one.plan.design, record)
     course = tracker._course(made)

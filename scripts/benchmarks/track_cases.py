@@ -117,7 +117,7 @@ def messages(name: str, stamps: Sequence[tuple[float, Mapping[str, float]]]) -> 
 
 def fill(store: Store, fleet: Fleet, stamps: Sequence[tuple[float, Mapping[str, float]]]) -> None:
     """Every turbine of a fleet gets the same stamps, and the store all that follows from them."""
-    how = mapping(list(fleet.turbines))
-    for name in fleet.turbines:
+    how = mapping(list(fleet.tracked))
+    for name in fleet.tracked:
         deliveries = [Delivery(text, stamps[-1][0]) for text in messages(name, stamps)]
         store.commit(fleet.round(deliveries, how, "mqtt://filled"))

@@ -19,6 +19,7 @@ from hygrokf.live.notification import sender as sending
 from hygrokf.live.notification.notices import Channel, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook
+from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.storage.outbox import waiting
 from hygrokf.live.storage.store import open_store
 from validation.counts import markdown
@@ -123,7 +124,8 @@ def _transport(kind: str, port: int, folder: Path) -> Mail | Webhook:
     if kind == "mail":
         to = ("ops@farm.example", "night@farm.example")
         return Mail("127.0.0.1", port, "tracker@farm.example", to, unencrypted=True, timeout_s=0.5)
-    return Webhook("127.0.0.1", port, "/hook", False, secret_file=folder / "hook.secret", timeout_s=0.5)
+    secret = Secret(folder / "hook.secret", key="secret")
+    return Webhook("127.0.0.1", port, "/hook", False, secret, timeout_s=0.5)
 
 
 def one(kind: str, seed: int, *, count: int = 100) -> dict:

@@ -258,7 +258,7 @@ def playback(folder: Path) -> str:
         while (due := fleet.isolation_due()) is not None:
             finding = next(filter(None, isolation_steps("T1", turbine, due[1], store)))
             store.commit(fleet.keep_finding("T1", finding))
-        made = make_forecast("T1", turbine, fleet.trackers["T1"], store)
+        made = make_forecast("T1", turbine, fleet.tracked["T1"].tracker, store)
         if made is not None:
             fleet.keep_forecast("T1", *made)
             store.commit(made[1])

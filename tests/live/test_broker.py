@@ -56,7 +56,7 @@ def test_a_short_table(tmp_path: Path) -> None:
     assert faults == []
     assert (found.host, found.port, found.tls, found.expiry_s) == ("broker.example", 1883, False, EXPIRY_S)
     assert (found.topics, found.alarms, found.user) == (("scada/+/cabinet",), "", "")
-    assert found.password() is None and found.context() is None and not list(found.cautions())
+    assert found.password.read() is None and found.context() is None and not list(found.cautions())
     assert found.url == f"mqtt://broker.example:1883?client_id={found.client_id}"
 
 
@@ -70,7 +70,7 @@ def test_a_whole_table(folder: Path) -> None:
     assert faults == []
     assert (found.host, found.port, found.tls, found.user) == ("::1", 8884, True, "the reader")
     assert (found.topics, found.expiry_s) == (("$share/hygrokf/scada/#", "a/b"), 172_800.0)
-    assert found.url == "mqtts://[::1]:8884?client_id=tracker%201" and found.password() == SECRET
+    assert found.url == "mqtts://[::1]:8884?client_id=tracker%201" and found.password.read() == SECRET
     context = found.context()
     assert context.check_hostname and context.verify_mode.name == "CERT_REQUIRED"
     assert SECRET not in repr(found)
@@ -102,13 +102,13 @@ TLS = 'url = "mqtts://h"\ntopics = ["a"]\n'
         ('url = "mqtt://h"\ntopics = []', "topics must be a list of topic filters"),
         ('url = "mqtt://h"\ntopics = "a"', "topics must be a list of topic filters"),
         ('url = "mqtt://h"\ntopics = ["a/#/b"]', '"#" must be alone, as the last level, found \'a/#/b\''),
-        ('url = "mqtt://:1883"\ntopics = ["a"]', "url must be mqtt://HOST"),
-        ('url = "mqtt:h"\ntopics = ["a"]', "url must be mqtt://HOST"),
-        ('url = "mqtts://h/topic"\ntopics = ["a"]', "url must be mqtts://HOST"),
+        ('url = "mqtt://:1883"\ntopics = ["a"]', "url must be mqtt://[USER@]HOST"),
+        ('url = "mqtt:h"\ntopics = ["a"]', "url must be mqtt://[USER@]HOST"),
+        ('url = "mqtts://h/topic"\ntopics = ["a"]', "url must be mqtts://[USER@]HOST"),
         ('url = "mqtt://h:65536"\ntopics = ["a"]', "a port of 1 to 65535"),
         ('url = "mqtt://h:0"\ntopics = ["a"]', "a port of 1 to 65535"),
         ('url = "mqtt://h:x"\ntopics = ["a"]', "a port of 1 to 65535"),
-        ('url = "mqtt://[::1"\ntopics = ["a"]', "url must be mqtt://HOST"),
+        ('url = "mqtt://[::1"\ntopics = ["a"]', "url must be mqtt://[USER@]HOST"),
         (f'url = "mqtt://u:{SECRET}@h"\ntopics = ["a"]', "put it into a separate file"),
         (f'url = "mqtt://u:{SECRET}/x@h"\ntopics = ["a"]', "put it into a separate file"),
         (f'url = "mqtt://u@h/{SECRET}"\ntopics = ["a"]', "and no more"),

@@ -109,29 +109,27 @@ def test_an_event_ends_what_it_explains_and_survives_a_restart(tmp_path: Path) -
     fleet = Fleet.from_store({"T1": turbine}, store)
     day = record.start_s + 6.0 * DAY_S
     played(fleet, record, url, 0.0, day)
-    assert fleet.shifts["T1"]
+    assert fleet.tracked["T1"].parameter_shifts
     event = Event("e1", "T1", day - HOUR_S, "settings changed", "", day, "me")
     store.note_event(event)
     batch = fleet.take_events(store.all_events())
     store.commit(batch)
-    assert fleet.shifts["T1"] == {} and fleet.take_events(store.all_events()).empty
+    assert fleet.tracked["T1"].parameter_shifts == {} and fleet.take_events(store.all_events()).empty
     fleet = Fleet.from_store({"T1": turbine}, store)
     assert fleet.take_events(store.all_events()).empty
     played(fleet, record, url, day, day + 4.0 * DAY_S)
-    assert fleet.shifts["T1"] == {} and fleet.references["T1"] == {}
+    assert fleet.tracked["T1"].parameter_shifts == {} and fleet.tracked["T1"].references == {}
     fleet = Fleet.from_store({"T1": turbine}, store)
     played(fleet, record, url, day + 4.0 * DAY_S, record.end_s)
-    assert fleet.references["T1"] and fleet.shifts["T1"] == {}
+    assert fleet.tracked["T1"].references and fleet.tracked["T1"].parameter_shifts == {}
     again = Fleet.from_store({"T1": turbine}, store)
-    assert again.references["T1"] == fleet.references["T1"]
-    kept = again.reference_points["T1"]
-    assert kept.time == fleet.reference_points["T1"].time >= day - HOUR_S + SETTLED_S
-    (change,) = again.changes["T1"]
+    assert again.tracked["T1"].references == fleet.tracked["T1"].references
+    kept = again.tracked["T1"].reference
+    assert kept.time == fleet.tracked["T1"].reference.time >= day - HOUR_S + SETTLED_S
+    (change,) = again.tracked["T1"].changes
     assert change.event == "e1"
-    expect_same(fleet.trackers["T1"], record, [change.time])
+    expect_same(fleet.tracked["T1"].tracker, record, [change.time])
     store.close()
-
-
 
 
 def test_a_running_tracker_takes_what_people_state(

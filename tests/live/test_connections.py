@@ -123,7 +123,7 @@ def test_a_door_is_unknown_while_its_source_is_lost_live_and_offline(
     read = exported(store, tmp_path / "out", record)
     assert read[DOOR].lost == ((lost, regained),)
     offline = offline_course(door_plan, read)
-    tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).trackers["T1"]
+    tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).tracked["T1"].tracker
     expect_equal(tracker, offline)
     t = offline.run.timeline
     hours, door = (offline.seconds - record.start_s) / HOUR_S, t.input(DOOR)
@@ -149,7 +149,7 @@ def test_what_is_not_tracked_is_not_connected(tmp_path: Path, record: Record, do
     assert (lost - record.start_s) / HOUR_S == pytest.approx(55.16, abs=0.01)
     assert (regained - record.start_s) / HOUR_S == pytest.approx(58.0, abs=0.02)
     assert store.memory(SOURCE, CONNECTED) > record.end_s - 600.0
-    tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).trackers["T1"]
+    tracker = Fleet.from_store({"T1": Turbine(door_plan)}, store).tracked["T1"].tracker
     expect_equal(tracker, offline_course(door_plan, exported(store, tmp_path / "out", record)))
     store.close()
 

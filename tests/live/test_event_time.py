@@ -64,7 +64,9 @@ def isolated(fleet: Fleet, store: Store) -> list[float]:
     while (due := fleet.isolation_due()) is not None:
         name, step = due
         beside = fleet.sisters(name, step.time)
-        found = next(filter(None, isolation_steps(name, fleet.turbines[name], step, store, None, beside)))
+        found = next(
+            filter(None, isolation_steps(name, fleet.tracked[name].turbine, step, store, None, beside))
+        )
         store.commit(fleet.keep_finding(name, found))
         times.append(step.time)
     return times
@@ -178,7 +180,7 @@ def test_sisters_are_evidence_in_whatever_order_turbines_are_delivered(
                 delivered = [Delivery(content, at) for at, content in messages]
                 store.commit(fleet.round(delivered, record_mapping(one, turbine), f"replay:{turbine}"))
                 isolated(fleet, store)
-        found[name] = told(store), fleet.findings["T1"]
+        found[name] = told(store), fleet.tracked["T1"].finding
         store.close()
     assert found["the other first"] == found["alternating"]
     assert found["a sister that ends"][1].time_s > record.start_s + 7.0 * DAY_S

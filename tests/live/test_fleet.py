@@ -200,7 +200,9 @@ def test_what_is_refused_is_counted_and_changes_nothing(
             ("T1", "impossible value"): 1,
         }  # fmt: skip
         assert found.observations == expected.observations
-    assert np.array_equal(dirty.trackers["T1"].point.state.mean, clean.trackers["T1"].point.state.mean)
+    assert np.array_equal(
+        dirty.tracked["T1"].tracker.point.state.mean, clean.tracked["T1"].tracker.point.state.mean
+    )
     store.close()
 
 
@@ -213,7 +215,7 @@ def test_another_model_is_filtered_anew_from_what_is_stored(
         store.commit(fleet.round(messages[first : first + 100], mapping))
     other = replace(turbine, plan=replace(turbine.plan, values={**turbine.plan.values, "hygric_k": 0.7}))
     again = Fleet.from_store({"T1": other}, store)
-    assert again.trackers["T1"].point is None
+    assert again.tracked["T1"].tracker.point is None
     for first in range(2000, len(messages), 100):
         store.commit(again.round(messages[first : first + 100], mapping))
     offline = offline_course(other.plan, record)
@@ -293,7 +295,7 @@ def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
     assert store.weather("T1", now) == [("ambient_temperature", now + 86400.0, 285.0)]
     told(time=now + 30 * 86400.0, ambient_temperature=283.15)
     assert store.counters() == {("", "impossible time"): 1}
-    assert store.size()["observation"] == 0 and fleet.trackers["T1"].newest == -float("inf")
+    assert store.size()["observation"] == 0 and fleet.tracked["T1"].tracker.newest == -float("inf")
     store.close()
 
 
@@ -302,5 +304,5 @@ def test_shifts_are_resumed(tmp_path: Path, turbine: Turbine) -> None:
     store = opened(tmp_path)
     Fleet.from_store({"T1": turbine}, store)
     store.commit(Batch(memories={("T1", "parameter_shifts"): {"hygric_k": asdict(shift)}}))
-    assert Fleet.from_store({"T1": turbine}, store).shifts["T1"] == {"hygric_k": shift}
+    assert Fleet.from_store({"T1": turbine}, store).tracked["T1"].parameter_shifts == {"hygric_k": shift}
     store.close()

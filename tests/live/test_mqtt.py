@@ -42,6 +42,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import Field, PayloadMapping
@@ -203,6 +204,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store
+from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.sources.local import record_mapping
 from builders.live_case import live_record, live_turbine, without_preheating
 
@@ -476,7 +478,7 @@ def test_user_and_password(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     secret.write_text("not it 4711\n")
     users = password_file(tmp_path, "reader", "right 0815")
     with mosquitto(tmp_path, "allow_anonymous false", f"password_file {users}") as found:
-        stream = stream_of(found, user="reader", password_file=secret)
+        stream = stream_of(found, user="reader", password=Secret(secret))
         with running(stream, until="lost"):
             assert "not authorised" in stream.state[1] or "password is wrong" in stream.state[1]
             # the file is read anew for every attempt
@@ -494,7 +496,7 @@ def test_a_password_from_the_environment(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("BROKER_PASSWORD", "right 0815")
     users = password_file(tmp_path, "reader", "right 0815")
     with mosquitto(tmp_path, "allow_anonymous false", f"password_file {users}") as found:
-        with running(stream_of(found, user="reader", password_env="BROKER_PASSWORD")):
+        with running(stream_of(found, user="reader", password=Secret(variable="BROKER_PASSWORD"))):
             pass
 
 
@@ -515,7 +517,7 @@ def test_a_denied_subscription_is_lost_and_asked_for_again(
     settings = dynamic_security(tmp_path, "reader", "right", denied="secret/#")
     with mosquitto(tmp_path, *settings) as found:
         stream = stream_of(
-            found, user="reader", password_env="BROKER_PASSWORD", topics=("secret/#", "scada/#")
+            found, user="reader", password=Secret(variable="BROKER_PASSWORD"), topics=("secret/#", "scada/#")
         )
         with running(stream, until="lost") as taken, peer(found, "reader", "right") as other:
             assert "denies a subscription (secret/#: not authorised" in stream.state[1]

@@ -44,6 +44,7 @@ from hygrokf.live.notification.notices import (
 )
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
+from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, open_store
@@ -285,7 +286,8 @@ def mail_to(server: MailServer, **more: object) -> Mail:
 
 def hook_to(server: WebhookServer, folder: Path, **more: object) -> Webhook:
     (folder / "secret").write_text(f"{SECRET_TEXT}\n")
-    settings = {"tls": False, "secret_file": folder / "secret", "timeout_s": 0.6, **more}
+    secret = Secret(folder / "secret", key="secret")
+    settings = {"tls": False, "secret": secret, "timeout_s": 0.6, **more}
     return Webhook("127.0.0.1", server.port, "/hook?key=geheim", **settings)
 
 
@@ -320,7 +322,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "password").write_text(f"{PASSWORD}\n")
     secured = {"unencrypted": False, "tls": tls, "user": USER, "timeout_s": 10.0}
-    right = {**secured, "password_file": tmp_path / "password", "ca": pair[0]}
+    right = {**secured, "password": Secret(tmp_path / "password"), "ca": pair[0]}
     with MailServer(*pair, tls=tls, login=True) as server:
         mail = mail_to(server, **right)
         assert "TLSv1.3" in mail.probe() and USER in mail.probe() and not server.accepted.messages
@@ -330,7 +332,7 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
         assert sent["Subject"] == "[hygrokf] T1: condensation (warning, began)"
         assert "water condenses" in sent.get_payload(decode=True).decode()
         (tmp_path / "wrong").write_text("falsch")
-        for settings in ({**right, "password_file": tmp_path / "wrong"}, {**right, "ca": None}):
+        for settings in ({**right, "password": Secret(tmp_path / "wrong")}, {**right, "ca": None}):
             for attempt in (mail_to(server, **settings).probe, lambda s=settings: mail_to(
                 server, **s).send(Message("test"))):  # fmt: skip
                 with pytest.raises(ChannelFault) as fault:
@@ -452,7 +454,7 @@ def test_channels_of_a_tracker_s_file(folder: Path) -> None:
     assert (first.hold_off_s, first.digest_s, first.kinds) == (600.0, 3600.0, ("condensation",))
     assert first.transport == Mail("127.0.0.1", 25, "Tracker <tracker@farm.example>", ("ops@farm.example",),
                                    unencrypted=True)  # fmt: skip
-    assert isinstance(second.transport, Webhook) and second.transport.secret() == SECRET
+    assert isinstance(second.transport, Webhook) and second.transport.signing_key() == SECRET
     assert second.transport.path == "/alarms?key=geheim" and second.transport.timeout_s == 2.0
 
 

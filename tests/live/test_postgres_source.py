@@ -61,7 +61,6 @@ def test_watermarks_order_the_versions_of_a_value(rising: Sequence) -> None:
     assert numbers == sorted(set(numbers)) and max(numbers) < math.inf
 
 
-
 class Rows:
     """What a stream has put: ids of rows, and the place of the last one."""
 
@@ -403,7 +402,7 @@ def test_faults_of_the_table_are_told_together(tmp_path: Path) -> None:
     }  # fmt: skip
     assert stream_of(table, place, tmp_path, MAPPING) is None
     said = "\n".join(map(str, place.faults))
-    for words in ("does not belong in the URL", "query must ask for new rows", "0.1s", "not both"):
+    for words in ("does not belong in the URL", "query must ask for new rows", "0.1s", "keep one"):
         assert words in said
     assert "geheim" not in said
 

@@ -78,7 +78,7 @@ def test_an_opcua_server_that_is_killed_and_comes_back(tmp_path: Path) -> None:
             eventually(lambda: stream.reach().since is None, lambda: stream.state)
             peer.kill()
             eventually(lambda: stream.reach().since is not None, lambda: stream.state)
-            assert stream.state.word == "waiting"  # and yet it is an alarm after its limit
+            assert stream.state.word == "lost"
             peer.prepare()
             peer.listen()
             eventually(lambda: stream.reach().since is None, lambda: stream.state)

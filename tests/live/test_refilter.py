@@ -33,9 +33,7 @@ def cold(record: Record) -> Turbine:
     return replace(live_turbine(record), surface=Surface(0.0, -2.0))
 
 
-def filled(
-    folder: Path, turbine: Turbine, record: Record, messages: list[tuple[float, Content]]
-) -> Store:
+def filled(folder: Path, turbine: Turbine, record: Record, messages: list[tuple[float, Content]]) -> Store:
     """A store after the messages, in rounds of 40."""
     store = open_store(f"sqlite:{folder / 'live.db'}")
     fleet, mapping = Fleet.from_store({"T1": turbine}, store), record_mapping(record, "T1")
@@ -96,10 +94,10 @@ def test_a_greater_mark_counts_whatever_comes_last(record: Record, cold: Turbine
     at = record.start_s
     for mark, value in ((2.0, 292.0), (3.0, 293.0), (1.0, 291.0)):
         fleet.round([Delivery({"turbine": "T1", "time": at, T: value}, at, mark=mark)], mapping)
-    assert [one.value for one in fleet.trackers["T1"].readings()] == [293.0]
+    assert [one.value for one in fleet.tracked["T1"].tracker.readings()] == [293.0]
     neither = replace(mapping, revision="neither")
     fleet.round([Delivery({"turbine": "T1", "time": at, T: 294.0}, at)], neither)
-    assert [math.isnan(one.value) for one in fleet.trackers["T1"].readings()] == [True]
+    assert [math.isnan(one.value) for one in fleet.tracked["T1"].tracker.readings()] == [True]
 
 
 def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
@@ -129,7 +127,7 @@ def test_a_revision_after_that_changes_nothing_until_the_store_is_filtered_anew(
     assert refilter(store, {"T1": cold})[0].late == 0
     # the tracker goes on from there
     again = Fleet.from_store({"T1": cold}, store)
-    assert again.trackers["T1"].point.time == store.point("T1").time
+    assert again.tracked["T1"].tracker.point.time == store.point("T1").time
     for one in (store, alone, uncorrected):
         one.close()
 

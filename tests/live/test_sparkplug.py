@@ -215,5 +215,5 @@ def test_a_historical_value_is_stored_at_its_time_and_is_not_the_latest(
         node.send("T1", {SIGNAL: 280.0}, now - 600.0, is_historical=True)
         node.send("T1", {SIGNAL: 270.0}, now - 86_400.0, is_historical=True)
         eventually(lambda: stored(store) == 3)
-        assert service.fleet.trackers["T1"].heard()[SIGNAL] == now - 30.0
+        assert service.fleet.tracked["T1"].tracker.heard()[SIGNAL] == now - 30.0
     assert in_store(store, "SELECT value FROM observation ORDER BY time LIMIT 1") == 270.0

@@ -138,5 +138,5 @@ def test_a_fleet_tells_it_until_a_person_says_otherwise(
     margin = own_margin(wet, time)
     condenses = (margin < -0.01) & (time > wet.start_s + 48.0 * HOUR_S)
     assert (condenses & (time < stated)).any() and (chance[condenses & (time < stated)] >= 0.5).all()
-    assert store.memory("T1", "excess") is None and not np.isfinite(fleet.trackers["T1"].excess)
+    assert store.memory("T1", "excess") is None and not np.isfinite(fleet.tracked["T1"].tracker.excess)
     store.close()

@@ -8,7 +8,6 @@ from email.utils import parseaddr
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
-from urllib.parse import unquote, urlsplit
 
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import Place, across, read_form, setting
@@ -16,7 +15,7 @@ from hygrokf.errors import suggestion
 from hygrokf.live.alarms import RULES
 from hygrokf.live.notification.notices import SEVERITIES, Channel, ChannelFault
 from hygrokf.live.notification.transports import Mail, Webhook
-from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, Address, password_of
+from hygrokf.live.sources.endpoint import Address, PasswordKeys, Secret, address_of
 from hygrokf.live.sources.stream import SourceFault
 
 LONGEST_NAME = 40
@@ -66,53 +65,55 @@ class ChannelForm:
     severities: tuple[str, ...] = setting((), "severities of alarms", read=partial(_of, choices=SEVERITIES))
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")
+    url: str
+
+    @property
+    def address(self) -> Address:
+        """The parts of the url."""
+        return address_of(self.url, PORTS, has_path=self.url.startswith("http"))
+
+    @across("url")
+    def url_form(self) -> str | None:
+        if not self.url.isascii():
+            return "url must be ASCII"
+        return self.address.fault
 
 
 @dataclass(frozen=True, kw_only=True)
-class MailForm(ChannelForm):
+class MailForm(PasswordKeys, ChannelForm):
     """A [[notify]] by mail."""
 
-    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
     url: str = setting(help="smtp://[USER@]HOST[:PORT] for STARTTLS, or smtps:// for TLS from the start")
     sender: str = setting(help="the sender's address", fits=_is_address, expected=_ADDRESS)
     to: tuple[str, ...] = setting(
         help="receivers", expected='a list of addresses such as ["ops@farm.example"]',
         fits=lambda to: bool(to) and all(map(_is_address, to)),
     )  # fmt: skip
-    password_file: str = setting("", "file with the password as its only line")
-    password_env: str = setting("", "environment variable with the password")
     unencrypted: bool = setting(False, "whether the server is reached without TLS")
     timeout_s: float = setting(60.0, "of one message", read=duration, least=1.0, most=600.0,
                                expected="1 s to 10 min")  # fmt: skip
 
-    @across("url")
-    def url_form(self) -> str | None:
-        return _address(self.url).fault
-
     @across("password_file", "password_env", "url")
-    def login(self) -> Iterator[str]:
-        given = bool(self.password_file) + bool(self.password_env)
-        if given == 2:
-            yield "password_file and password_env: keep one"
-        if bool(given) != bool(_address(self.url).user):
-            yield "user and password belong together: smtp://USER@HOST and password_file or password_env"
+    def login(self) -> str | None:
+        if self.has_password == bool(self.address.user):
+            return None
+        return "user and password belong together: smtp://USER@HOST and password_file or password_env"
 
     @across("unencrypted", "url", "password_file", "password_env")
     def secured(self) -> Iterator[str]:
         if self.unencrypted and self.url.startswith("smtps:"):
             yield "unencrypted does not go with smtps://: keep one"
-        if self.unencrypted and (self.password_file or self.password_env):
+        if self.unencrypted and self.has_password:
             yield "unencrypted: a password is only sent over TLS"
 
     def transport(self, folder: Path) -> Mail:
         """The mail server.  Raises SourceFault or ChannelFault for a password that cannot be used."""
-        scheme, host, port, user, _, _ = _address(self.url)
-        password = password_of(folder / self.password_file if self.password_file else None, self.password_env)
-        if not f"{user}{password or ''}".isascii():
+        scheme, host, port, user, _, _ = self.address
+        password = self.password(folder)
+        if not f"{user}{password.read() or ''}".isascii():
             raise ChannelFault("user and password must be ASCII, as Python's SMTP client sends no other")
         return Mail(
-            host, port, self.sender, self.to, scheme == "smtps", self.unencrypted, user,
-            folder / self.password_file if self.password_file else None, self.password_env,
+            host, port, self.sender, self.to, scheme == "smtps", self.unencrypted, user, password,
             folder / self.ca if self.ca else None, self.timeout_s,
         )  # fmt: skip
 
@@ -132,11 +133,9 @@ class WebhookForm(ChannelForm):
                                expected="1 s to 2 min")  # fmt: skip
 
     @across("url")
-    def url_form(self) -> str | None:
-        found = _address(self.url)
-        return found.fault or (
-            "url: user and password do not belong here; sign by secret_file" if found.user else None
-        )
+    def no_user(self) -> str | None:
+        wrong = "url: user and password do not belong here; sign by secret_file"
+        return wrong if self.address.user else None
 
     @across("secret_file", "secret_env")
     def one_secret(self) -> str | None:
@@ -144,12 +143,12 @@ class WebhookForm(ChannelForm):
 
     def transport(self, folder: Path) -> Webhook:
         """The receiver.  Raises ChannelFault for a secret that cannot be used."""
-        scheme, host, port, _, path, _ = _address(self.url)
-        made = Webhook(
-            host, port, path, scheme == "https", folder / self.secret_file if self.secret_file else None,
-            self.secret_env, folder / self.ca if self.ca else None, self.timeout_s,
-        )  # fmt: skip
-        made.secret()
+        scheme, host, port, _, path, _ = self.address
+        file = folder / self.secret_file if self.secret_file else None
+        secret = Secret(file, self.secret_env, "secret")
+        ca = folder / self.ca if self.ca else None
+        made = Webhook(host, port, path, scheme == "https", secret, ca, self.timeout_s)
+        made.signing_key()
         return made
 
 
@@ -186,27 +185,3 @@ def channel_of(
             own.fault(str(fault))
     place.faults.extend(own.faults)
     return None if own.faults else made
-
-
-def _address(url: str) -> Address:
-    """The parts of a URL; no fault shows it, because it may contain a secret."""
-    scheme = url.partition(":")[0]
-    default, mail = PORTS.get(scheme, 0), scheme.startswith("smtp")
-    expected = f"url must be {scheme}://" + ("[USER@]HOST[:PORT] and no more" if mail else "HOST[:PORT]/PATH")
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port
-    except ValueError:
-        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
-    if parts.password is not None:
-        return Address(scheme, host, default, fault=f"url: {NO_PASSWORD_HERE}")
-    fault = None
-    if not host or not url.isascii() or not url.isprintable() or " " in url or parts.fragment:
-        fault = expected
-    elif mail and (parts.path not in ("", "/") or parts.query):
-        fault = expected
-    elif port == 0:
-        fault = f"{expected}, with a port of 1 to 65535"
-    path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    user = unquote(parts.username or "")
-    return Address(scheme, host, default if port is None else port, user, path, fault)

@@ -13,14 +13,12 @@ import hashlib
 import json
 import math
 import socket
-import ssl
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from hygrokf.data.structured import JsonObject, structured
@@ -224,15 +222,6 @@ def ended_after(seconds: float, connection: smtplib.SMTP | http.client.HTTPConne
         yield
     finally:
         timer.cancel()
-
-
-def tls_context(ca: Path | None) -> ssl.SSLContext:
-    """A context that verifies chain and host name of a server's certificate.  Raises ChannelFault."""
-    try:
-        return ssl.create_default_context(cafile=ca)
-    except (OSError, ssl.SSLError) as fault:
-        said = "expected certificates in PEM" if isinstance(fault, ssl.SSLError) else fault.strerror
-        raise ChannelFault(f"ca: {ca}: {said}") from None
 
 
 PAST_S = DAY_S

@@ -37,10 +37,9 @@ from hygrokf.live.notification.notices import (
     ended_after,
     subject,
     text,
-    tls_context,
 )
 from hygrokf.live.sources.broker import unreachable
-from hygrokf.live.sources.endpoint import bracketed, is_loopback, password_of
+from hygrokf.live.sources.endpoint import NO_SECRET, Secret, bracketed, is_loopback, tls_context
 from hygrokf.live.sources.stream import SourceFault
 
 PATIENT = 3
@@ -62,8 +61,7 @@ class Mail:
     tls: bool = False
     unencrypted: bool = False
     user: str = ""
-    password_file: Path | None = None
-    password_env: str = ""
+    password: Secret = NO_SECRET
     ca: Path | None = None
     timeout_s: float = 60.0
 
@@ -139,7 +137,7 @@ class Mail:
         if self.user:
             if not smtp.has_extn("auth"):
                 raise ChannelFault(f"{self.where}: it offers no login: check the port, or omit the user")
-            smtp.login(self.user, password_of(self.password_file, self.password_env) or "")
+            smtp.login(self.user, self.password.read() or "")
 
     def _deliver(self, smtp: smtplib.SMTP, message: Message) -> None:
         code, said = smtp.mail(parseaddr(self.sender)[1])
@@ -194,8 +192,7 @@ class Webhook:
     port: int
     path: str = field(default="/", repr=False)
     tls: bool = True
-    secret_file: Path | None = None
-    secret_env: str = ""
+    secret: Secret = NO_SECRET
     ca: Path | None = None
     timeout_s: float = 10.0
 
@@ -206,20 +203,20 @@ class Webhook:
     def cautions(self) -> Iterator[str]:
         if not self.tls and not is_loopback(self.host):
             yield f"notices go to {self.where} unencrypted: use https://"
-        if self.secret_file is None and not self.secret_env:
+        if not self.secret.is_stated:
             yield f"notices to {self.where} are not signed: name a secret_file"
 
-    def secret(self) -> bytes | None:
+    def signing_key(self) -> bytes | None:
         """The present secret, None for none.  Raises ChannelFault."""
         try:
-            found = password_of(self.secret_file, self.secret_env, "secret")
+            found = self.secret.read()
         except SourceFault as fault:
             raise ChannelFault(str(fault)) from None
-        return None if found is None else secret_bytes(found, self.secret_env or str(self.secret_file))
+        return None if found is None else secret_bytes(found, self.secret.variable or str(self.secret.file))
 
     def probe(self) -> str:
         """Connect and encrypt; nothing is posted."""
-        secret = self.secret()
+        secret = self.signing_key()
         connection = self._connection()
         try:
             connection.connect()
@@ -235,7 +232,7 @@ class Webhook:
         """Post a message; only an answer of 200 to 299 accepts it."""
         body = json.dumps(data(message), ensure_ascii=False, allow_nan=False).encode()
         headers = {"Content-Type": "application/json", "User-Agent": "hygrokf"}
-        headers |= signature(message.key, body, time.time(), self.secret())
+        headers |= signature(message.key, body, time.time(), self.signing_key())
         connection = self._connection()
         try:
             with ended_after(self.timeout_s, connection):
@@ -262,9 +259,11 @@ class Webhook:
     def _connection(self) -> http.client.HTTPConnection:
         if not self.tls:
             return http.client.HTTPConnection(self.host, self.port, timeout=self.timeout_s)
-        return http.client.HTTPSConnection(
-            self.host, self.port, timeout=self.timeout_s, context=tls_context(self.ca)
-        )
+        try:
+            context = tls_context(self.ca)
+        except SourceFault as fault:
+            raise ChannelFault(str(fault)) from None
+        return http.client.HTTPSConnection(self.host, self.port, timeout=self.timeout_s, context=context)
 
 
 def signature(key: str, body: bytes, now: float, secret: bytes | None) -> dict[str, str]:

@@ -17,12 +17,13 @@ from urllib.parse import quote
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import (
+    NO_SECRET,
     OTHERS_READ,
+    Secret,
     bracketed,
     is_loopback,
-    password_of,
+    tls_context,
 )
-from hygrokf.live.sources.stream import SourceFault
 
 EXPIRY_S = 7.0 * DAY_S
 """[s] a broker keeps the session of a disconnected tracker."""
@@ -89,8 +90,7 @@ class Broker:
     expiry_s: float = EXPIRY_S
     alarms: str = ""
     user: str = ""
-    password_file: Path | None = None
-    password_env: str = ""
+    password: Secret = NO_SECRET
     ca: Path | None = None
     certificate: Path | None = None
     key: Path | None = None
@@ -105,34 +105,18 @@ class Broker:
         """The source's URL with broker and session, but without user and password."""
         return f"{'mqtts' if self.tls else 'mqtt'}://{self.where}?client_id={quote(self.client_id)}"
 
-    def password(self) -> str | None:
-        """The present password, None if none is used.  Raises SourceFault."""
-        return password_of(self.password_file, self.password_env)
-
     def context(self) -> ssl.SSLContext | None:
         """TLS context that verifies chain and host name of the broker's certificate; None without TLS.
         Raises SourceFault."""
         if not self.tls:
             return None
-        try:
-            context = ssl.create_default_context(cafile=self.ca)
-        except (OSError, ssl.SSLError) as fault:
-            raise SourceFault(f"ca: {self.ca}: {_file_words(fault, 'certificates in PEM')}") from None
+        context = tls_context(self.ca, self.certificate, self.key)
         context.sslsocket_class = _ClosingSocket
-        if self.certificate is not None:
-            try:
-                # with an empty passphrase a protected key is refused instead of prompting at a terminal
-                context.load_cert_chain(self.certificate, self.key, password="")
-            except (OSError, ssl.SSLError) as fault:
-                said = _file_words(
-                    fault, "a certificate in PEM and the key that belongs to it, without a passphrase"
-                )
-                raise SourceFault(f"certificate {self.certificate}, key {self.key}: {said}") from None
         return context
 
     def cautions(self) -> Iterator[str]:
         """Warnings about settings that work but are unsafe."""
-        for name, path in (("password_file", self.password_file), ("key", self.key)):
+        for name, path in (("password_file", self.password.file), ("key", self.key)):
             if path is not None and os.name == "posix" and path.exists():
                 if path.stat().st_mode & OTHERS_READ:
                     yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
@@ -149,12 +133,6 @@ class _ClosingSocket(ssl.SSLSocket):
         except BaseException:
             self.close()
             raise
-
-
-def _file_words(fault: OSError, expected: str) -> str:
-    if isinstance(fault, ssl.SSLError):
-        return f"expected {expected}, found {fault.reason or 'nothing of the kind'}"
-    return fault.strerror or str(fault)
 
 
 # -- topics --------------------------------------------------------------------------------------------------

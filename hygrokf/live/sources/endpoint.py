@@ -1,12 +1,17 @@
-"""Both ends of a connection: hosts, and passwords that are kept outside of the tracker's file."""
+"""Both ends of a connection: hosts, TLS, and passwords that are kept outside of the tracker's file."""
 
 from __future__ import annotations
 
 import ipaddress
 import os
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
+from urllib.parse import unquote, urlsplit
 
+from hygrokf.data.toml_form import across, setting
 from hygrokf.live.sources.stream import SourceFault
 
 OTHERS_READ = 0o004
@@ -41,24 +46,110 @@ def bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def password_of(file: Path | None, variable: str, key: str = "password") -> str | None:
-    """The password (or other secret, by the name of its key) in a file or an environment variable.
-
-    None if neither is named.  Raises SourceFault.
-    """
-    if variable:
-        found = os.environ.get(variable, "")
-        if not found:
-            raise SourceFault(f"{key}_env: the environment variable {variable} is not set or empty")
-        return found
-    if file is None:
-        return None
+def address_of(url: str, ports: Mapping[str, int], has_path: bool = False) -> Address:
+    """The parts of a url of a scheme with a default port; a fault does not show it, because it may hold a
+    secret."""
+    scheme, rest = url.partition(":")[0], url.partition("://")[2]
+    default = ports.get(scheme, 0)
+    expected = f"url must be {scheme}://" + (
+        "HOST[:PORT]/PATH" if has_path else "[USER@]HOST[:PORT] and no more"
+    )
+    login = (rest.partition("/")[0] if has_path else rest).rpartition("@")[0]
+    if ":" in login:
+        return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
     try:
-        found = file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as fault:
-        raise SourceFault(f"{key}_file: {file}: {fault.strerror}") from None
-    except UnicodeDecodeError:
-        raise SourceFault(f"{key}_file: {file}: expected text in UTF-8") from None
-    if not found or "\n" in found:
-        raise SourceFault(f"{key}_file: {file}: expected one line, the {key}, and nothing else")
-    return found
+        parts = urlsplit(url)
+        host, port = parts.hostname or "", parts.port
+    except ValueError:
+        port = 0
+    if port == 0:
+        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
+    more = f"?{parts.query}" if parts.query else ""
+    fits = host and url.isprintable() and " " not in url and not parts.fragment
+    if not fits or (not has_path and (more or parts.path not in ("", "/"))):
+        return Address(scheme, host, default, fault=expected)
+    return Address(scheme, host, port or default, unquote(login), (parts.path or "/") + more)
+
+
+def tls_context(ca: Path | None, certificate: Path | None = None, key: Path | None = None) -> ssl.SSLContext:
+    """A context that verifies chain and host name of a server's certificate, and may show one of this client.
+    Raises SourceFault."""
+    try:
+        context = ssl.create_default_context(cafile=ca)
+    except (OSError, ssl.SSLError) as fault:
+        raise SourceFault(f"ca: {ca}: {_file_words(fault, 'certificates in PEM')}") from None
+    if certificate is not None:
+        try:
+            # with an empty passphrase a protected key is refused instead of prompting at a terminal
+            context.load_cert_chain(certificate, key, password="")
+        except (OSError, ssl.SSLError) as fault:
+            pair = "a certificate in PEM and the key that belongs to it, without a passphrase"
+            words = _file_words(fault, pair)
+            raise SourceFault(f"certificate {certificate}, key {key}: {words}") from None
+    return context
+
+
+def _file_words(fault: OSError, expected: str) -> str:
+    if isinstance(fault, ssl.SSLError):
+        return f"expected {expected}, found {fault.reason or 'nothing of the kind'}"
+    return fault.strerror or str(fault)
+
+
+@dataclass(frozen=True)
+class Secret:
+    """A password, or another secret by the name of its `key`, in a `file` or an environment `variable`."""
+
+    file: Path | None = None
+    variable: str = ""
+    key: str = "password"
+
+    @property
+    def is_stated(self) -> bool:
+        return self.file is not None or bool(self.variable)
+
+    def read(self) -> str | None:
+        """The secret as it is now; None if there is none.  Raises SourceFault."""
+        if self.variable:
+            found = os.environ.get(self.variable, "")
+            if not found:
+                raise SourceFault(
+                    f"{self.key}_env: the environment variable {self.variable} is not set or empty"
+                )
+            return found
+        if self.file is None:
+            return None
+        about = f"{self.key}_file: {self.file}"
+        try:
+            found = self.file.read_text(encoding="utf-8").rstrip("\r\n")
+        except OSError as fault:
+            raise SourceFault(f"{about}: {fault.strerror}") from None
+        except UnicodeDecodeError:
+            raise SourceFault(f"{about}: expected text in UTF-8") from None
+        if not found or "\n" in found:
+            raise SourceFault(f"{about}: expected one line, the {self.key}, and nothing else")
+        return found
+
+
+NO_SECRET = Secret()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PasswordKeys:
+    """The keys of every table that needs a password, which never stands in the tracker's file itself."""
+
+    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
+    password_file: str = setting("", "file with the password as its only line")
+    password_env: str = setting("", "environment variable with the password")
+
+    @across("password_file", "password_env")
+    def one_password(self) -> str | None:
+        both = self.password_file and self.password_env
+        return "password_file and password_env: keep one" if both else None
+
+    @property
+    def has_password(self) -> bool:
+        return bool(self.password_file or self.password_env)
+
+    def password(self, folder: Path) -> Secret:
+        """Where the password is; a path is relative to a folder."""
+        return Secret(folder / self.password_file if self.password_file else None, self.password_env)

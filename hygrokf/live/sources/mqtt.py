@@ -22,7 +22,7 @@ from hygrokf.live.sources.broker import Broker, alarm_topic, unreachable
 from hygrokf.live.sources.mqtt_link import Arrival, Link, is_confirmed
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import LARGEST, Content
-from hygrokf.live.sources.stream import BackOff, Delivery, SourceFault, SourceState, Stream
+from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Stream
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
@@ -51,6 +51,7 @@ class Mqtt(Stream):
     longer wanted.
     """
 
+    is_server = True
     largest = LARGEST
     """Largest payload [bytes]."""
 
@@ -61,7 +62,6 @@ class Mqtt(Stream):
         self._place = "\n".join(broker.topics)
         self._link: Link | None = None
         self._known = False
-        self._reason = ""
         self._uncommitted = 0
         self._alarms: dict[str, tuple[bytes, MQTTMessageInfo | None]] = {}
         self._lock = threading.Lock()
@@ -70,7 +70,6 @@ class Mqtt(Stream):
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         for caution in self.broker.cautions():
             LOG.warning(caution, extra={"source": self.url})
-        self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         self._known = bool(place)
         super().start(place, put)
 
@@ -108,36 +107,27 @@ class Mqtt(Stream):
 
     @property
     def state(self) -> SourceState:
-        link = self._link
-        if link is None or self._state.word in ("stopped", "lost"):
-            return self._state
+        link, own = self._link, self._state
+        if link is None or own.word == "stopped":
+            return own
         found = link.state
         # while reconnecting, keep reporting the loss and its reason
-        return SourceState("lost", self._reason) if found.word == "waiting" and self._reason else found
+        return own if found.word == "waiting" and own.word == "lost" else found
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        back_off = BackOff()
-        while not self._ended.is_set():
-            link = self._link = Link(self.broker, former, self._ready, self.largest)
-            try:
-                link.open()
-                self._hand_over(link, put)
-            except SourceFault as fault:
-                link.lose(str(fault))
-            except Exception as fault:  # of any kind: the next attempt may succeed
-                link.lose(unreachable(fault, self.broker.where))
-            link.close()
-            if self._ended.is_set():
-                break
-            if back_off.has_held:
-                self._reason = ""
-            if link.reason != self._reason:  # log once, not at every attempt
-                self._reason = link.reason
-                LOG.warning("source lost", extra={"source": self.url, "reason": self._reason})
-            back_off.wait(self._ended)
+        link = self._link = Link(self.broker, former, self._ready, self.largest)
+        try:
+            link.open()
+            self._hand_over(link, put)
+        except SourceFault as fault:
+            link.lose(str(fault))
+        except Exception as fault:  # of any kind: the next attempt may succeed
+            link.lose(unreachable(fault, self.broker.where))
+        link.close()
+        if not self._ended.is_set():
+            raise SourceFault(link.reason)
 
     def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
         """Hand over messages until the link is lost or the source is told to stop; `put` may block.

@@ -7,13 +7,11 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
-from urllib.parse import unquote, urlsplit
 
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.live.sources.broker import EXPIRY_S, Broker, filter_fault
-from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, Address
+from hygrokf.live.sources.endpoint import Address, PasswordKeys, address_of
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
@@ -33,10 +31,9 @@ FORMATS = (MAPPED, SPARKPLUG)
 
 
 @dataclass(frozen=True)
-class MqttForm(SourceKeys):
+class MqttForm(PasswordKeys, SourceKeys):
     """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS."""
 
-    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
     url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
     topics: tuple[str, ...] = setting((), "topic filters", expected=_TOPICS, empty=True)
     alarms: str = setting("", "topic below which alarms are published")
@@ -56,8 +53,6 @@ class MqttForm(SourceKeys):
         "tracker is away",
     )
     user: str | None = setting(None, "if it is not in the url", empty=True)
-    password_file: str = setting("", "file with the password as its only line")
-    password_env: str = setting("", "environment variable with the password")
     ca: str = setting("", "certificates of the CAs to trust, PEM")
     certificate: str = setting("", "of this client, PEM")
     key: str = setting("", "of the certificate, PEM, without a passphrase")
@@ -93,11 +88,10 @@ class MqttForm(SourceKeys):
         return "user stands in the url and as a key: keep one"
 
     @across("password_file", "password_env", "user")
-    def password_of_user(self) -> Iterator[str]:
-        if self.password_file and self.password_env:
-            yield "password_file and password_env: keep one"
-        if (self.password_file or self.password_env) and not (self.user or self.address.user):
-            yield "a password needs its user: add user, or mqtt://USER@HOST"
+    def password_of_user(self) -> str | None:
+        if not self.has_password or self.user or self.address.user:
+            return None
+        return "a password needs its user: add user, or mqtt://USER@HOST"
 
     @across(*_TLS)
     def tls(self) -> Iterator[str]:
@@ -132,12 +126,12 @@ class MqttForm(SourceKeys):
     @property
     def address(self) -> Address:
         """The parts of the url."""
-        return _address(self.url)
+        return address_of(self.url, PORTS)
 
     def broker(self, folder: Path, place: Place) -> Broker:
         """The broker; secrets and certificates that cannot be read are faults.  Nothing is connected yet."""
         scheme, host, port, user, _, _ = self.address
-        files = {name: getattr(self, name) for name in ("password_file", *_TLS)}
+        files = {name: getattr(self, name) for name in _TLS}
         broker = Broker(
             host,
             port,
@@ -147,11 +141,11 @@ class MqttForm(SourceKeys):
             self.session_expiry_s,
             self.alarms,
             self.user or user,
-            password_env=self.password_env,
+            self.password(folder),
             **{name: folder / file if file else None for name, file in files.items()},
         )
         if not place.faults:
-            for look in (broker.password, broker.context):
+            for look in (broker.password.read, broker.context):
                 try:
                     look()
                 except SourceFault as fault:
@@ -169,27 +163,6 @@ class MqttForm(SourceKeys):
         if self.format == SPARKPLUG:
             return Sparkplug(broker, mapping, self.rebirth_requests)
         return Mqtt(broker, mapping)
-
-
-def _address(url: str) -> Address:
-    """The parts of a url; a fault never shows one that may contain a password."""
-    scheme, _, rest = url.partition(":")
-    default = PORTS.get(scheme, 0)
-    login, at, _ = rest.removeprefix("//").rpartition("@")
-    if ":" in login:
-        return Address(scheme, "", default, fault=f"url: {NO_PASSWORD_HERE}")
-    expected = f"url must be {scheme}://HOST or {scheme}://USER@HOST:PORT"
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port
-    except ValueError:
-        return Address(scheme, "", default, fault=f"{expected}, with a port of 1 to 65535")
-    fault = None
-    if not host or parts.path not in ("", "/") or parts.query or parts.fragment:
-        fault = f"{expected} and no more{'' if at else f', found {url!r}'}"
-    elif port == 0:
-        fault = f"{expected}, with a port of 1 to 65535"
-    return Address(scheme, host, default if port is None else port, unquote(login), fault=fault)
 
 
 def default_client_id(broker: str, folder: Path) -> str:

@@ -136,7 +136,7 @@ class Link:
 
         broker = self.broker
         if broker.user:
-            self.client.username_pw_set(broker.user, broker.password())
+            self.client.username_pw_set(broker.user, broker.password.read())
         context = broker.context()
         if context is not None:
             self.client.tls_set_context(context)

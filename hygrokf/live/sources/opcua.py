@@ -32,9 +32,7 @@ from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import (
     PAUSE_S,
-    BackOff,
     Delivery,
-    SourceFault,
     SourceState,
     Stream,
     several,
@@ -58,6 +56,7 @@ class OpcUa(Stream):
     """
 
     ordered_by = "server time stamp"
+    is_server = True
 
     def __init__(
         self,
@@ -102,14 +101,10 @@ class OpcUa(Stream):
         return SourceState(word, "; ".join([behind, *filter(None, notes)]))
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        self._state = SourceState("waiting", "not connected yet")
         self._put = put
-        self._reached = self._times_reached(place)
-        self._since_s = time.time() - self._look_back_s
-        try:
-            library()
-        except ConnectionFault as fault:
-            raise SourceFault(str(fault)) from None
+        self._reached = self._reached or self._times_reached(place)
+        self._since_s = self._since_s or time.time() - self._look_back_s
+        library()
         asyncio.run(self._follow())
 
     def _times_reached(self, place: str | None) -> dict[str, float]:
@@ -134,26 +129,16 @@ class OpcUa(Stream):
         return Connection(self.url, self._rates, self._security, self._user)
 
     async def _follow(self) -> None:
-        """Connect and reconnect until told to stop."""
-        back_off, told = BackOff(), ""
-        while not self._ended.is_set():
-            connection = self.connection()
-            try:
-                await connection.open()
-                told = ""
-                LOG.info("connected", extra={"source": self.url})
-                await self._serve(connection)
-            except Exception as fault:  # whatever a server sends, keep trying
-                words = f"{self.url}: {fault}; next attempt within {back_off.next_s:g} s"
-                self._state = SourceState("waiting", words)
-                if str(fault) != told:
-                    unforeseen = None if isinstance(fault, ConnectionFault) else fault
-                    said = {"source": self.url, "fault": str(fault)}
-                    LOG.warning("not connected", extra=said, exc_info=unforeseen)
-                told = str(fault)
-                await asyncio.to_thread(back_off.wait, self._ended)
-            finally:
-                await connection.close()
+        """Serve one connection until it is lost or the stream is stopped."""
+        connection = self.connection()
+        try:
+            await connection.open()
+            LOG.info("connected", extra={"source": self.url})
+            await self._serve(connection)
+        except ConnectionFault as fault:
+            raise ConnectionFault(f"{self.url}: {fault}") from None
+        finally:
+            await connection.close()
 
     async def _serve(self, connection: Connection) -> None:
         """Deliver the samples of one connection until it is lost or the stream is stopped."""

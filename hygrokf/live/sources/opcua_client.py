@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
+from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
     from asyncua import ua
@@ -50,7 +51,7 @@ REMEDIES = {
 }
 
 
-class ConnectionFault(HygrokfError):
+class ConnectionFault(SourceFault):
     """A connection failed or was lost; the message says why."""
 
 

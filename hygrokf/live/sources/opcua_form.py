@@ -5,16 +5,15 @@ Certificates and keys are read once, together with the tracker's file, which nev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING, TypeVar
 
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, entry_name, setting
 from hygrokf.errors import suggestion
-from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, bracketed, is_loopback, password_of
+from hygrokf.live.sources.endpoint import Address, PasswordKeys, address_of, bracketed, is_loopback
 from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import HELD, ConnectionFault, Node, Rates, Security, User, node_fault
 from hygrokf.live.sources.payload import PayloadMapping
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
 T = TypeVar("T")
-PORT = 4840
-"""OPC UA's default port."""
+PORTS = {"opc.tcp": 4840}
+"""Scheme of a URL -> default port."""
 _PLAIN = ("turbine", "time", "quality")
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = ("SignAndEncrypt", "Sign")
@@ -34,10 +33,9 @@ FILES = ("certificate", "key", "server_certificate")
 
 
 @dataclass(frozen=True)
-class SecurityForm:
+class SecurityForm(PasswordKeys):
     """The security and the user of a [[source]] that is an OPC UA server."""
 
-    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
     security: str = setting(
         "",
         '"none": a plain connection to another host',
@@ -50,8 +48,6 @@ class SecurityForm:
     key: str | None = setting(None, "of the certificate, PEM or DER, RSA, without a password")
     server_certificate: str | None = setting(None, "of the one server that is trusted, PEM or DER")
     user: str = setting("", "with password_file or password_env")
-    password_file: str = setting("", "file with the password")
-    password_env: str = setting("", "environment variable with the password")
 
     @property
     def stated(self) -> list[str]:
@@ -72,11 +68,10 @@ class SecurityForm:
         return f"{', '.join(missing)} missing: a secured connection needs {', '.join(FILES)}"
 
     @across("user", "password_file", "password_env")
-    def password_of_user(self) -> Iterator[str]:
-        if self.password_file and self.password_env:
-            yield "state password_file or password_env, not both"
-        if bool(self.user) != bool(self.password_file or self.password_env):
-            yield "user and its password_file or password_env belong together"
+    def password_of_user(self) -> str | None:
+        if bool(self.user) == self.has_password:
+            return None
+        return "user and its password_file or password_env belong together"
 
 
 @dataclass(frozen=True)
@@ -107,9 +102,16 @@ class ServerForm(SourceKeys):
     look_back_s: float = setting(0.0, "how far back the history of a new node is read", read=duration)
     uncertain: bool = setting(True, "whether values with an uncertain status are used")
 
+    @property
+    def address(self) -> Address:
+        """The parts of the url."""
+        return address_of(self.url, PORTS, has_path=True)
+
     @across("url")
     def url_form(self) -> str | None:
-        return _address(self.url)[2]
+        if self.address.user:
+            return "a user does not belong in the url: state user, and password_file or password_env"
+        return self.address.fault
 
     @across("nodes")
     def any_node(self) -> str | None:
@@ -124,7 +126,8 @@ class OpcUaForm(SecurityForm, ServerForm):
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""
-        url, host, _ = _address(self.url)
+        scheme, host, port, _, path, _ = self.address
+        url = f"{scheme}://{bracketed(host)}:{port}{path}" if host else ""
         security, user = security_of(self, host, folder, place)
         try:
             _check_nodes(self.nodes, mapping, place)
@@ -135,21 +138,6 @@ class OpcUaForm(SecurityForm, ServerForm):
         own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
         rates = Rates(self.sampling_s, self.publishing_s, self.queue)
         return OpcUa(url, nodes, own, rates, self.look_back_s, security, user)
-
-
-def _address(url: str) -> tuple[str, str, str | None]:
-    """URL with the port filled in, host, and what is wrong with it."""
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port or PORT
-    except ValueError:
-        return "", "", "url must be opc.tcp://HOST:PORT/PATH"
-    fault = None
-    if host and "@" in parts.netloc:
-        fault = "a user does not belong in the url: state user, and password_file or password_env"
-    elif not host or parts.query or parts.fragment:
-        fault = "url must be opc.tcp://HOST:PORT/PATH"
-    return (f"opc.tcp://{bracketed(host)}:{port}{parts.path}" if host else ""), host, fault
 
 
 def _check_nodes(nodes: Mapping[str, NodeForm], mapping: PayloadMapping, place: Place) -> None:
@@ -187,7 +175,7 @@ def security_of(
     """
     security = _security(form, folder, place) if form.stated and form.security != "none" else None
     user = _user(form, folder, place)
-    if not form.stated and not is_loopback(host):
+    if host and not form.stated and not is_loopback(host):
         if form.security != "none":
             place.fault(
                 f"a connection to another host needs {', '.join(FILES)}; "
@@ -280,7 +268,7 @@ def _application_uri(certificate: Certificate) -> str:
 def _user(form: SecurityForm, folder: Path, place: Place) -> User | None:
     """The user with the password from its file or environment variable."""
     try:
-        password = password_of(folder / form.password_file if form.password_file else None, form.password_env)
+        password = form.password(folder).read()
     except SourceFault as fault:
         place.fault(str(fault))
         return None

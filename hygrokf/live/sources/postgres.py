@@ -6,7 +6,6 @@ are committed late, below watermarks that were read already, are found by readin
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 import sys
@@ -22,11 +21,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from hygrokf.data.structured import Json
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
-from hygrokf.live.sources.endpoint import password_of
+from hygrokf.live.sources.endpoint import PasswordKeys
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Payload
 from hygrokf.live.sources.stream import (
-    BackOff,
     Delivery,
     SourceFault,
     SourceKeys,
@@ -39,7 +37,6 @@ from hygrokf.live.storage.postgres import connected, import_psycopg, url_fault
 if TYPE_CHECKING:
     import psycopg
 
-LOG = logging.getLogger("hygrokf.track")
 FETCHED = 1_000
 """Rows fetched from the server at once."""
 MOST = 20_000
@@ -73,7 +70,7 @@ Watermark: TypeAlias = datetime | date | int | float | Decimal
 
 
 @dataclass(frozen=True)
-class PostgresForm(SourceKeys):
+class PostgresForm(PasswordKeys, SourceKeys):
     """A [[source]] of `postgresql://USER@HOST/NAME`: a query and how it is repeated.
 
     `query` contains `AFTER`, and sorts by the column `watermark`; `poll_s` [s] between two queries; `lag_s`
@@ -90,8 +87,6 @@ class PostgresForm(SourceKeys):
     lag_s: float = setting(60.0, "by which a row may be committed late", read=duration)
     look_back_s: float | None = setting(None, "read at the first start; without it all rows", read=duration)
     name: str = setting("", "of this query, where a database has several")
-    password_file: str = setting("", "file with the password")
-    password_env: str = setting("", "environment variable with the password")
 
     @across("url")
     def no_secret(self) -> str | None:
@@ -106,11 +101,6 @@ class PostgresForm(SourceKeys):
         if re.search(r"%(?!%|\(after\)s)", self.query.replace("%%", "")):
             return f"query: write a % other than that of {AFTER} as %%"
         return None
-
-    @across("password_file", "password_env")
-    def one_password(self) -> str | None:
-        both = self.password_file and self.password_env
-        return "state password_file or password_env, not both" if both else None
 
     def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
         """The stream."""
@@ -150,13 +140,14 @@ class PostgresQuery(Stream):
     """
 
     ordered_by = "watermark"
+    is_server = True
 
     def __init__(self, form: PostgresForm, mapping: PayloadMapping, folder: Path = Path()) -> None:
         super().__init__(mapping)
         self.form = form
         self.usual_interval_s = form.poll_s
         self.url = f"{form.url}#{form.name}" if form.name else form.url
-        self._password_file = folder / form.password_file if form.password_file else None
+        self._password = form.password(folder)
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
         self._after = ""
@@ -184,8 +175,7 @@ class PostgresQuery(Stream):
         """A session that may only read.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
-            password = password_of(self._password_file, self.form.password_env)
-            connection = connected(self.form.url, password)
+            connection = connected(self.form.url, self._password.read())
         except StoreFault as fault:
             raise SourceFault(str(fault)) from None
         for statement in SESSION:
@@ -230,29 +220,18 @@ class PostgresQuery(Stream):
 
     # -- the source's own thread -----------------------------------------------------------------------------
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        back_off = BackOff()
-        self._state, reason = SourceState("waiting", "connecting"), ""
-        while not self._ended.is_set():
-            try:
-                self._follow_query(place, put)
-                return
-            except Exception as fault:  # of any kind: a source must never end without a word
-                if self._ended.is_set():
-                    return
-                reason_now = reason_of(fault)
-            finally:
-                connection, self._connection = self._connection, None
-                if connection is not None:
-                    with suppress(Exception):
-                        connection.close()
-            self._state = SourceState("lost", reason_now)
-            if reason_now != reason:  # log once, not at every attempt
-                reason = reason_now
-                LOG.warning("source lost", extra={"source": self.url, "reason": reason})
-            back_off.wait(self._ended)
+        """Poll until the source is stopped or, where it does not follow, until every present row is read."""
+        try:
+            self._follow_query(place, put)
+        except Exception as fault:  # of the driver, which only this module imports
+            raise SourceFault(reason_of(fault)) from fault
+        finally:
+            connection, self._connection = self._connection, None
+            if connection is not None:
+                with suppress(Exception):
+                    connection.close()
 
     def _follow_query(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        """Poll until the source is stopped or, where it does not follow, until every present row is read."""
         connection = self._connection = self.open()
         columns = self.columns(connection)
         self._state = SourceState("connected", self.url)

@@ -159,11 +159,13 @@ class Stream:
     states; `ordered_by`: what orders the versions of a value; `state` is shown on the page and by the doctor.
 
     Whatever `_deliver` raises makes the source "lost", with the reason.  After a pause it is called again,
-    from the place of the last delivery.
+    from the place of the last delivery.  Pauses grow until a delivery or, of a server (`is_server`), to which
+    many may come back at once, until a connection holds.
     """
 
     url = ""
     played_back = False
+    is_server = False
     label = ""
     ordered_by = "arrival"
     reach_limit_s: float | None = None
@@ -192,26 +194,31 @@ class Stream:
             nonlocal reached
             put(one)
             reached = one.place or reached
-            back_off.reset()
+            if not self.is_server:
+                back_off.reset()
             if self._state.word == "lost":
                 self._state = SourceState("connected", self.url)
 
-        self._state = SourceState("connected", self.url)
+        waits, reads = SourceState("waiting", "not connected yet"), SourceState("connected", self.url)
+        self._state = waits if self.is_server else reads
         while not self._ended.is_set():
             try:
                 self._deliver(reached, reach)
-                ended = SourceState("ended", "read to its end")
-                self._state = SourceState("stopped", "") if self._ended.is_set() else ended
+                self._state = SourceState("ended", "read to its end")
                 break
             except Exception as fault:  # of any kind: a source must never end without a word
+                if self._ended.is_set():
+                    break
                 words = _reason(fault, self.url)
-                self._state = SourceState("lost", words)
-                if words != reason:  # log once, not at every attempt
+                self._state = SourceState("lost", f"{words}; next attempt within {back_off.next_s:g} s")
+                if words != reason or back_off.has_held:  # log once, not at every attempt
                     foreseen = isinstance(fault, SourceFault | OSError)
                     said = {"source": self.url, "reason": words}
                     LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
                 reason = words
             back_off.wait(self._ended)
+        if self._ended.is_set():
+            self._state = SourceState("stopped", "")
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError

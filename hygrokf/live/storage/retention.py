@@ -37,14 +37,15 @@ class Retention:
         """Delete one portion if a pass is due; returns the number of rows.  The next commit notices a failing
         store."""
         if not self._due and time.monotonic() >= self._next and math.isfinite(self.seconds):
-            self._due, self._next = list(fleet.turbines), time.monotonic() + EVERY_S
+            self._due, self._next = list(fleet.tracked), time.monotonic() + EVERY_S
         while self._due:
             name = self._due[-1]
-            point = fleet.trackers[name].point
+            state = fleet.tracked[name]
+            point = state.tracker.point
             if point is None:  # nothing is final yet, so a restart needs all readings
                 self._due.pop()
                 continue
-            needed = point.time - fleet.turbines[name].plan.context_s
+            needed = point.time - state.turbine.plan.context_s
             try:
                 count = prune(store, name, point.time - self.seconds, needed)
             except StoreFault as fault:

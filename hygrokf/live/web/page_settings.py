@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import HygrokfError
-from hygrokf.live.sources.endpoint import bracketed, is_loopback, password_of
+from hygrokf.live.sources.endpoint import Secret, bracketed, is_loopback
 from hygrokf.live.sources.stream import SourceFault
 
 PAGE = "127.0.0.1:8080"
@@ -124,7 +124,7 @@ def _token(form: PageForm, folder: Path, place: Place) -> str:
     if form.token_file and form.token_env:
         return ""
     try:
-        token = password_of(folder / form.token_file if form.token_file else None, form.token_env, "token")
+        token = Secret(folder / form.token_file if form.token_file else None, form.token_env, "token").read()
     except SourceFault as fault:
         place.fault(str(fault))
         return ""
