@@ -234,8 +234,8 @@ def told_names(lines: Iterable[Line]) -> list[tuple[float, float, bool]]:
 
 
 def calibrated(told: Sequence[tuple[float, float, bool]]) -> str:
-    """The coefficients of `hygrokf.discovery.procedure.CONFIDENCE` by maximum likelihood, and how they state what
-    was observed.
+    """The coefficients of `discovery.procedure.CONFIDENCE` by maximum likelihood, and how they state what was
+    observed.
 
     P(right) = 1/(1 + exp(−(a + b ln(evidence in days) + c lead))), of every name that was told.  Raises
     ValueError for fewer than 30 names.

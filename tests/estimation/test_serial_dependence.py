@@ -44,7 +44,8 @@ def test_the_variance_of_a_sum_is_that_of_an_autoregression() -> None:
 def test_independent_terms_have_the_plain_variance() -> None:
     """400 n times the variance; the mean over 200 draws of 21 cosines is known to 2.2 %."""
     random = np.random.default_rng(23)
-    found = np.mean([long_run_covariance(random.normal(size=(400, 3))).covariance for _ in range(200)], axis=0)
+    draws = [long_run_covariance(random.normal(size=(400, 3))).covariance for _ in range(200)]
+    found = np.mean(draws, axis=0)
     enlarged = (t.ppf(0.975, 21) / norm.ppf(0.975)) ** 2
     np.testing.assert_allclose(found / (400 * enlarged), np.eye(3), atol=0.07)
 
