@@ -202,9 +202,12 @@ def compiled_texts() -> Iterator[set[str]]:
     found: set[str] = set()
     real = jit.Code.__init__
 
-    def noted(self: jit.Code, text: str, functions: Sequence[str]) -> None:
-        found.add(hashlib.sha256(text.encode()).hexdigest()[:16])
-        real(self, text, functions)
+    def noted(
+        self: jit.Code, text: str | Callable[[], str], functions: Sequence[str], source: str = ""
+    ) -> None:
+        written = text if isinstance(text, str) else text()
+        found.add(hashlib.sha256(written.encode()).hexdigest()[:16])
+        real(self, written, functions, source)
 
     jit.Code.__init__ = noted
     try:
