@@ -53,7 +53,8 @@ BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
 INEXACT = 1e-3
-"""Change of ln L with sub-steps of half the length above which an estimate is not exact."""
+"""Change of ln L, or of a parameter in its standard errors, with sub-steps of half the length above which an
+estimate is not exact."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
@@ -76,8 +77,9 @@ class Estimate:
     """The best optimum of several climbs.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
-    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L with
-    sub-steps of half the length, 0 where steps are exact.
+    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L, or of a
+    parameter in its standard errors if that is larger, with sub-steps of half the length; 0 where steps are
+    exact.
     """
 
     coordinates: Coordinates
@@ -500,6 +502,16 @@ def fit_mle(
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
 
+def _largest_shift(at: Sensitivities, inside: np.ndarray) -> float:
+    """Largest distance [standard errors] of a coordinate `inside` its bounds (d,) from the maximum that a
+    score and the expected information tell of."""
+    among = np.ix_(inside, inside)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(at.information)[inside], 1e-300))
+    covariance = np.linalg.pinv(at.information[among] * np.outer(scale, scale), hermitian=True)
+    shift = covariance @ (at.score[inside] * scale)
+    return float(np.max(np.abs(shift) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)), initial=0.0))
+
+
 def reject_below(least: float, found: Estimate) -> Estimate:
     """The estimate, marked as not converged where it is below the maximum of a model that it contains."""
     short = least - found.objective
@@ -532,11 +544,14 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         else f"not converged: {best.message}; try more starts or other start values"
     )
     loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
+    if error > 0.0 and best.converged:
+        finer = Objective(likelihood.halved(values), coordinates)
+        error = max(error, _largest_shift(finer.information(best.z), ~ends))
     if error > INEXACT:
-        finer = 0.1 * likelihood.tolerance * INEXACT / error
+        finest = 0.1 * likelihood.tolerance * INEXACT / error
         message += (
-            f"; not exact: sub-steps of half the length change ln L by {error:.2g}; give the likelihood "
-            f"tolerance={finer:.0e}"
+            "; not exact: sub-steps of half the length change ln L, or a parameter in its standard errors, "
+            f"by {error:.2g}; give the likelihood tolerance={finest:.0e}"
         )
     return Estimate(
         coordinates=coordinates,

@@ -94,11 +94,11 @@ def settled(design: Design, values: Mapping[str, float], run: Run, tolerance: fl
     ends = gap_ends(run.scored)
     if not ends.any():
         return run
+    # readings do not count, and the end of a gap changes no course: the sub-steps serve both
+    blind = replace(run.timeline.with_readings(np.full_like(run.timeline.y, np.nan)), ends=ends[:0])
+    held = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
     with_gaps, without = (
-        Likelihood(design.model, replace(run.timeline, ends=one), tolerance=tolerance)
-        .trace(values, gain=False)
-        .variance
-        for one in (ends, ends[:0])
+        replace(held, timeline=replace(blind, ends=one)).trace(values).variance for one in (ends, ends[:0])
     )
     return replace(run, scored=run.scored & (with_gaps <= 2.0 * without).all(axis=1))
 
@@ -229,7 +229,7 @@ def free_run(
     """
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
-    likelihood = Likelihood(design.model, blind, tolerance=tolerance)
+    likelihood = Likelihood(design.model, blind, tolerance=tolerance).scheduled(values)
     prediction = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return prediction
@@ -239,8 +239,7 @@ def free_run(
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
-    zero = Likelihood(design.model, zeros, tolerance=tolerance)
-    _, slopes = zero.residuals(values, directions)
+    _, slopes = replace(likelihood, timeline=zeros).residuals(values, directions)
     rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
