@@ -199,6 +199,8 @@ def _share(
     return 3.0 * total / float(spread[place, place]) ** 2
 
 
+STEP_TOLERANCE = 1e-4
+"""[1] `tolerance` of the members' sub-steps: a draw of a member is off by that share of its spread."""
 STEP_H = 1.0
 """[h] distance of the kept instants; the steps between them are simulated but not kept."""
 YEAR_H = 8766.0
@@ -311,7 +313,7 @@ def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
     first = Gaussian(
         np.array(model.initial(fit.values, inputs)[0], dtype=float), np.zeros((len(model.states),) * 2)
     )
-    runs = SideBySide(model, [fit.values], [first])
+    runs = SideBySide(model, [fit.values], [first], STEP_TOLERANCE)
     walk = _EnsembleWalk(
         runs, {name: np.full(2, value) for name, value in inputs.items()}, np.array([0.0, STEP_H]), None
     )
@@ -363,7 +365,7 @@ def simulate_years(
         kick = random.standard_normal(n) if process else np.zeros(n)
         begin = mean + np.sqrt(variance) * kick
         starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
-    runs = SideBySide(model, members, starts)
+    runs = SideBySide(model, members, starts, STEP_TOLERANCE)
     spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, spread, switches, off) if switches else None

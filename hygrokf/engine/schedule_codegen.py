@@ -35,6 +35,9 @@ WALKED = ("controlled", "schedule")
 """Kinds of loops that choose their own sub-steps."""
 CHANGE, VALUE = 0.01, 0.001
 """[1] shares of a state's change and value that count as its standard deviations."""
+KNOWN = 1e-120
+"""Standard deviation, in a state's unit, that is added to each: the square of a smaller one may be flushed to
+zero before the covariances with other states are."""
 ROUNDING = 1e-14
 """[1] of a mean below which a difference is rounding."""
 KINK = 6
@@ -98,14 +101,14 @@ class Walk:
         apart = [p - q for p, q in zip([*one[:n], *single], [*r.mean, *packed], strict=True)]
         later = [row[0] for row in product(ahead, [[value] for value in apart[:n]])]
         spread = congruence(ahead, [[apart[n + place(i, j)] for j in range(n)] for i in range(n)])
-        sd = [sqrt(maximum(packed[place(i, i)], 0.0)) for i in range(n)]
+        sd = [sqrt(maximum(packed[place(i, i)], 0.0)) + KNOWN for i in range(n)]
         found = []
         for i in range(n):
             change = size(two[i] - self.before[i])
-            scale = sd[i] + CHANGE * change + VALUE * size(two[i]) + 1e-300
+            scale = sd[i] + CHANGE * change + VALUE * size(two[i])
             error = beyond(later[i], two[i]) / scale
             for j in range(n):
-                error = maximum(error, size(spread[i][j]) / (sd[i] * sd[j] + 1e-300))
+                error = maximum(error, size(spread[i][j]) / (sd[i] * sd[j]))
             found.append(error)
         shown = [update[-3] for update in r.updates]
         alone, begun = (

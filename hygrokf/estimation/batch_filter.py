@@ -16,7 +16,7 @@ from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.schedule import TOLERANCE
-from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, ROUNDING, VALUE
+from hygrokf.engine.schedule_codegen import CHANGE, DEEPEST, KINK, KNOWN, ROUNDING, VALUE
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian, RatesFault
 from hygrokf.physics.holds import between
@@ -48,7 +48,7 @@ class SideBySide:
         self.model = model
         self.varying = tuple(recursion.varying)
         self.regimes = tuple(recursion.regimes)
-        self._tolerance, self._divided = tolerance, 1
+        self._tolerance, self._divided, self._uncertain = tolerance, 1, True
         self._exact = recursion.exact
         self._count = count
         given = list(recursion.constants)
@@ -124,6 +124,7 @@ class SideBySide:
         if self._exact:
             self._advance(hours, inputs, 1)
             return
+        self._uncertain = bool(self._state[:, traced(self.model).n :].any())
         y, before, now = self._y.copy(), self._before.copy(), self._now.copy()
         self._y[:] = np.nan
         self._state[...] = self._through(self._state.copy(), np.asarray(hours, float), inputs, before, now, 0)
@@ -185,9 +186,9 @@ class SideBySide:
         first, one, two = (self._in_rows(part) for part in (begun, once, twice))
         if not (np.isfinite(one).all() and np.isfinite(two).all()):
             return math.inf
-        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0))
-        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n]) + 1e-300
-        spread = pack(sd[:, :, None] * sd[:, None, :]) + 1e-300
+        sd = np.sqrt(np.maximum(np.einsum("rii->ri", unpack(two[:, n:], n)), 0.0)) + KNOWN
+        scale = sd + CHANGE * abs(two[:, :n] - first[:, :n]) + VALUE * abs(two[:, :n])
+        spread = pack(sd[:, :, None] * sd[:, None, :])
         apart = abs(one - two)
         return float(
             max(
@@ -197,10 +198,10 @@ class SideBySide:
         )
 
     def _kinked(self, begun: np.ndarray, ended: np.ndarray, inputs: Mapping[str, np.ndarray]) -> bool:
-        """Whether a comparison of the rates changes its result in a run whose state is uncertain; a mean
-        alone feels a kink to second order only."""
+        """Whether a comparison of the rates changes its result, where a state is uncertain before the step; a
+        mean alone feels a kink to second order only."""
         r, n = traced(self.model), traced(self.model).n
-        if not r.comparisons or not begun[:, n:].any():
+        if not r.comparisons or not self._uncertain:
             return False
         found = [
             r.graph.evaluate(r.comparisons, r.symbols(self._values, self._in_rows(part)[:, :n].T, inputs))

@@ -206,7 +206,8 @@ def test_with_nulls_the_model_is_the_one_without() -> None:
         Likelihood(base.model, model_inputs(base, one).timeline).value(values)
         for base, one in zip(bases, (record, plain), strict=True)
     ]
-    assert both[0] == pytest.approx(both[1], abs=1e-9)
+    # rates that may vary take polynomials with a remainder of 4e-13 a step, constant ones are exact
+    assert both[0] == pytest.approx(both[1], rel=1e-10)
 
 
 # --- every command ------------------------------------------------------------------------------------------

@@ -78,8 +78,8 @@ def test_a_reference_year_is_known_by_its_header_and_repeated(file: Path) -> Non
     assert form_of(file) == "try"
     weather = read_weather(file, site=Site(51.36, 12.42, 139.0), year=2019, years=2)
     assert len(weather["ambient_temperature"]) == 2 * 8760 + 24
-    assert any("2020: 28 February is repeated" in said for said in weather.warnings)
-    assert any("every year 2019 … 2020" in said for said in weather.warnings)
+    assert any("2020 is a leap year: 28 February is repeated" in said for said in weather.warnings)
+    assert any("stand in 2019 … 2020" in said for said in weather.warnings)
 
 
 def test_faults_are_named(file: Path, tmp_path: Path) -> None:

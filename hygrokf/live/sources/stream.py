@@ -217,7 +217,7 @@ class Stream:
                     LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
                 reason = words
             back_off.wait(self._ended)
-        if self._ended.is_set():
+        if self._ended.is_set() and (self.is_server or self._state.word != "lost"):
             self._state = SourceState("stopped", "")
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
