@@ -13,7 +13,6 @@ import pytest
 from benchmarks import cases, command, fleet, identify, measure, rivals
 
 
-
 # -- like with like ------------------------------------------------------------------------------------------
 def test_statsmodels_has_the_same_thermal_likelihood() -> None:
     case = cases.thermal(3000)
