@@ -8,11 +8,14 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 
+from sqlalchemy import delete, select, update
+
 from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.live.alarms import DELIVERY_RULES
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.forecast_job import isolation_steps
-from hygrokf.live.storage.database import Cursor, SqlValue
+from hygrokf.live.storage import schema
+from hygrokf.live.storage.schema import matching
 from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
@@ -44,34 +47,33 @@ def refilter(
     """
     chosen = turbines if names is None else names
     store.claim("turbine", chosen)
-    with store.transaction() as cursor:
-        return [_refiltered(store, cursor, name, turbines) for name in chosen]
+    with store.transaction():
+        return [_refiltered(store, name, turbines) for name in chosen]
 
 
-def _refiltered(store: Store, cursor: Cursor, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
-    def changed(statement: str, *values: SqlValue) -> None:
-        cursor.execute(store.database.text(statement), values)
-
-    late = 0
-    for table, where in (("observation", ""), ("revision", "AND number > 0")):
-        counted = f"SELECT COUNT(*) FROM {table} WHERE turbine = ? AND late = 1 {where}"
-        late += int(store.rows(counted, (name,))[0][0])
-        changed(f"UPDATE {table} SET late = 0 WHERE turbine = ? AND late = 1", name)
+def _refiltered(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Refiltered:
+    late = store.count(schema.observation, matching(schema.observation, turbine=name, late=1))
+    revised = matching(schema.revision, turbine=name, late=1)
+    late += store.count(schema.revision, revised, schema.revision.c.number > 0)
+    for table in (schema.observation, schema.revision):
+        store.execute(update(table).where(matching(table, turbine=name, late=1)).values(late=0))
     for versions in store.revised(name).values():
-        store.use(cursor, name, versions)
-    changed("UPDATE turbine SET model = ? WHERE name = ?", digest(turbines[name].plan), name)
-    marks = ", ".join("?" * len(KEPT))
-    changed(f"DELETE FROM memory WHERE turbine = ? AND name NOT IN ({marks})", name, *KEPT)
+        store.use(name, versions)
+    turbine, memory = schema.turbine, schema.memory
+    store.execute(update(turbine).where(turbine.c.name == name).values(model=digest(turbines[name].plan)))
+    store.execute(delete(memory).where(memory.c.turbine == name, memory.c.name.not_in(KEPT)))
     begin, after = math.inf, {}
     for batch in _batches(store, name, turbines):
         if name in batch.estimates and not math.isfinite(begin):
             begin = batch.estimates[name].since
-            for table in ("estimate", "property"):
-                changed(f"DELETE FROM {table} WHERE turbine = ? AND time >= ?", name, begin)
-        after.update({alarm.id: alarm for alarm in batch.alarms})
+            for table in (schema.estimate, schema.property_):
+                store.execute(delete(table).where(table.c.turbine == name, table.c.time >= begin))
+        after.update({one.id: one for one in batch.alarms})
         batch.memories.pop((name, "alarms"), None)
-        store.write(cursor, replace(batch, alarms=[]))
-    before = {one.id: one for one in store.found(Alarm, "WHERE turbine = ? AND began >= ?", (name, begin))}
+        store.write(replace(batch, alarms=[]))
+    alarm = schema.alarm
+    begun = select(alarm).where(alarm.c.turbine == name, alarm.c.began >= begin)
+    before = {one.id: one for one in store.found(Alarm, begun)}
     return Refiltered(name, late, tuple(_differences(before, after)))
 
 

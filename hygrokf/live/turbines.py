@@ -60,6 +60,7 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
+from hygrokf.live.storage.schema import property_
 from hygrokf.live.storage.store import Store, state_of, state_text
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
@@ -154,7 +155,7 @@ class TurbineState(Kept):
         made = cls(turbine=turbine, tracker=tracker, **vars(kept))
         if "forecast" in memories:
             made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
-        (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
+        last = store.newest(property_, name)
         made.slot = -math.inf if point is None or last is None else last // PROPERTY_S
         return made
 

@@ -23,6 +23,7 @@ from builders.command_line import environment, run
 from builders.fit_case import bare_fit
 from builders.live_case import live_fit
 from builders.page_case import recent_record
+from builders.store_case import queried
 from builders.track_case import MODEL
 
 from hygrokf.identification.fit import Fit, write_fit
@@ -116,7 +117,7 @@ def tracker(folder: Path, *arguments: str, **more: object) -> Iterator[Started]:
 def observations(folder: Path, name: str = "live.db") -> int:
     """How many readings a store has; none before its tables are made."""
     try:
-        return read(folder, lambda store: store.rows("SELECT COUNT(*) FROM observation")[0][0], name)
+        return read(folder, lambda store: queried(store, "SELECT COUNT(*) FROM observation")[0][0], name)
     except StoreUnready:
         return 0
 
@@ -162,7 +163,7 @@ def test_a_growing_file_the_page_and_a_restart(folder: Path) -> None:
         assert two.ended() == 0, two.said()
     assert "done: 2 deliveries" in two.said() and "page:" not in two.said()
     assert read(folder, Store.counters) == {}
-    newest = read(folder, lambda store: store.rows("SELECT MAX(time), COUNT(*) FROM estimate"))
+    newest = read(folder, lambda store: queried(store, "SELECT MAX(time), COUNT(*) FROM estimate"))
     assert newest == [(START_S + 600.0 * 19, 20)]
 
 
@@ -190,7 +191,7 @@ def test_a_model_and_a_source_without_a_file(folder: Path) -> None:
         assert two.ended() == 0, two.said()
     every = "SELECT signal, time, value FROM observation ORDER BY signal, time"
     followed, piped = (
-        read(folder, lambda store: store.rows(every), f"{name}.db") for name in ("own", "piped")
+        read(folder, lambda store: queried(store, every), f"{name}.db") for name in ("own", "piped")
     )
     assert followed == piped
 
@@ -263,9 +264,9 @@ def test_a_weather_forecast_feeds_the_forecast(tmp_path: Path) -> None:
         assert one.ended() == 0, one.said()
     said = read(tmp_path, lambda store: store.memory("T07", "forecast"))
     assert "weather forecast" in said["weather"], (said, one.said())
-    rows_of = read(tmp_path, lambda store: store.rows("SELECT COUNT(*), MIN(time) FROM forecast"))
+    rows_of = read(tmp_path, lambda store: queried(store, "SELECT COUNT(*), MIN(time) FROM forecast"))
     assert rows_of[0][0] > 90 and abs(rows_of[0][1] - now) < 86400.0
-    assert read(tmp_path, lambda store: store.rows("SELECT COUNT(*) FROM weather"))[0][0] > 100
+    assert read(tmp_path, lambda store: queried(store, "SELECT COUNT(*) FROM weather"))[0][0] > 100
     assert read(tmp_path, Store.counters) == {}
 
 
@@ -413,9 +414,10 @@ def test_the_demo_finds_and_names_what_changed(tmp_path: Path, monkeypatch: pyte
     Service(turbines, [defaults.demo_stream(record, live_s, 0.0)], url).run(until_ended=True)
     store = open_store(url, read_only=True)
     try:
-        alarms = store.rows("SELECT turbine, kind, statement, remedy, began FROM alarm WHERE ended IS NULL")
-        forecasts = dict(store.rows("SELECT turbine, COUNT(*) FROM forecast GROUP BY turbine"))
-        seen = store.rows("SELECT DISTINCT turbine, signal FROM observation WHERE signal LIKE 'cabinet%'")
+        open_now = "SELECT turbine, kind, statement, remedy, began FROM alarm WHERE ended IS NULL"
+        alarms = queried(store, open_now)
+        forecasts = dict(queried(store, "SELECT turbine, COUNT(*) FROM forecast GROUP BY turbine"))
+        seen = queried(store, "SELECT DISTINCT turbine, signal FROM observation WHERE signal LIKE 'cabinet%'")
     finally:
         store.close()
     assert {(turbine, kind) for turbine, kind, *_ in alarms} == {

@@ -34,6 +34,7 @@ from builders.live_case import (
     without_preheating,
 )
 from builders.ports import free_port
+from builders.store_case import queried
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
@@ -136,7 +137,7 @@ def serving(
 def stored(url: str) -> int:
     store = open_store(url)
     try:
-        return store.rows("SELECT COUNT(*) FROM observation")[0][0]
+        return queried(store, "SELECT COUNT(*) FROM observation")[0][0]
     finally:
         store.close()
 

@@ -18,6 +18,7 @@ import httpx
 import pytest
 from builders.page_case import Case, add_forecast, filled, opened, served
 from builders.ports import free_port
+from builders.store_case import queried
 from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live.batch import STATES, Alarm, Batch
@@ -87,7 +88,8 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
     assert set(rows) == set(NAMES)
     store = opened(service)
     for name in NAMES:
-        ((kelvin, humidity, chance, at),) = store.rows(
+        ((kelvin, humidity, chance, at),) = queried(
+            store,
             "SELECT temperature_K, relative_humidity, condensation, time FROM estimate WHERE turbine = ? "
             "ORDER BY time DESC LIMIT 1",
             (name,),
@@ -99,7 +101,7 @@ def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None
     assert {name: row["state"] for name, row in rows.items()} == {n: one.state for n, one in states.items()}
     assert found["summary"] == {s: [o.state for o in states.values()].count(s) for s in STATES}
     assert all(row["reason"] and row["since"] for row in rows.values())
-    (most,) = store.rows("SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
+    (most,) = queried(store, "SELECT MAX(condensation) FROM forecast WHERE time >= ?", (found["now"],))
     store.close()
     assert rows["T1"]["forecast"]["condensation"] == most[0] and rows[NAMES[1]]["forecast"] is None
 
@@ -201,7 +203,7 @@ def test_an_alarm_is_acknowledged_once(client: httpx.Client, service: Service) -
     answer = client.post("/api/alarms/acknowledge", json={"id": "one", "by": " Control room "})
     assert (answer.status_code, answer.json()) == (200, {"turbine": "T1"})
     store = opened(service)
-    assert store.rows("SELECT acknowledged_by FROM alarm WHERE id = 'one'") == [("Control room",)]
+    assert queried(store, "SELECT acknowledged_by FROM alarm WHERE id = 'one'") == [("Control room",)]
     store.close()
     for again in ("one", "none"):
         answer = client.post("/api/alarms/acknowledge", json={"id": again, "by": "x"})
@@ -226,7 +228,7 @@ def test_what_is_no_acknowledgement_is_refused(client: httpx.Client, service: Se
 
 def unseen(service: Service, alarm: str) -> bool:
     store = opened(service)
-    found = store.rows("SELECT acknowledged FROM alarm WHERE id = ?", (alarm,))
+    found = queried(store, "SELECT acknowledged FROM alarm WHERE id = ?", (alarm,))
     store.close()
     return found == [(None,)]
 

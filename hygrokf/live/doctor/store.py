@@ -10,11 +10,13 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from sqlalchemy import select
+
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
 from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.database import StoreUnready, one_line
-from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.schema import VERSION, estimate, observation, source
 from hygrokf.live.storage.sqlite import path_of
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine, digest
@@ -105,13 +107,11 @@ def _read_contents(
     spans = {}
     for name in turbines:
         contents.signals[name] = set(store.signals(name))
-        rows = store.rows(
-            "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
-        )
-        for newest, received in rows:
+        o = observation.c
+        own = select(o.time, o.received).where(o.turbine == name).limit(1)
+        for newest, received in store.rows(own.order_by(o.time.desc())):
             contents.received_s = max(contents.received_s, received)
-            oldest = store.rows("SELECT MIN(time) FROM observation WHERE turbine = ?", (name,))[0][0]
-            spans[name] = newest - oldest
+            spans[name] = newest - store.rows(own.order_by(o.time))[0][0]
     return spans
 
 
@@ -145,7 +145,7 @@ def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     """Turbines that only the store or only the tracker's file has, or that had another model."""
-    known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
+    known = store.models()
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
     left = sorted(set(known) - set(turbines) - claimed)
     if left:
@@ -155,7 +155,7 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
             "add a [[turbine]], or delete their rows by hand",
         )
     new = [name for name in turbines if name not in known]
-    if new and store.rows("SELECT url FROM source"):
+    if new and store.count(source):
         yield doubt(
             "store",
             f"it does not contain {several(new)} yet, but its sources were read for others: only what "
@@ -176,12 +176,7 @@ def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
 
 
 def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
-    newest = {
-        name: at
-        for name in turbines
-        for (at,) in store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))
-        if at is not None
-    }
+    newest = {name: at for name in turbines if (at := store.newest(estimate, name)) is not None}
     if not newest:
         yield doubt("store", "it has no estimate yet", "start the tracker; read its log if none appears")
         return

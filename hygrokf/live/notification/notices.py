@@ -26,7 +26,7 @@ from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.wording import one_line
 from hygrokf.live.batch import Alarm, Batch, Notice
-from hygrokf.live.storage.outbox import alarm_of
+from hygrokf.live.storage.outbox import alarm_of, due_again
 from hygrokf.live.storage.store import Store
 
 if TYPE_CHECKING:
@@ -283,8 +283,7 @@ def acknowledge(
 def look_again(store: Store, now: float, channels: Sequence[Channel]) -> Batch:
     """Open alarms that are due at `now` [s] to be looked at again: unacknowledged, with their notices."""
     batch, at = Batch(), time.time()
-    rest = "WHERE ended IS NULL AND acknowledged IS NOT NULL AND look_again <= ? ORDER BY look_again, id"
-    for alarm in store.found(Alarm, rest, (now,)):
+    for alarm in due_again(store, now):
         assert alarm.look_again is not None, "that is how they are found"
         # cause and note of the last acknowledgement stay
         back = replace(alarm, acknowledged=None, acknowledged_by=None, look_again=None)

@@ -8,16 +8,18 @@ be.
 from __future__ import annotations
 
 import os
-import re
 import socket
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import cache
-from typing import Any, Protocol, TypeAlias
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
+
+from sqlalchemy import ClauseElement, Dialect, func, insert, select
+from sqlalchemy.sql.compiler import SQLCompiler
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.storage.schema import SQLITE, VERSION, Dialect, creation
+from hygrokf.live.storage.schema import SQLITE, VERSION, claim, creation, schema_version
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
@@ -27,40 +29,10 @@ REPLACED = (
 )
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
-
-_COMPARED = re.compile(r"(\b(?:time|received)\s*[<>=]+\s*)\?")
-"""A parameter that is compared with a column of `schema.TIMESTAMPS`."""
-
+CLAIMS = select(claim.c.kind, claim.c.name, claim.c.who)
 SqlValue: TypeAlias = str | float | None
 Row = tuple[Any, ...]
 """A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
-
-
-class Cursor(Protocol):
-    """The part of a PEP 249 cursor that the store uses."""
-
-    @property
-    def rowcount(self) -> int: ...
-
-    def execute(self, statement: str, parameters: Sequence[SqlValue] = ..., /) -> object: ...
-
-    def executemany(self, statement: str, rows: Iterable[Sequence[SqlValue]], /) -> object: ...
-
-    def fetchone(self) -> Row | None: ...
-
-    def fetchall(self) -> list[Row]: ...
-
-    def close(self) -> object: ...
-
-
-class Connection(Protocol):
-    """The part of a PEP 249 connection that the store uses."""
-
-    def cursor(self) -> Cursor: ...
-
-    def rollback(self) -> object: ...
-
-    def close(self) -> object: ...
 
 
 class StoreFault(HygrokfError):
@@ -79,19 +51,22 @@ class Database:
     """One connection in autocommit mode: a statement takes effect at once unless it is part of a
     `transaction`.
 
-    `connection` follows PEP 249.  `mark`: its parameter placeholder; `begin`: the statement that opens a
-    writing transaction; `errors`: base class of the driver's exceptions; `dialect`: its SQL (see `schema`).
+    SQLAlchemy writes the statements and PEP 249's `connection` runs them: no pool reconnects on its own,
+    which would lose the claims.  `begin`: the statement that opens a writing transaction; `errors`: base
+    class of the driver's exceptions; `dialect`: its SQL.
     """
 
-    mark = "?"
     begin = "BEGIN"
     errors: type[Exception] = Exception
     dialect: Dialect = SQLITE
 
-    def __init__(self, connection: Connection, url: str) -> None:
+    def __init__(self, connection: Any, url: str) -> None:
         self.connection = connection
         self.url = url
         self._held: set[tuple[str, str]] = set()
+        self._known: WeakKeyDictionary[ClauseElement, tuple[str, tuple[tuple[str, Any], ...]]] = (
+            WeakKeyDictionary()
+        )
 
     # -- what differs between databases --------------------------------------------------------------------
     def is_trouble(self, error: Exception) -> bool:
@@ -102,7 +77,7 @@ class Database:
         """Whether the store's tables exist."""
         raise NotImplementedError
 
-    def take_turn(self, cursor: Cursor) -> None:
+    def take_turn(self) -> None:
         """Within a transaction: wait until no other process creates tables or claims, and keep others out
         until it ends."""
 
@@ -133,46 +108,61 @@ class Database:
         """Size of the store [bytes]."""
         raise NotImplementedError
 
-    def cursor(self) -> Cursor:
+    def cursor(self) -> Any:
         """A cursor, which gives all times as seconds since 1970."""
         return self.connection.cursor()
 
     # -- what all databases share ----------------------------------------------------------------------------
-    def text(self, statement: str) -> str:
-        """A statement in this database's SQL; callers write parameters as question marks, times in seconds.
-
-        Where the database keeps timestamps, a parameter that is compared with `time` or `received` becomes
-        one, as does a parameter marked as TIME(?).
-        """
-        return _in_sql(statement, self.mark, self.dialect.time)
-
-    def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
-        """The rows that a query returns."""
-        with self._translated():
-            cursor = self.cursor()
-            try:
-                cursor.execute(self.text(statement), tuple(parameters))
-                return cursor.fetchall()
-            finally:
-                with suppress(Exception):
-                    cursor.close()
+    def _written(self, statement: ClauseElement) -> tuple[str, tuple[tuple[str, Any], ...]]:
+        """A statement in this database's SQL, and the (name, value) of its parameters; kept as long as the
+        statement itself is."""
+        if (known := self._known.get(statement)) is None:
+            made = statement.compile(dialect=self.dialect, compile_kwargs={"render_postcompile": True})
+            assert isinstance(made, SQLCompiler), "the store changes no tables"
+            parameters = tuple((name, made.params[name]) for name in made.positiontup or ())
+            known = self._known[statement] = (made.string, parameters)
+        return known
 
     @contextmanager
-    def transaction(self) -> Iterator[Cursor]:
-        """A cursor whose statements take effect together at the end of the block, or not at all."""
+    def _run(self, statement: ClauseElement, values: Mapping[str, SqlValue]) -> Iterator[Any]:
+        sql, parameters = self._written(statement)
+        with self._translated(), closing(self.cursor()) as cursor:
+            cursor.execute(sql, [values.get(name, value) for name, value in parameters])
+            yield cursor
+
+    def rows(self, statement: ClauseElement, **values: SqlValue) -> list[Row]:
+        """The rows that a query returns; `values`: of its named parameters."""
+        with self._run(statement, values) as cursor:
+            return list(cursor.fetchall())
+
+    def execute(self, statement: ClauseElement, **values: SqlValue) -> int:
+        """The number of rows that a statement changes."""
+        with self._run(statement, values) as cursor:
+            return max(cursor.rowcount, 0)
+
+    def execute_many(self, statement: ClauseElement, rows: Iterable[Row]) -> None:
+        """Execute a statement for each of some rows, its parameters in their order in the statement; part of
+        a `transaction`."""
+        if some := list(rows):
+            with self._translated(), closing(self.cursor()) as cursor:
+                cursor.executemany(self._written(statement)[0], some)
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Let all statements of the block take effect together at its end, or not at all."""
         with self._translated():
-            cursor = self.cursor()
             try:
-                cursor.execute(self.begin)
-                yield cursor
-                cursor.execute("COMMIT")
+                self._execute_plain(self.begin)
+                yield
+                self._execute_plain("COMMIT")
             except BaseException:
                 with suppress(Exception):
                     self.connection.rollback()
                 raise
-            finally:
-                with suppress(Exception):
-                    cursor.close()
+
+    def _execute_plain(self, text: str) -> None:
+        with closing(self.cursor()) as cursor:
+            cursor.execute(text)
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
@@ -198,7 +188,7 @@ class Database:
                 if read_only:
                     raise StoreUnready(f"{self.url}: expected a store, found none; check the name")
                 self._create()
-            found = int(self.rows("SELECT MAX(version) FROM schema_version")[0][0])
+            found = int(self.rows(select(func.max(schema_version.c.version)))[0][0])
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
                 f"{self.url}: the store's tables cannot be read or made ({one_line(error)}); "
@@ -208,16 +198,13 @@ class Database:
 
     def _create(self) -> None:
         """Create the tables and views, unless another process was first."""
-        with self.transaction() as cursor:
-            self.take_turn(cursor)
+        with self.transaction():
+            self.take_turn()
             if self.has_tables():
                 return
             for statement in creation(self.dialect):
-                cursor.execute(statement)
-            cursor.execute(
-                self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
-                (VERSION, time.time()),
-            )
+                self._execute_plain(statement)
+            self.execute(insert(schema_version).values(version=VERSION, applied=time.time()))
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
         """Claim turbines, sources or channels for this process alone, until the connection is closed or the
@@ -243,12 +230,6 @@ class Database:
     def close(self) -> None:
         with suppress(Exception):
             self.connection.close()
-
-
-@cache
-def _in_sql(statement: str, mark: str, time: str) -> str:
-    statement = _COMPARED.sub(r"\1TIME(?)", statement).replace("TIME(?)", time)
-    return statement if mark == "?" else statement.replace("%", "%%").replace("?", mark)
 
 
 def refuse_other_schema(place: object, found: int | None) -> None:

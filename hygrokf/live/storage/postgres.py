@@ -12,8 +12,10 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line, this_process
-from hygrokf.live.storage.schema import POSTGRESQL
+from sqlalchemy import BigInteger, delete, func, insert, select, text
+
+from hygrokf.live.storage.database import CLAIMS, Database, Row, StoreFault, one_line, this_process
+from hygrokf.live.storage.schema import POSTGRESQL, claim
 
 if TYPE_CHECKING:
     import psycopg
@@ -52,18 +54,17 @@ OUTSIDE = ("08", "25006", "40", "42501", "53", "55", "57", "58", "XX")
 itself."""
 
 
-HOLDERS = (
-    "SELECT (classid::bigint << 32) | objid::bigint FROM pg_locks "
+HOLDERS = text(
+    "SELECT (classid::bigint << 32) | objid::bigint AS holder FROM pg_locks "
     "WHERE locktype = 'advisory' AND objsubid = 1 AND granted AND database = "
     "(SELECT oid FROM pg_database WHERE datname = current_database())"
-)
+).columns(holder=BigInteger)
 """Query of the keys of claims whose sessions are alive."""
 
 
 class PostgresDatabase(Database):
     """A session on a PostgreSQL server."""
 
-    mark = "%s"
     dialect = POSTGRESQL
     connection: psycopg.Connection[Row]
 
@@ -74,7 +75,7 @@ class PostgresDatabase(Database):
         self.errors = psycopg.Error
         self._key: int | None = None
 
-    def cursor(self) -> Cursor:
+    def cursor(self) -> psycopg.Cursor[Row]:
         return self.connection.cursor(binary=True)  # as `_times_as_seconds` needs it
 
     def is_trouble(self, error: Exception) -> bool:
@@ -88,13 +89,15 @@ class PostgresDatabase(Database):
         # within a transaction to_regclass would miss tables that another session has created since it began
         return bool(
             self.rows(
-                "SELECT 1 FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "
-                "WHERE c.relname = 'schema_version' AND n.nspname = ANY (current_schemas(false))"
+                text(
+                    "SELECT 1 FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "
+                    "WHERE c.relname = 'schema_version' AND n.nspname = ANY (current_schemas(false))"
+                )
             )
         )
 
-    def take_turn(self, cursor: Cursor) -> None:
-        cursor.execute(f"SELECT pg_advisory_xact_lock({TURN})")
+    def take_turn(self) -> None:
+        self.execute(select(func.pg_advisory_xact_lock(TURN)))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """The session holds one advisory lock, and each claim stores its key, so that the claims end with the
@@ -102,33 +105,30 @@ class PostgresDatabase(Database):
 
         One lock per name would let a large fleet fill the server's lock table.
         """
-        with self.transaction() as cursor:
-            self.take_turn(cursor)
+        with self.transaction():
+            self.take_turn()
             if self._key is None:
                 key = secrets.randbits(63)
-                cursor.execute("SELECT pg_advisory_lock(%s)", (key,))
+                self.execute(select(func.pg_advisory_lock(key)))
                 self._key = key
-            cursor.execute(f"DELETE FROM claim WHERE holder NOT IN ({HOLDERS})")
-            cursor.execute("SELECT kind, name, who FROM claim WHERE holder <> %s", (self._key,))
-            others = {(kind, name): who for kind, name, who in cursor.fetchall()}
+            self.execute(delete(claim).where(claim.c.holder.not_in(HOLDERS)))
+            found = self.rows(CLAIMS.where(claim.c.holder != self._key))
+            others = {(kind, name): who for kind, name, who in found}
             for kind, name in wanted:
                 if (kind, name) in others:
                     return kind, name, others[kind, name]
-            rows = [(kind, name, self._key, this_process(), time.time()) for kind, name in wanted]
-            cursor.executemany(
-                "INSERT INTO claim (kind, name, holder, who, since) VALUES (%s, %s, %s, %s, %s)", rows
-            )
+            rows = [(*pair, self._key, this_process(), time.time()) for pair in wanted]
+            self.execute_many(insert(claim), rows)
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        found = self.rows(f"SELECT kind, name, who FROM claim WHERE holder IN ({HOLDERS})")
-        return {(kind, name): who for kind, name, who in found}
+        return {(kind, name): who for kind, name, who in self.rows(CLAIMS.where(claim.c.holder.in_(HOLDERS)))}
 
     def may_write(self) -> bool:
-        return bool(self.rows("SELECT has_table_privilege('observation', 'INSERT')")[0][0])
+        return bool(self.rows(select(func.has_table_privilege("observation", "INSERT")))[0][0])
 
     def size(self) -> int:
-        return int(self.rows("SELECT pg_database_size(current_database())")[0][0])
+        return int(self.rows(select(func.pg_database_size(func.current_database())))[0][0])
 
 
 def _times_as_seconds(connection: psycopg.Connection[Row]) -> None:

@@ -5,11 +5,21 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Column, ColumnElement, delete, select
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage.database import Cursor, SqlValue
+from hygrokf.live.storage.schema import (
+    alarm,
+    connection,
+    estimate,
+    matching,
+    observation,
+    property_,
+    revision,
+)
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.turbines import Fleet
 
@@ -66,35 +76,23 @@ def prune(store: Store, turbine: str, before: float, needed: float, most: int = 
     restart needs them.  Open alarms are kept, too.
     """
     limit, count = min(before, needed), 0
-    with store.transaction() as cursor:
+    time = observation.c.time
+    with store.transaction():
         for signal in store.signals(turbine):
-            edges = store.rows(
-                "SELECT time FROM observation WHERE turbine = ? AND signal = ? AND time < ? AND late = 0 "
-                "ORDER BY time DESC LIMIT ?",
-                (turbine, signal, needed, BEFORE),
-            )
+            own = matching(observation, turbine=turbine, signal=signal)
+            last = select(time).where(own, time < needed, observation.c.late == 0)
+            edges = store.rows(last.order_by(time.desc()).limit(BEFORE))
             until = min(limit, edges[-1][0]) if edges else limit
-            same = {"turbine": turbine, "signal": signal}
-            count += _bite(store, cursor, "observation", same, "time", until, most - count)
-        for table, column in (
-            ("revision", "time"), ("estimate", "time"), ("property", "time"), ("alarm", "ended"),
-            ("connection", "regained"),
+            count += _bite(store, own, time, until, most - count)
+        for column in (
+            revision.c.time, estimate.c.time, property_.c.time, alarm.c.ended, connection.c.regained
         ):  # fmt: skip
-            count += _bite(store, cursor, table, {"turbine": turbine}, column, limit, most - count)
+            own = column.table.c.turbine == turbine
+            count += _bite(store, own, column, limit, most - count)
     return count
 
 
-def _bite(
-    store: Store, cursor: Cursor, table: str, same: Mapping[str, str], column: str, until: float, most: int
-) -> int:
-    """Delete at most `most` of the oldest rows of a table before a time [s]; returns the number deleted."""
-    where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])
-    values: tuple[SqlValue, ...] = (*same.values(), until)
-    next_one = store.rows(
-        f"SELECT {column} FROM {table} WHERE {where} ORDER BY {column} LIMIT 1 OFFSET ?",
-        (*values, max(most, 0)),
-    )
-    if next_one:
-        values = (*same.values(), next_one[0][0])
-    cursor.execute(store.database.text(f"DELETE FROM {table} WHERE {where}"), values)
-    return max(cursor.rowcount, 0)
+def _bite(store: Store, own: ColumnElement[bool], time: Column[Any], until: float, most: int) -> int:
+    """Delete at most `most` of some rows before a time [s], the oldest; returns the number deleted."""
+    next_one = store.rows(select(time).where(own, time < until).order_by(time).limit(1).offset(max(most, 0)))
+    return store.execute(delete(time.table).where(own, time < (next_one[0][0] if next_one else until)))

@@ -1,265 +1,332 @@
-"""The store's tables and views.
+"""The store's tables and views, and how SQLite and PostgreSQL write their times.
 
-Times are seconds since 1970, UTC, as double precision; in PostgreSQL those of the large tables (`TIMESTAMPS`)
-are `timestamptz`, by which a table can be partitioned.  Values are in SI units, absolute humidity in g/m³.
-The views are for people and plotting tools: timestamps, °C and %, lower-case names.
+Times are seconds since 1970, UTC, as double precision.  In PostgreSQL those of type `Instant` are
+`timestamptz`, by which a table can be partitioned; `point.time` is not, because it restores every bit.
+Values are in SI units, absolute humidity in g/m³.  The views are for people and plotting tools: timestamps,
+°C and %, lower-case names.
+
+A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and stands here.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cache
+from types import UnionType
+from typing import Any, get_args, get_type_hints
 
+import sqlalchemy as sa
+from sqlalchemy import Column, Double, Integer, Table, Text, func, select
+from sqlalchemy.dialects.postgresql import Insert, insert
+from sqlalchemy.dialects.postgresql.base import PGDialect
+from sqlalchemy.dialects.sqlite.base import SQLiteDialect
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.schema import CreateIndex, CreateTable
+from sqlalchemy.sql import quoted_name
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import FunctionElement
+from sqlalchemy.types import TypeDecorator, TypeEngine
+
+from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
 from hygrokf.live.condition import QUANTITIES, Z95
 
-
-@dataclass(frozen=True)
-class Dialect:
-    """The SQL of one database.
-
-    `words`: templates that the views use as WORD(column).  UTC: a time [s] as the database's own timestamp,
-    or ISO 8601 text where it has no such type; STAMP: the same of a column of `TIMESTAMPS`; HOUR: the
-    beginning of the hour of such a column.  `instant`: the type of such a column; `time`: the template of a
-    parameter [s] that stands for one.
-    """
-
-    words: Mapping[str, str]
-    instant: str
-    time: str
-
-
-SQLITE = Dialect(
-    {
-        "UTC": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
-        "STAMP": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
-        "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
-    },
-    "DOUBLE PRECISION",
-    "?",
-)
-POSTGRESQL = Dialect(
-    {"UTC": "to_timestamp({})", "STAMP": "{}", "HOUR": "date_trunc('hour', {}, 'UTC')"},
-    "TIMESTAMPTZ",
-    "to_timestamp(?)",
-)
-
-
-def _readable() -> dict[str, str]:
-    """The condition in everyday units with 95 % bounds: column of the view -> SQL expression."""
-    columns = {}
-    for q in QUANTITIES:
-        value = f"{q.factor} * {q.column} + ({q.offset})"
-        columns[f"{q.name}_{q.unit}"] = value
-        columns[f"{q.name}_lower_{q.unit}"] = f"{value} - {Z95 * q.factor} * {q.sd_column}"
-        columns[f"{q.name}_upper_{q.unit}"] = f"{value} + {Z95 * q.factor} * {q.sd_column}"
-    return {**columns, "condensation_percent": "100.0 * condensation"}
-
-
-READABLE_COLUMNS = tuple(_readable())
-"""Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
-_CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
-_RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
-_AIR = ", ".join(f"{q.column} DOUBLE PRECISION, {q.sd_column} DOUBLE PRECISION" for q in QUANTITIES)
-_READING = """turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL"""
 VERSION = 6
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
-STATEMENTS = (
-    """CREATE TABLE turbine (
-        name TEXT PRIMARY KEY,
-        model TEXT NOT NULL,
-        added DOUBLE PRECISION NOT NULL)""",
-    f"""CREATE TABLE observation (
-        {_READING},
-        late INTEGER NOT NULL,
-        contradicted INTEGER NOT NULL,
-        mark DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, time))""",
-    "CREATE INDEX observation_by_time ON observation (turbine, time)",
-    f"""CREATE TABLE held (
-        {_READING},
-        mark DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, time, value))""",
-    f"""CREATE TABLE revision (
-        {_READING},
-        mark DOUBLE PRECISION,
-        late INTEGER NOT NULL,
-        number INTEGER NOT NULL,
-        PRIMARY KEY (turbine, signal, time, value))""",
-    "CREATE INDEX revision_by_time ON revision (turbine, time)",
-    """CREATE TABLE connection (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        lost DOUBLE PRECISION NOT NULL,
-        regained DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, lost))""",
-    """CREATE TABLE point (
-        turbine TEXT PRIMARY KEY,
-        time DOUBLE PRECISION NOT NULL,
-        state TEXT NOT NULL)""",
-    f"""CREATE TABLE estimate (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        final INTEGER NOT NULL,
-        {_AIR},
-        condensation DOUBLE PRECISION,
-        PRIMARY KEY (turbine, time))""",
-    f"""CREATE TABLE forecast (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        made INSTANT NOT NULL,
-        {_AIR},
-        condensation DOUBLE PRECISION,
-        above_limit DOUBLE PRECISION,
-        PRIMARY KEY (turbine, time))""",
-    """CREATE TABLE property (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        name TEXT NOT NULL,
-        unit TEXT NOT NULL,
-        value DOUBLE PRECISION, lower_bound DOUBLE PRECISION, upper_bound DOUBLE PRECISION,
-        reference DOUBLE PRECISION NOT NULL,
-        observable INTEGER NOT NULL,
-        PRIMARY KEY (turbine, name, time))""",
-    "CREATE INDEX property_by_time ON property (turbine, time)",
-    f"""CREATE TABLE weather (
-        {_READING},
-        PRIMARY KEY (turbine, signal, time))""",
-    """CREATE TABLE alarm (
-        id TEXT PRIMARY KEY,
-        turbine TEXT NOT NULL,
-        kind TEXT NOT NULL,
-        severity TEXT NOT NULL,
-        began DOUBLE PRECISION NOT NULL,
-        ended DOUBLE PRECISION,
-        acknowledged DOUBLE PRECISION,
-        acknowledged_by TEXT,
-        statement TEXT NOT NULL,
-        remedy TEXT NOT NULL,
-        cause TEXT,
-        note TEXT,
-        look_again DOUBLE PRECISION)""",
-    "CREATE INDEX alarm_by_turbine ON alarm (turbine, began)",
-    """CREATE TABLE memory (
-        turbine TEXT NOT NULL,
-        name TEXT NOT NULL,
-        content TEXT NOT NULL,
-        PRIMARY KEY (turbine, name))""",
-    """CREATE TABLE counter (
-        turbine TEXT NOT NULL,
-        name TEXT NOT NULL,
-        count BIGINT NOT NULL,
-        PRIMARY KEY (turbine, name))""",
-    """CREATE TABLE source (
-        url TEXT PRIMARY KEY,
-        place TEXT NOT NULL)""",
-    """CREATE TABLE claim (
-        kind TEXT NOT NULL,
-        name TEXT NOT NULL,
-        holder BIGINT NOT NULL,
-        who TEXT NOT NULL,
-        since DOUBLE PRECISION NOT NULL,
-        PRIMARY KEY (kind, name))""",
-    """CREATE TABLE assessment (
-        turbine TEXT PRIMARY KEY,
-        state TEXT NOT NULL,
-        reason TEXT NOT NULL,
-        since DOUBLE PRECISION NOT NULL)""",
-    """CREATE TABLE shelf (
-        turbine TEXT NOT NULL,
-        kind TEXT NOT NULL,
-        until DOUBLE PRECISION NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        made_by TEXT NOT NULL,
-        note TEXT NOT NULL,
-        PRIMARY KEY (turbine, kind))""",
-    """CREATE TABLE event (
-        id TEXT PRIMARY KEY,
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        kind TEXT NOT NULL,
-        note TEXT NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        made_by TEXT NOT NULL)""",
-    "CREATE INDEX event_by_turbine ON event (turbine, time)",
-    """CREATE TABLE outbox (
-        id TEXT PRIMARY KEY,
-        channel TEXT NOT NULL,
-        content TEXT NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        due DOUBLE PRECISION NOT NULL,
-        attempts INTEGER NOT NULL,
-        failure TEXT NOT NULL,
-        sent DOUBLE PRECISION)""",
-    "CREATE INDEX outbox_by_due ON outbox (sent, due)",
-)
-"""Statements that create the tables; INSTANT is the type of the columns in `TIMESTAMPS`.
+SQLITE = SQLiteDialect(paramstyle="qmark")
+POSTGRESQL = PGDialect(paramstyle="format")
 
-A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and stands here.
-"""
-TABLES = tuple(one.split()[2] for one in STATEMENTS if one.startswith("CREATE TABLE"))
-"""All tables except the one that records the schema's number."""
-TIMESTAMPS = {
-    one.split()[2]: tuple(re.findall(r"(\w+) INSTANT", one)) for one in STATEMENTS if "INSTANT" in one
-}
-"""Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
-VIEWS = {
-    "estimate_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, final, {_CONDITION}
-        FROM estimate""",
-    "forecast_readable": f"""SELECT turbine, time, STAMP(time) AS time_utc, STAMP(made) AS made_utc,
-        {_CONDITION}, 100.0 * above_limit AS above_limit_percent FROM forecast""",
-    "alarm_open": f"""SELECT id, turbine, kind, severity, {_RANK} AS severity_rank,
-        began, UTC(began) AS began_utc,
-        UTC(acknowledged) AS acknowledged_utc, acknowledged_by, cause, note, statement, remedy
-        FROM alarm WHERE ended IS NULL""",
-    # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
-    # every row
-    "property_now": """SELECT p.turbine, p.name, p.unit, p.time, STAMP(p.time) AS time_utc, p.value,
-        p.lower_bound, p.upper_bound, p.reference, p.observable
-        FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
-        FROM turbine) t
-        CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
-    "turbine_now": """SELECT t.name AS turbine, h.heard, STAMP(h.heard) AS heard_utc, e.time, e.time_utc,
-        e.temperature_celsius, e.temperature_lower_celsius, e.temperature_upper_celsius,
-        e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
-        e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
-        (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
-        COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
-        AS severity_rank, s.state, s.reason
-        FROM turbine t
-        JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
-        FROM turbine) h
-        ON h.name = t.name
-        LEFT JOIN estimate_readable e ON e.turbine = t.name
-        AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)
-        LEFT JOIN assessment s ON s.turbine = t.name""",
-    "observation_hourly": """SELECT turbine, signal, hour AS time, STAMP(hour) AS time_utc,
-        AVG(value) AS mean, MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
-        FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
-        WHERE contradicted = 0) o
-        GROUP BY turbine, signal, hour""",
-}
+
+# -- times ---------------------------------------------------------------------------------------------------
+class Instant(TypeDecorator[float]):
+    """A time [s] that is a timestamp where the database has such a type."""
+
+    impl = Double
+    cache_ok = True
+
+    def load_dialect_impl(self, dialect: sa.Dialect) -> TypeEngine[Any]:
+        return sa.TIMESTAMP(timezone=True) if dialect is POSTGRESQL else Double()
+
+    def bind_expression(self, bindparam: sa.BindParameter[float]) -> sa.ColumnElement[float]:
+        return _Timestamp(sa.type_coerce(bindparam, Double))
+
+
+class _Function(FunctionElement[Any]):
+    """A function of one time that each database writes in its own way."""
+
+    inherit_cache = True
+    sqlite = postgresql = "{}"
+
+
+class _Timestamp(_Function):
+    """A number [s] as a value for an `Instant`."""
+
+    postgresql = "to_timestamp({})"
+
+
+class _Iso(_Function):
+    """A time as ISO 8601 text, where the database has no timestamps."""
+
+    sqlite = "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')"
+
+
+class _Hour(_Function):
+    """The beginning of the hour of an `Instant`."""
+
+    type = Instant()
+    sqlite, postgresql = "CAST({} / 3600 AS INTEGER) * 3600.0", "date_trunc('hour', {}, 'UTC')"
+
+
+@compiles(_Function)
+def _function(element: _Function, compiler: SQLCompiler, **options: Any) -> str:
+    template: str = getattr(element, compiler.dialect.name)
+    return template.format(compiler.process(element.clauses, **options))
+
+
+# -- tables --------------------------------------------------------------------------------------------------
+METADATA = sa.MetaData()
+_TYPES: dict[type, TypeEngine[Any]] = {str: Text(), int: Integer(), float: Double()}
+
+
+def _key(name: str, kind: type[TypeEngine[Any]] = Text) -> Column[Any]:
+    return Column(name, kind, primary_key=True, autoincrement=False)
+
+
+def _stated(name: str, kind: type[TypeEngine[Any]] = Text) -> Column[Any]:
+    return Column(name, kind, nullable=False)
+
+
+def _readings(name: str, *more: Column[Any], keys: tuple[str, ...] = ("turbine", "signal", "time")) -> Table:
+    """A table of readings."""
+    kinds = {"turbine": Text, "signal": Text, "time": Instant, "value": Double, "received": Instant}
+    columns = [_key(c, kind) if c in keys else _stated(c, kind) for c, kind in kinds.items()]
+    return Table(name, METADATA, *columns, *more)
+
+
+def _table_of(kind: type[Any], name: str, *keys: str, instants: tuple[str, ...] = ()) -> Table:
+    """A table whose columns are the fields of a dataclass."""
+    columns = []
+    for field, hint in get_type_hints(kind).items():
+        optional = isinstance(hint, UnionType)
+        plain = get_args(hint)[0] if optional else hint
+        type_ = Instant() if field in instants else _TYPES[plain]
+        columns.append(Column(field, type_, primary_key=field in keys, nullable=optional))
+    return Table(name, METADATA, *columns)
+
+
+def _air(name: str, *columns: Column[Any], more: tuple[str, ...] = ()) -> Table:
+    """A table of conditions of the cabinet's air."""
+    names = [*(name for q in QUANTITIES for name in (q.column, q.sd_column)), "condensation", *more]
+    own = [Column(quoted_name(one, quote=False), Double) for one in names]
+    return Table(name, METADATA, _key("turbine"), _key("time", Instant), *columns, *own)
+
+
+schema_version = Table("schema_version", METADATA, _key("version", Integer), _stated("applied", Double))
+turbine = Table("turbine", METADATA, _key("name"), _stated("model"), _stated("added", Double))
+observation = _readings(
+    "observation", Column("mark", Double), _stated("late", Integer), _stated("contradicted", Integer)
+)
+held = _readings("held", Column("mark", Double), keys=("turbine", "signal", "time", "value"))
+revision = _readings(
+    "revision",
+    Column("mark", Double),
+    _stated("late", Integer),
+    _stated("number", Integer),
+    keys=("turbine", "signal", "time", "value"),
+)
+weather = _readings("weather")
+connection = _table_of(Loss, "connection", "turbine", "signal", "lost")
+point = Table("point", METADATA, _key("turbine"), _stated("time", Double), _stated("state"))
+estimate = _air("estimate", _stated("final", Integer))
+forecast = _air("forecast", _stated("made", Instant), more=("above_limit",))
+property_ = Table(
+    "property", METADATA, _key("turbine"), _key("name"), _key("time", Instant), _stated("unit"),
+    Column("value", Double), Column("lower_bound", Double), Column("upper_bound", Double),
+    _stated("reference", Double), _stated("observable", Integer),
+)  # fmt: skip
+alarm = _table_of(Alarm, "alarm", "id")
+memory = Table("memory", METADATA, _key("turbine"), _key("name"), _stated("content"))
+counter = Table("counter", METADATA, _key("turbine"), _key("name"), _stated("count", sa.BigInteger))
+source = Table("source", METADATA, _key("url"), _stated("place"))
+claim = Table(
+    "claim", METADATA, _key("kind"), _key("name"), _stated("holder", sa.BigInteger), _stated("who"),
+    _stated("since", Double),
+)  # fmt: skip
+assessment = _table_of(Assessment, "assessment", "turbine")
+shelf = _table_of(Shelf, "shelf", "turbine", "kind")
+event = _table_of(Event, "event", "id", instants=("time",))
+outbox = _table_of(Notice, "outbox", "id")
+for _name, *_columns in (
+    ("observation_by_time", observation.c.turbine, observation.c.time),
+    ("revision_by_time", revision.c.turbine, revision.c.time),
+    ("property_by_time", property_.c.turbine, property_.c.time),
+    ("alarm_by_turbine", alarm.c.turbine, alarm.c.began),
+    ("event_by_turbine", event.c.turbine, event.c.time),
+    ("outbox_by_due", outbox.c.sent, outbox.c.due),
+):
+    sa.Index(_name, *_columns)
+
+
+@cache
+def inserting(table: Table) -> Insert:
+    """The statement that inserts a row, unless there is one with its key."""
+    return insert(table).on_conflict_do_nothing()
+
+
+@cache
+def replacing(table: Table, *kept: str, newer: str = "", added: str = "") -> Insert:
+    """The statement that inserts a row or, where there is one with its key, replaces all but the `kept`
+    columns, only if `newer` has not decreased, and adds to the column `added`."""
+    statement, keys = insert(table), list(table.primary_key)
+    changed: dict[str, Any] = {
+        one.name: statement.excluded[one.name] for one in table.c if one not in keys and one.name not in kept
+    }
+    if added:
+        changed[added] += table.c[added]
+    where = statement.excluded[newer] >= table.c[newer] if newer else None
+    return statement.on_conflict_do_update(index_elements=keys, set_=changed, where=where)
+
+
+def matching(rows: sa.FromClause, **values: object) -> sa.ColumnElement[bool]:
+    """The condition that columns have these values."""
+    return sa.and_(sa.true(), *(rows.c[name] == value for name, value in values.items()))
+
+
+# -- views ---------------------------------------------------------------------------------------------------
+VIEWS: dict[str, sa.Select[Any]] = {}
 """View -> its query; a view stands after those that it uses."""
 
 
-def creation(dialect: Dialect) -> list[str]:
-    """Statements that create all tables and views in one database's SQL dialect."""
-    tables = [one.replace("INSTANT", dialect.instant) for one in STATEMENTS]
-    number = "CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"
-    return [number, *tables, *created_views(dialect)]
+def _view(name: str, query: sa.Select[Any]) -> sa.TableClause:
+    VIEWS[name] = query
+    return sa.table(name, *(sa.column(one.name, one.type) for one in query.selected_columns))
 
 
-def created_views(dialect: Dialect) -> list[str]:
-    """Statements that create all views in one database's SQL dialect."""
+class _CrossJoin(sa.Join):
+    """A join whose order SQLite keeps: it looks up the rows on the right for each on the left, instead of
+    scanning all of them."""
+
+    inherit_cache = True
+
+
+@compiles(_CrossJoin)
+def _(join: sa.Join, compiler: SQLCompiler, **options: Any) -> str:
+    left, right = (compiler.process(one, **{**options, "asfrom": True}) for one in (join.left, join.right))
+    return f"{left} CROSS JOIN {right}"
+
+
+def _readable(air: Table) -> list[sa.ColumnElement[Any]]:
+    """The condition in everyday units with 95 % bounds."""
+    columns: list[sa.ColumnElement[Any]] = []
+    for q in QUANTITIES:
+        value, half = q.factor * air.c[q.column] + q.offset, Z95 * q.factor * air.c[q.sd_column]
+        columns.append(value.label(f"{q.name}_{q.unit}"))
+        columns.append((value - half).label(f"{q.name}_lower_{q.unit}"))
+        columns.append((value + half).label(f"{q.name}_upper_{q.unit}"))
+    return [*columns, (100.0 * air.c.condensation).label("condensation_percent")]
+
+
+def _utc(time: sa.ColumnElement[Any]) -> sa.ColumnElement[Any]:
+    """A time as the database's own timestamp, or as ISO 8601 text."""
+    return _Iso(time if isinstance(time.type, Instant) else _Timestamp(time))
+
+
+def _of(rows: sa.FromClause, names: str) -> list[sa.ColumnElement[Any]]:
+    """Columns by their names, of which NAME_utc without a column of its own is the time NAME."""
     return [
-        re.sub(
-            r"\b(UTC|STAMP|HOUR)\(([\w.]+)\)",
-            lambda found: dialect.words[found[1]].format(found[2]),
-            f"CREATE VIEW {name} AS {query}",
-        )
+        rows.c[name] if name in rows.c else _utc(rows.c[name.removesuffix("_utc")]).label(name)
+        for name in names.split()
+    ]
+
+
+def newest(rows: Table, **same: object) -> sa.ScalarSelect[Any]:
+    """The newest time of a turbine's rows that have the same values, in a query of turbines."""
+    own = rows.alias()
+    newest_one = select(func.max(own.c.time)).where(own.c.turbine == turbine.c.name, matching(own, **same))
+    return newest_one.scalar_subquery()
+
+
+READABLE_COLUMNS = tuple(one.name for one in _readable(estimate))
+"""Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
+estimate_readable = _view(
+    "estimate_readable", select(*_of(estimate, "turbine time time_utc final"), *_readable(estimate))
+)
+_above_limit = (100.0 * forecast.c.above_limit).label("above_limit_percent")
+_view(
+    "forecast_readable",
+    select(*_of(forecast, "turbine time time_utc made_utc"), *_readable(forecast), _above_limit),
+)
+_rank = sa.case({"alarm": 3, "warning": 2}, value=alarm.c.severity, else_=1).label("severity_rank")
+alarm_open = _view(
+    "alarm_open",
+    select(
+        *_of(alarm, "id turbine kind severity"),
+        _rank,
+        *_of(alarm, "began began_utc acknowledged_utc acknowledged_by cause note statement remedy"),
+    ).where(alarm.c.ended.is_(None)),
+)
+_latest = select(turbine.c.name, newest(property_).label("newest")).subquery()
+_view(
+    "property_now",
+    select(
+        *_of(property_, "turbine name unit time time_utc value lower_bound upper_bound reference observable")
+    )
+    .select_from(_CrossJoin(_latest, property_, sa.true()))
+    .where(property_.c.turbine == _latest.c.name, property_.c.time == _latest.c.newest),
+)
+_heard = select(turbine.c.name, newest(observation).label("heard")).subquery()
+_open = select(func.count()).where(alarm_open.c.turbine == turbine.c.name)
+_worst = _open.with_only_columns(func.max(alarm_open.c.severity_rank)).scalar_subquery()
+_view(
+    "turbine_now",
+    select(
+        turbine.c.name.label("turbine"),
+        *_of(_heard, "heard heard_utc"),
+        *_of(
+            estimate_readable,
+            "time time_utc temperature_celsius temperature_lower_celsius temperature_upper_celsius "
+            "relative_humidity_percent relative_humidity_lower_percent relative_humidity_upper_percent "
+            "dew_point_celsius margin_kelvin margin_lower_kelvin condensation_percent",
+        ),
+        _open.scalar_subquery().label("open_alarms"),
+        func.coalesce(_worst, 0).label("severity_rank"),
+        *_of(assessment, "state reason"),
+    )
+    .join(_heard, _heard.c.name == turbine.c.name)
+    .outerjoin(
+        estimate_readable,
+        (estimate_readable.c.turbine == turbine.c.name) & (estimate_readable.c.time == newest(estimate)),
+    )
+    .outerjoin(assessment, assessment.c.turbine == turbine.c.name),
+)
+_hours = (
+    select(*_of(observation, "turbine signal value"), _Hour(observation.c.time).label("time"))
+    .where(observation.c.contradicted == 0)
+    .subquery()
+)
+_value = _hours.c.value
+_view(
+    "observation_hourly",
+    select(
+        *_of(_hours, "turbine signal time time_utc"),
+        func.avg(_value).label("mean"),
+        func.min(_value).label("lowest"),
+        func.max(_value).label("highest"),
+        func.count().label("readings"),
+    ).group_by(*_of(_hours, "turbine signal time")),
+)
+
+
+def creation(dialect: sa.Dialect) -> list[str]:
+    """Statements that create all tables and views in one database's SQL dialect."""
+    tables = METADATA.sorted_tables
+    indices = [index for one in tables for index in sorted(one.indexes, key=lambda index: str(index.name))]
+    made: list[sa.ClauseElement] = [*map(CreateTable, tables), *map(CreateIndex, indices)]
+    return [*(str(one.compile(dialect=dialect)) for one in made), *created_views(dialect)]
+
+
+def created_views(dialect: sa.Dialect) -> list[str]:
+    """Statements that create all views in one database's SQL dialect."""
+    whole = {"literal_binds": True}
+    return [
+        f"CREATE VIEW {name} AS {query.compile(dialect=dialect, compile_kwargs=whole)}"
         for name, query in VIEWS.items()
     ]

@@ -11,16 +11,18 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO
 
+from sqlalchemy import delete, insert, select, text
+
 from hygrokf.live.storage.database import (
     AGAIN_S,
-    Cursor,
+    CLAIMS,
     Database,
     StoreFault,
     StoreUnready,
     refuse_other_schema,
     this_process,
 )
-from hygrokf.live.storage.schema import SQLITE
+from hygrokf.live.storage.schema import SQLITE, claim
 
 APPLICATION_ID = 0x68796B66
 """Application id in the file's header ("hykf"), so that no other database is mistaken for a store."""
@@ -56,26 +58,22 @@ class SqliteDatabase(Database):
         return code is not None and code & 0xFF not in OWN_MISTAKES
 
     def has_tables(self) -> bool:
-        return bool(self.rows("SELECT 1 FROM sqlite_master WHERE name = 'schema_version'"))
+        return bool(self.rows(text("SELECT 1 FROM sqlite_master WHERE name = 'schema_version'")))
 
-    def take_turn(self, cursor: Cursor) -> None:
+    def take_turn(self) -> None:
         """BEGIN IMMEDIATE has waited already, so only mark the file as a store."""
-        cursor.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        self.execute(text(f"PRAGMA application_id={APPLICATION_ID}"))
 
     def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """One file has one tracker: the lock file covers everything that it tracks."""
         if self._lock is None:
             self._lock = lock_file(lock_path(self._path))
             if self._lock is None:
-                found = self.rows("SELECT who FROM claim ORDER BY since DESC LIMIT 1")
+                found = self.rows(select(claim.c.who).order_by(claim.c.since.desc()).limit(1))
                 return (*wanted[0], found[0][0] if found else "another process")
-            with self.transaction() as cursor:
-                cursor.execute("DELETE FROM claim")
-        rows = [(kind, name, 0, this_process(), time.time()) for kind, name in wanted]
-        with self.transaction() as cursor:
-            cursor.executemany(
-                "INSERT INTO claim (kind, name, holder, who, since) VALUES (?, ?, ?, ?, ?)", rows
-            )
+            self.execute(delete(claim))
+        with self.transaction():
+            self.execute_many(insert(claim), [(*pair, 0, this_process(), time.time()) for pair in wanted])
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
@@ -83,10 +81,10 @@ class SqliteDatabase(Database):
         claims."""
         if self._lock is None and not is_locked(lock_path(self._path)):
             return {}
-        return {(kind, name): who for kind, name, who in self.rows("SELECT kind, name, who FROM claim")}
+        return {(kind, name): who for kind, name, who in self.rows(CLAIMS)}
 
     def faults(self) -> list[str]:
-        return [row[0] for row in self.rows("PRAGMA quick_check(5)") if row[0] != "ok"]
+        return [row[0] for row in self.rows(text("PRAGMA quick_check(5)")) if row[0] != "ok"]
 
     def may_write(self) -> bool:
         return all(os.access(one, os.W_OK) for one in (self._path, self._path.parent))

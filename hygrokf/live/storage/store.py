@@ -12,62 +12,86 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple
 from typing import Any, TypeVar
 
 import numpy as np
+from sqlalchemy import (
+    CTE,
+    ClauseElement,
+    ColumnElement,
+    FromClause,
+    Table,
+    bindparam,
+    delete,
+    func,
+    literal_column,
+    null,
+    select,
+    update,
+)
 
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.batch import Alarm, Assessment, Batch, Event, Loss, Notice, Observation, Shelf
+from hygrokf.live.batch import Assessment, Batch, Event, Notice, Observation, Shelf
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
+from hygrokf.live.storage import schema
+from hygrokf.live.storage.database import Database, Row
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
-from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
+from hygrokf.live.storage.schema import inserting, matching, observation, replacing, revision
 from hygrokf.live.storage.sqlite import open_sqlite, path_of
 from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
-ESTIMATE_COLUMNS = (
-    "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
-    "condensation",
-)  # fmt: skip
-_SIGNALS = """
-WITH RECURSIVE known (signal) AS (
-    SELECT MIN(signal) FROM observation WHERE turbine = ?
-    UNION ALL
-    SELECT (SELECT MIN(o.signal) FROM observation o WHERE o.turbine = ? AND o.signal > known.signal)
-    FROM known WHERE known.signal IS NOT NULL)
-"""
-_READINGS = f"""{_SIGNALS}
-SELECT o.signal, o.time, o.value, o.mark, o.contradicted FROM known CROSS JOIN observation o
-WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
-    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
-    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?),
-    (SELECT MIN(m.time) FROM observation m WHERE m.turbine = ? AND m.signal = known.signal))
-ORDER BY o.signal, o.time
-"""
-"""Query of `Store.readings`: one index lookup per signal, however long the history is."""
 FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
 ASKED = 500
 """Stamps asked for in one query."""
-FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
-READING_COLUMNS = ("turbine", "signal", "time", "value", "received")
-MARKED_COLUMNS = (*READING_COLUMNS, "mark")
-PROPERTY_COLUMNS = (
-    "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
-)  # fmt: skip
 ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
 """Columns of an alarm that the page writes and the tracker leaves as they are."""
-TABLE_OF: Mapping[type[Any], str] = {
-    Alarm: "alarm", Assessment: "assessment", Event: "event", Loss: "connection", Notice: "outbox",
-    Shelf: "shelf",
-}  # fmt: skip
-"""Kind -> table whose columns are its fields."""
 T = TypeVar("T")
+
+
+# -- statements of every round, written once -----------------------------------------------------------------
+def _given(rows: Table, *names: str) -> ColumnElement[bool]:
+    """The condition that columns have the values of the parameters of their names."""
+    return matching(rows, **{name: bindparam(name) for name in names})
+
+
+_RELEASE = delete(schema.held).where(_given(schema.held, "turbine", "signal", "time"))
+_FIRST_VERSION = inserting(revision).from_select(
+    revision.c.keys(),
+    select(*(observation.c[name] for name in revision.c.keys()[:-1]), literal_column("0")).where(
+        _given(observation, "turbine", "signal", "time")
+    ),
+)
+_PROVISIONAL = delete(schema.estimate).where(
+    _given(schema.estimate, "turbine"),
+    schema.estimate.c.time >= bindparam("since"),
+    schema.estimate.c.final == literal_column("0"),
+)
+_REOPEN = (
+    update(schema.alarm)
+    .where(_given(schema.alarm, "id"))
+    .values(acknowledged=null(), acknowledged_by=null(), look_again=null())
+)
+_EVENTS = select(schema.event).order_by(schema.event.c.made, schema.event.c.id)
+_MEMORY = select(schema.memory.c.content).where(_given(schema.memory, "turbine", "name"))
+
+
+def _signals() -> CTE:
+    """The signals of a turbine's readings, by one index lookup each; DISTINCT would scan them all."""
+    rows, known = observation.alias(), select(func.min(observation.c.signal).label("signal"))
+    found = known.where(_given(observation, "turbine")).cte("known", recursive=True)
+    following = select(func.min(rows.c.signal)).where(
+        rows.c.turbine == bindparam("turbine"), rows.c.signal > found.c.signal
+    )
+    return found.union_all(select(following.scalar_subquery()).where(found.c.signal.is_not(None)))
+
+
+_SIGNALS = select(_signals().c.signal)
 
 
 class Store:
@@ -80,169 +104,105 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self.database, self.url = database, database.url
-        self.rows, self.transaction, self._text = database.rows, database.transaction, database.text
-        self.claim, self.close = database.claim, database.close
+        self.rows, self.execute, self.execute_many = database.rows, database.execute, database.execute_many
+        self.transaction, self.claim, self.close = database.transaction, database.claim, database.close
 
-    def found(self, kind: type[T], rest: str = "", parameters: Sequence[SqlValue] = ()) -> list[T]:
-        """What the table of a kind holds (`TABLE_OF`), selected and ordered by the `rest` of the query."""
-        rows = self.rows(f"SELECT {', '.join(columns_of(kind))} FROM {TABLE_OF[kind]} {rest}", parameters)
-        return [kind(*row) for row in rows]
+    def found(self, kind: type[T], statement: ClauseElement) -> list[T]:
+        """The rows of a query of a table whose columns are the fields of a kind."""
+        return [kind(*row) for row in self.rows(statement)]
 
     # -- writing ---------------------------------------------------------------------------------------------
     def commit(self, batch: Batch) -> None:
         """Write a batch completely or not at all."""
-        with self.transaction() as cursor:
-            self.write(cursor, batch)
+        with self.transaction():
+            self.write(batch)
 
-    def write(self, cursor: Cursor, batch: Batch) -> None:
+    def write(self, batch: Batch) -> None:
         """Write a batch within a transaction."""
-        self._write_observations(cursor, batch)
-        self._write_estimates(cursor, batch)
-        self._write_findings(cursor, batch)
-        self._write_memories(cursor, batch)
-        self._write_forecasts(cursor, batch)
+        self._write_observations(batch)
+        self._write_estimates(batch)
+        self._write_findings(batch)
+        self._write_forecasts(batch)
 
-    def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
+    def _put(self, table: Table, rows: Iterable[Any]) -> None:
+        """Insert dataclasses or tuples as rows, in place of those with their keys."""
+        self.execute_many(replacing(table), [one if isinstance(one, tuple) else astuple(one) for one in rows])
+
+    def _write_observations(self, batch: Batch) -> None:
         """Write readings and filter points; of a stamp with several values the one that counts is written,
         and every version is kept beside it."""
-        self._many(
-            cursor,
-            inserting("observation", (*MARKED_COLUMNS, "late", "contradicted")) + " ON CONFLICT DO NOTHING",
-            [(*_marked_row(one), int(one.late), 0) for one in batch.observations if not one.revision],
-        )
-        self._write_revisions(cursor, [one for one in batch.observations if one.revision])
-        self._many(
-            cursor,
-            inserting("held", MARKED_COLUMNS) + " ON CONFLICT DO NOTHING",
-            [_marked_row(one) for one in batch.held],
-        )
-        self._many(
-            cursor,
-            "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?",
-            [_reading_row(one)[:3] for one in batch.released],
-        )
-        self._many(cursor, putting(Loss, ("turbine", "signal", "lost")), map(astuple, batch.losses))
-        self._many(
-            cursor,
-            replacing("point", ("turbine", "time", "state"), key=("turbine",)),
-            [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
-        )
+        first = [(*_marked_row(one), int(one.late), 0) for one in batch.observations if not one.revision]
+        self.execute_many(inserting(observation), first)
+        self._write_revisions([one for one in batch.observations if one.revision])
+        self.execute_many(inserting(schema.held), map(_marked_row, batch.held))
+        self.execute_many(_RELEASE, [_reading_row(one)[:3] for one in batch.released])
+        self._put(schema.connection, batch.losses)
+        self._put(schema.point, [(name, p.time, state_text(p.state)) for name, p in batch.points.items()])
 
-    def _write_revisions(self, cursor: Cursor, revisions: Sequence[Observation]) -> None:
+    def _write_revisions(self, revisions: Sequence[Observation]) -> None:
         """Add versions of values to those of their stamps, and use those that count and come in time."""
         stamps: dict[str, list[tuple[str, float]]] = {}
         for one in revisions:
             stamps.setdefault(one.turbine, []).append((one.reading.signal, one.reading.time))
         known = {turbine: self.versions(turbine, own) for turbine, own in stamps.items()}
-        columns = (*MARKED_COLUMNS, "late", "number")
-        names = ", ".join(columns[:-1])
-        first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
-        first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
-        self._many(cursor, first, [_reading_row(one)[:3] for one in revisions])
-        added = self._text(inserting("revision", columns) + " ON CONFLICT DO NOTHING")
+        self.execute_many(_FIRST_VERSION, [_reading_row(one)[:3] for one in revisions])
         for one in revisions:
             versions = known[one.turbine][one.reading.signal, one.reading.time]
-            cursor.execute(added, (*_marked_row(one), int(one.late), len(versions)))
+            self.execute_many(inserting(revision), [(*_marked_row(one), int(one.late), len(versions))])
             versions.append(one.reading)
             if not one.late:
-                self.use(cursor, one.turbine, versions)
+                self.use(one.turbine, versions)
 
-    def use(self, cursor: Cursor, turbine: str, versions: Sequence[Reading]) -> None:
+    def use(self, turbine: str, versions: Sequence[Reading]) -> None:
         """Let the version of a stamp that counts be the observation."""
         value, first = used_value(versions), versions[0]
-        statement = self._text(
-            "UPDATE observation SET contradicted = ?, (value, received, mark) = (SELECT r.value, r.received, "
-            "r.mark FROM revision r WHERE r.turbine = observation.turbine AND r.signal = observation.signal "
-            "AND r.time = observation.time AND r.value = ?) WHERE turbine = ? AND signal = ? AND time = ?"
-        )
-        none = math.isnan(value)
-        used = first.value if none else value
-        cursor.execute(statement, (int(none), used, turbine, first.signal, first.time))
+        stamp = {"turbine": turbine, "signal": first.signal, "time": first.time}
+        used = first.value if math.isnan(value) else value
+        version = select(revision.c.received, revision.c.mark).where(matching(revision, **stamp, value=used))
+        ((received, mark),) = self.rows(version)
+        changed = {"contradicted": int(math.isnan(value)), "value": used, "received": received, "mark": mark}
+        self.execute(update(observation).where(matching(observation, **stamp)).values(changed))
 
-    def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
+    def _write_estimates(self, batch: Batch) -> None:
         """Write estimates in place of the provisional ones."""
-        self._many(
-            cursor,
-            "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
-            [(turbine, one.since) for turbine, one in batch.estimates.items()],
-        )
-        self._many(
-            cursor,
-            replacing("estimate", ESTIMATE_COLUMNS, key=ESTIMATE_COLUMNS[:2]),
-            [
-                row
-                for turbine, one in batch.estimates.items()
-                for row in estimate_rows(turbine, one.condition, one.final)
-            ],
-        )
+        self.execute_many(_PROVISIONAL, [(turbine, one.since) for turbine, one in batch.estimates.items()])
+        rows: list[Row] = []
+        for turbine, one in batch.estimates.items():
+            finals = [int(i < one.final) for i in range(len(one.condition.time_s))]
+            rows += air_rows(turbine, one.condition, finals)
+        self._put(schema.estimate, rows)
 
-    def _write_findings(self, cursor: Cursor, batch: Batch) -> None:
-        """Write properties, alarms, states of turbines and notices."""
-        self._many(
-            cursor,
-            replacing("property", PROPERTY_COLUMNS, key=("turbine", "name", "time")),
+    def _write_findings(self, batch: Batch) -> None:
+        """Write properties, alarms, states of turbines, notices, the data that trackers and sources resume
+        from, and counters."""
+        self._put(
+            schema.property_,
             [
-                (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
+                (turbine, p.name, at, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
                 for turbine, at, properties in batch.properties
                 for p in properties
             ],
         )
-        self._many(cursor, putting(Alarm, ("id",), kept=ACKNOWLEDGED), map(astuple, batch.alarms))
-        self._many(cursor, putting(Assessment, ("turbine",)), map(astuple, batch.assessments))
-        self._many(
-            cursor,
-            "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?",
-            [(alarm.id,) for alarm in batch.reopened],
-        )
-        self._write_notices(cursor, batch.notices)
+        self.execute_many(replacing(schema.alarm, *ACKNOWLEDGED), map(astuple, batch.alarms))
+        self._put(schema.assessment, batch.assessments)
+        self.execute_many(_REOPEN, [(alarm.id,) for alarm in batch.reopened])
+        self.execute_many(inserting(schema.outbox), map(astuple, batch.notices))
+        self._put(schema.memory, [(*key, json.dumps(data)) for key, data in batch.memories.items()])
+        counts = [(*key, count) for key, count in batch.counters.items() if count]
+        self.execute_many(replacing(schema.counter, added="count"), counts)
+        self._put(schema.source, batch.place.items())
 
-    def _write_notices(self, cursor: Cursor, notices: Iterable[Notice]) -> None:
-        statement = inserting("outbox", columns_of(Notice)) + " ON CONFLICT (id) DO NOTHING"
-        self._many(cursor, statement, map(astuple, notices))
-
-    def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
-        """Write the data that trackers and sources resume from, and counters."""
-        self._many(
-            cursor,
-            replacing("memory", ("turbine", "name", "content"), key=("turbine", "name")),
-            [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
-        )
-        self._many(
-            cursor,
-            inserting("counter", ("turbine", "name", "count"))
-            + " ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
-            [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
-        )
-        self._many(cursor, replacing("source", ("url", "place"), key=("url",)), list(batch.place.items()))
-
-    def _write_forecasts(self, cursor: Cursor, batch: Batch) -> None:
+    def _write_forecasts(self, batch: Batch) -> None:
         """Write the cabinets' forecasts, and the weather forecasts that they are based on."""
-        self._many(cursor, "DELETE FROM forecast WHERE turbine = ?", [(name,) for name in batch.forecasts])
-        self._many(
-            cursor,
-            inserting("forecast", FORECAST_COLUMNS),
-            [
-                (row[0], row[1], made.made_s, *row[3:], above)
-                for turbine, made in batch.forecasts.items()
-                if made is not None
-                for row, above in zip(
-                    estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True
-                )
-            ],
-        )
+        for turbine, made in batch.forecasts.items():
+            self.execute(delete(schema.forecast).where(schema.forecast.c.turbine == turbine))
+            if made is not None:
+                instants = [made.made_s] * len(made.condition.time_s)
+                self._put(schema.forecast, air_rows(turbine, made.condition, instants, _plain(made.above)))
         if batch.weather:  # forecast values of the past are of no use
             old = min(one.received for one in batch.weather) - FORGOTTEN_S
-            cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
-        self._many(
-            cursor,
-            replacing("weather", READING_COLUMNS, key=("turbine", "signal", "time"))
-            + " WHERE excluded.received >= weather.received",
-            [_reading_row(one) for one in batch.weather],
-        )
-
-    def _many(self, cursor: Cursor, statement: str, rows: Iterable[Row]) -> None:
-        if some := list(rows):
-            cursor.executemany(self._text(statement), some)
+            self.execute(delete(schema.weather).where(schema.weather.c.time < old))
+        self.execute_many(replacing(schema.weather, newer="received"), map(_reading_row, batch.weather))
 
     def add_turbines(self, models: Mapping[str, str]) -> None:
         """Register turbines; `models`: turbine → digest of the model that tracks it.
@@ -250,20 +210,14 @@ class Store:
         A turbine whose model has changed starts again from its observations, because its point belongs to the
         old model.
         """
-        with self.transaction() as cursor:
+        with self.transaction():
+            known = self.models()
             for name, digest in models.items():
-                cursor.execute(self._text("SELECT model FROM turbine WHERE name = ?"), (name,))
-                known = cursor.fetchone()
-                if known and known[0] != digest:
-                    for table in ("point", "memory"):
-                        cursor.execute(self._text(f"DELETE FROM {table} WHERE turbine = ?"), (name,))
-                cursor.execute(
-                    self._text(
-                        "INSERT INTO turbine (name, model, added) VALUES (?, ?, ?) "
-                        "ON CONFLICT (name) DO UPDATE SET model = excluded.model"
-                    ),
-                    (name, digest, time.time()),
-                )
+                if known.get(name, digest) != digest:
+                    for table in (schema.point, schema.memory):
+                        self.execute(delete(table).where(table.c.turbine == name))
+            rows = [(name, digest, time.time()) for name, digest in models.items()]
+            self.execute_many(replacing(schema.turbine, "added"), rows)
 
     # -- what people state -----------------------------------------------------------------------------------
     def acknowledge(
@@ -281,216 +235,195 @@ class Store:
 
         Returns False if there is no such alarm or it was acknowledged before.
         """
-        with self.transaction() as cursor:
-            cursor.execute(
-                self._text(
-                    f"UPDATE alarm SET {', '.join(f'{name} = ?' for name in ACKNOWLEDGED)} "
-                    "WHERE id = ? AND acknowledged IS NULL"
-                ),
-                (at, by, cause, note, look_again, alarm),
-            )
-            changed = cursor.rowcount == 1
+        stated = dict(zip(ACKNOWLEDGED, (at, by, cause, note, look_again), strict=True))
+        unacknowledged = matching(schema.alarm, id=alarm, acknowledged=None)
+        with self.transaction():
+            changed = self.execute(update(schema.alarm).where(unacknowledged).values(stated)) == 1
             if changed:
-                self._write_notices(cursor, notices)
+                self.execute_many(inserting(schema.outbox), map(astuple, notices))
         return changed
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
-        self._execute(putting(Shelf, ("turbine", "kind")), astuple(shelf))
+        self._put(schema.shelf, [shelf])
 
     def unshelve(self, turbine: str, kind: str) -> bool:
         """End a shelf early; False if there is none."""
-        return self._execute("DELETE FROM shelf WHERE turbine = ? AND kind = ?", (turbine, kind)) == 1
+        own = matching(schema.shelf, turbine=turbine, kind=kind)
+        return self.execute(delete(schema.shelf).where(own)) == 1
 
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
-        self._execute(putting(Event, ("id",)), astuple(event))
-
-    def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
-        """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
-        with self.transaction() as cursor:
-            cursor.execute(self._text(statement), tuple(parameters))
-            return cursor.rowcount
+        self._put(schema.event, [event])
 
     # -- reading ---------------------------------------------------------------------------------------------
+    def models(self) -> dict[str, str]:
+        """Turbine → digest of the model that tracks it."""
+        return dict(self.rows(select(schema.turbine.c.name, schema.turbine.c.model)))
+
     def point(self, turbine: str) -> Point | None:
-        found = self.rows("SELECT time, state FROM point WHERE turbine = ?", (turbine,))
+        table = schema.point
+        found = self.rows(select(table.c.time, table.c.state).where(table.c.turbine == turbine))
         return Point(found[0][0], state_of(found[0][1])) if found else None
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
         """Readings of a turbine that the filter may use: those from `since` [s] on and each signal's last
-        `BEFORE` before it.
+        `BEFORE` before it, by one index lookup per signal, however long the history is.
 
         The value is NaN where two readings contradict each other.
         """
-        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1, turbine))
-        return [_reading(s, at, math.nan if wrong else value, mark) for s, at, value, mark, wrong in found]
+        found: list[Reading] = []
+        o = observation.c
+        for signal in self.signals(turbine):
+            own = matching(observation, turbine=turbine, signal=signal, late=0)
+            before = select(o.time).where(own, o.time < since).order_by(o.time.desc()).limit(BEFORE)
+            edges = self.rows(before)
+            begin = edges[-1][0] if edges else since
+            rows = select(o.time, o.value, o.mark, o.contradicted).where(own, o.time >= begin)
+            found += [
+                _reading(signal, at, math.nan if wrong else value, mark)
+                for at, value, mark, wrong in self.rows(rows.order_by(o.time))
+            ]
+        return found
 
     def versions(self, turbine: str, stamps: Iterable[tuple[str, float]]) -> Versions:
         """The versions of the values of some stamps (signal, time [s]), but for those that are not known."""
         found: Versions = {}
-        ordered = sorted(stamps, key=lambda stamp: stamp[1])
-        for first in range(0, len(ordered), ASKED):
-            part = ordered[first : first + ASKED]
-            rows = self.rows(
-                "SELECT signal, time, value, mark FROM observation WHERE turbine = ? AND (signal, time) IN "
-                f"(VALUES {', '.join(['(?, TIME(?))'] * len(part))})",
-                [turbine, *(one for stamp in part for one in stamp)],
-            )
-            found |= {(one[0], one[1]): [_reading(*one)] for one in rows}
-        revised = self.revised(turbine, ordered[0][1]) if found else {}
+        wanted = set(stamps)
+        times = sorted({time for _, time in wanted})
+        o = observation.c
+        for first in range(0, len(times), ASKED):
+            asked = o.time.in_(times[first : first + ASKED])
+            rows = self.rows(select(o.signal, o.time, o.value, o.mark).where(o.turbine == turbine, asked))
+            found |= {(row[0], row[1]): [_reading(*row)] for row in rows if row[:2] in wanted}
+        revised = self.revised(turbine, times[0]) if found else {}
         return found | {stamp: known for stamp, known in revised.items() if stamp in found}
 
     def revised(self, turbine: str, since: float = -math.inf) -> Versions:
         """The versions of all stamps from `since` [s] on that had several values."""
         found: Versions = {}
-        rows = self.rows(
-            "SELECT signal, time, value, mark FROM revision WHERE turbine = ? AND time >= ? "
-            "ORDER BY signal, time, number",
-            (turbine, since),
-        )
-        for signal, at, value, mark in rows:
+        r = revision.c
+        rows = select(r.signal, r.time, r.value, r.mark).where(r.turbine == turbine, r.time >= since)
+        for signal, at, value, mark in self.rows(rows.order_by(r.signal, r.time, r.number)):
             found.setdefault((signal, at), []).append(_reading(signal, at, value, mark))
         return found
 
     def losses(self, turbine: str) -> dict[str, list[tuple[float, float]]]:
         """Spans [s] in which the connection of each signal of a turbine was lost, ∞ as an end to come."""
         found: dict[str, list[tuple[float, float]]] = {}
-        asked = "SELECT signal, lost, regained FROM connection WHERE turbine = ? ORDER BY signal, lost"
-        for signal, lost, regained in self.rows(asked, (turbine,)):
+        c = schema.connection.c
+        rows = select(c.signal, c.lost, c.regained).where(c.turbine == turbine).order_by(c.signal, c.lost)
+        for signal, lost, regained in self.rows(rows):
             found.setdefault(signal, []).append((lost, math.inf if regained is None else regained))
         return found
 
     def held(self, turbine: str | None = None, until: float = math.inf) -> list[Observation]:
         """Readings of a turbine (None: of all) that came with stamps ahead of the clock and are from before
         `until` [s], by time."""
-        where = "" if turbine is None else " AND turbine = ?"
-        found = self.rows(
-            f"SELECT {', '.join(MARKED_COLUMNS)} FROM held WHERE time <= ?{where} "
-            "ORDER BY time, turbine, signal, received",
-            (until,) if turbine is None else (until, turbine),
-        )
-        return [
-            Observation(name, _reading(s, at, value, mark), received)
-            for name, s, at, value, received, mark in found
-        ]
+        h = schema.held.c
+        rows = select(h.turbine, h.signal, h.time, h.value, h.mark, h.received).where(h.time <= until)
+        if turbine is not None:
+            rows = rows.where(h.turbine == turbine)
+        found = self.rows(rows.order_by(h.time, h.turbine, h.signal, h.received))
+        return [Observation(name, _reading(*reading), received) for name, *reading, received in found]
 
     def held_ahead(self) -> list[tuple[str, str, float]]:
         """(turbine, signal, time [s] from the last arrival to the latest stamp) of readings that are held
         back."""
-        found = self.rows(
-            "SELECT turbine, signal, MAX(time), MAX(received) FROM held GROUP BY turbine, signal"
-        )
+        h = schema.held.c
+        rows = select(h.turbine, h.signal, func.max(h.time), func.max(h.received))
+        found = self.rows(rows.group_by(h.turbine, h.signal))
         return [(turbine, signal, latest - arrival) for turbine, signal, latest, arrival in found]
 
     def held_count(self, turbine: str) -> int:
         """Number of readings that are held back for one turbine."""
-        return int(self.rows("SELECT COUNT(*) FROM held WHERE turbine = ?", (turbine,))[0][0])
+        return self.count(schema.held, schema.held.c.turbine == turbine)
+
+    def count(self, table: FromClause, *conditions: ColumnElement[bool]) -> int:
+        """Number of rows of a table."""
+        return int(self.rows(select(func.count()).select_from(table).where(*conditions))[0][0])
+
+    def newest(self, table: Table, turbine: str) -> float | None:
+        """The newest time [s] of a turbine's rows; None without any."""
+        newest: float | None
+        ((newest,),) = self.rows(select(func.max(table.c.time)).where(table.c.turbine == turbine))
+        return newest
 
     def newest_estimate(self, turbine: str) -> tuple[float, float | None] | None:
         """Time [s] and probability of condensation [1] of a turbine's newest estimate; None without any."""
-        found = self.rows(
-            "SELECT time, condensation FROM estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1", (turbine,)
-        )
-        return found[0] if found else None
+        e = schema.estimate.c
+        newest = select(e.time, e.condensation).where(e.turbine == turbine).order_by(e.time.desc()).limit(1)
+        return next(iter(self.rows(newest)), None)
 
     def outlook(self, turbine: str) -> list[tuple[float, float]]:
         """Times [s] and probabilities of condensation [1] of a turbine's forecast."""
-        return self.rows(
-            "SELECT time, condensation FROM forecast WHERE turbine = ? AND condensation IS NOT NULL "
-            "ORDER BY time",
-            (turbine,),
-        )
+        f = schema.forecast.c
+        known = f.turbine == turbine, f.condensation.is_not(None)
+        return self.rows(select(f.time, f.condensation).where(*known).order_by(f.time))
 
     def assessments(self) -> dict[str, Assessment]:
         """The state of each turbine."""
-        return {one.turbine: one for one in self.found(Assessment)}
+        return {one.turbine: one for one in self.found(Assessment, select(schema.assessment))}
 
     def shelves(self, now: float) -> list[Shelf]:
         """Shelves that hold at `now` [s]."""
-        return self.found(Shelf, "WHERE until > ? ORDER BY turbine, kind", (now,))
+        s = schema.shelf.c
+        return self.found(Shelf, select(schema.shelf).where(s.until > now).order_by(s.turbine, s.kind))
 
     def all_events(self) -> list[Event]:
         """Events at all turbines, by the time at which they were stated."""
-        return self.found(Event, "ORDER BY made, id")
+        return self.found(Event, _EVENTS)
 
     def events(self, turbine: str, since: float = -math.inf) -> list[Event]:
         """Events at a turbine from `since` [s] on, by time."""
-        return self.found(Event, "WHERE turbine = ? AND time >= ? ORDER BY time, id", (turbine, since))
+        e = schema.event.c
+        own = e.turbine == turbine, e.time >= since
+        return self.found(Event, select(schema.event).where(*own).order_by(e.time, e.id))
 
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
         """(signal, time [s], value) of some signals from `since` to `until` [s] that the filter used, sorted
         by signal and time."""
-        return self.rows(
-            "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
-            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 "
-            "AND late = 0 ORDER BY signal, time",
-            (turbine, *signals, since, until),
-        )
+        o = observation.c
+        used = matching(observation, turbine=turbine, contradicted=0, late=0), o.signal.in_(signals)
+        rows = select(o.signal, o.time, o.value).where(*used, o.time >= since, o.time <= until)
+        return self.rows(rows.order_by(o.signal, o.time))
 
     def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
         """(signal, time [s], value) of the turbine's weather forecast, else of the common one, by signal and
         time."""
-        statement = (
-            "SELECT signal, time, value FROM weather WHERE turbine = ? AND time >= ? ORDER BY signal, time"
-        )
-        return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
+        w = schema.weather.c
+        rows = select(w.signal, w.time, w.value).where(w.time >= since).order_by(w.signal, w.time)
+        return self.rows(rows.where(w.turbine == turbine)) or self.rows(rows.where(w.turbine == ""))
 
     def memory(self, turbine: str, name: str) -> Json:
         """JSON data that a turbine's tracker resumes from; None if there is none of that name."""
-        found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
+        found = self.rows(_MEMORY, turbine=turbine, name=name)
         return json.loads(found[0][0]) if found else None
 
     def memories(self, turbine: str) -> JsonObject:
         """All JSON data that a turbine's tracker resumes from, by name."""
-        found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
+        m = schema.memory.c
+        found = self.rows(select(m.name, m.content).where(m.turbine == turbine))
         return {name: json.loads(content) for name, content in found}
 
     def signals(self, turbine: str) -> list[str]:
-        """Signals of a turbine's readings, found with one index lookup each; DISTINCT would scan them all."""
-        rows = self.rows(f"{_SIGNALS} SELECT signal FROM known WHERE signal IS NOT NULL", (turbine, turbine))
-        return [signal for (signal,) in rows]
+        """Signals of a turbine's readings."""
+        return [signal for (signal,) in self.rows(_SIGNALS, turbine=turbine) if signal is not None]
 
     def place(self, url: str) -> str | None:
         """Position at which a source resumes; None if it was never read."""
-        found = self.rows("SELECT place FROM source WHERE url = ?", (url,))
+        found = self.rows(select(schema.source.c.place).where(schema.source.c.url == url))
         return found[0][0] if found else None
 
     def counters(self) -> dict[tuple[str, str], int]:
-        return {
-            (turbine, name): int(n)
-            for turbine, name, n in self.rows("SELECT turbine, name, count FROM counter")
-        }
+        return {(turbine, name): int(n) for turbine, name, n in self.rows(select(schema.counter))}
 
     def size(self) -> dict[str, int]:
-        """Number of rows of each table."""
-        return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
-
-
-def inserting(table: str, columns: Sequence[str]) -> str:
-    """The statement that inserts a row."""
-    times = TIMESTAMPS.get(table, ())
-    marks = ", ".join("TIME(?)" if name in times else "?" for name in columns)
-    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
-
-
-def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequence[str] = ()) -> str:
-    """The statement that inserts a row or, where one with its key exists, replaces all but the `kept`
-    columns."""
-    changed = [f"{name} = excluded.{name}" for name in columns if name not in (*key, *kept)]
-    return f"{inserting(table, columns)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
-
-
-def columns_of(kind: type[Any]) -> tuple[str, ...]:
-    """The columns of a table in `TABLE_OF`."""
-    return tuple(one.name for one in fields(kind))
-
-
-def putting(kind: type[Any], key: Sequence[str], kept: Sequence[str] = ()) -> str:
-    """As `replacing`, for the table of a kind in `TABLE_OF`."""
-    return replacing(TABLE_OF[kind], columns_of(kind), key, kept)
+        """Number of rows of each table but the one that states the schema's number."""
+        tables = [one for one in schema.METADATA.tables.values() if one is not schema.schema_version]
+        return {table.name: self.count(table) for table in tables}
 
 
 def _reading_row(one: Observation) -> Row:
@@ -518,19 +451,17 @@ def state_of(text: str) -> Gaussian:
     return Gaussian(np.array(data["mean"], dtype=float), np.array(data["covariance"], dtype=float))
 
 
-def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
-    """Rows of the estimate table, in the order of `ESTIMATE_COLUMNS`; NaN becomes NULL."""
-    count = len(found.time_s)
-    columns: list[list[Any]] = [
-        [turbine] * count,
-        found.time_s.tolist(),
-        [int(i < final) for i in range(count)],
-    ]
+def air_rows(
+    turbine: str, air: Condition, third: Sequence[float], *more: Sequence[float | None]
+) -> list[Row]:
+    """Rows of the estimate or forecast table, whose `third` column differs; NaN becomes NULL."""
+    none = [None] * len(air.time_s)
+    columns: list[Sequence[Any]] = [[turbine] * len(none), air.time_s.tolist(), third]
     for row in QUANTITIES:
-        quantity: Quantity | None = getattr(found, row.column)
-        columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
-    columns.append([None] * count if found.condensation is None else _plain(found.condensation))
-    return list(zip(*columns, strict=True))
+        quantity: Quantity | None = getattr(air, row.column)
+        columns += [none, none] if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
+    columns.append(none if air.condensation is None else _plain(air.condensation))
+    return list(zip(*columns, *more, strict=True))
 
 
 def _plain(values: np.ndarray) -> list[float | None]:

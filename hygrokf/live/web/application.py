@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
+from hygrokf.live.storage.schema import alarm_open
 from hygrokf.live.storage.store import StoreFault
 from hygrokf.live.web.exchange import Access, guard, posted_json, refusal, reply
 from hygrokf.live.web.margins import MarginsKept
@@ -144,9 +145,8 @@ class Page:
         return reply({"now": now, "alarms": found})
 
     def health(self, request: Request) -> Response:
-        open_alarms = "SELECT COUNT(*) FROM alarm WHERE ended IS NULL"
-        counters, ((open_,),), told = self.reader.read(
-            lambda store: (store.counters(), store.rows(open_alarms), channel_states(store))
+        counters, open_, told = self.reader.read(
+            lambda store: (store.counters(), store.count(alarm_open), channel_states(store))
         )
         now = self.service.now
         rows = self.rows(now)
@@ -155,7 +155,7 @@ class Page:
             "version": __version__,
             "token": bool(self.access.settings.token),
             "turbines": len(self.service.turbines),
-            "open_alarms": int(open_),
+            "open_alarms": open_,
             "heard": max((row["heard"] for row in rows if row["heard"] is not None), default=None),
             "label": "; ".join(one.label for one in self.service.streams.values() if one.label),
             "channels": [

@@ -11,9 +11,11 @@ from functools import partial
 from typing import TypedDict
 
 import numpy as np
+from sqlalchemy import select
 
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.condition import Z95
+from hygrokf.live.storage.schema import estimate, forecast
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
 
@@ -81,11 +83,11 @@ def margins_of(store: Store, names: Sequence[str], start: float) -> dict[str, Ma
     for name in names:
         courses = [
             row
-            for table, since, until in (("estimate", start, now), ("forecast", now, now + AHEAD_S))
+            for c, since, until in ((estimate.c, start, now), (forecast.c, now, now + AHEAD_S))
             for row in store.rows(
-                f"SELECT time, margin_K, margin_sd FROM {table} WHERE turbine = ? AND time >= ? AND time < ? "
-                "AND margin_K IS NOT NULL",
-                (name, since, until),
+                select(c.time, c.margin_K, c.margin_sd).where(
+                    c.turbine == name, c.time >= since, c.time < until, c.margin_K.is_not(None)
+                )
             )
         ]
         if not courses:

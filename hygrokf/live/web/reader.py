@@ -11,6 +11,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
+from sqlalchemy import select
+
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 
@@ -98,7 +100,7 @@ class StoreAnswers:
 
         def ask() -> None:
             try:
-                self._reader.read(lambda store: store.rows("SELECT 1"))
+                self._reader.read(lambda store: store.rows(select(1)))
                 found.set_result("")
             except StoreFault as fault:
                 found.set_result(str(fault))

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TypedDict
 
+from sqlalchemy import select
+
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.alarms import CONTRADICTS
 from hygrokf.live.batch import Alarm
 from hygrokf.live.plan import Need
+from hygrokf.live.storage.schema import matching, observation
 from hygrokf.live.storage.store import Store
 
 
@@ -43,15 +46,10 @@ def signal_rows(
     for signal in (*missing, *there):
         row, last, value, received, count = SIGNALS.get(signal), None, None, None, 0
         if signal in there:
-            ((last, value, received),) = store.rows(
-                "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY "
-                "time DESC LIMIT 1",
-                (name, signal),
-            )
-            ((count,),) = store.rows(
-                "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
-                (name, signal, now - DAY_S),
-            )
+            o, own = observation.c, matching(observation, turbine=name, signal=signal)
+            newest = select(o.time, o.value, o.received).where(own).order_by(o.time.desc()).limit(1)
+            ((last, value, received),) = store.rows(newest)
+            count = store.count(observation, own, o.time >= now - DAY_S)
         found.append(
             {
                 "signal": signal,

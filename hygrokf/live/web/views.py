@@ -9,9 +9,11 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TypedDict, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
+from sqlalchemy import ColumnElement, Join, Table, and_, func, select
+from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from hygrokf.data.structured import Json, structured
 from hygrokf.data.timestamps import HOUR_S
@@ -25,7 +27,9 @@ from hygrokf.live.plan import Need
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
+from hygrokf.live.storage import schema
 from hygrokf.live.storage.database import Row
+from hygrokf.live.storage.schema import matching
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.signal_rows import SignalRow, signal_rows
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -38,7 +42,6 @@ RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
 """Causes of acknowledgements that say that an alarm was right, or wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
 COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
-_COLUMNS = ", ".join(f"{q.column}, {q.sd_column}" for q in COURSES.values())
 MOST = 3000
 """Largest number of points in a course; longer courses are thinned."""
 READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
@@ -260,24 +263,20 @@ def fleet_view(
 
     verdicts: turbine → verdicts on the numbers of its model.
     """
+    t, e, o = schema.turbine.c, schema.estimate.c, schema.observation.c
     # LEFT JOIN makes the database loop over turbines instead of scanning every estimate
     newest = {
         turbine: row
         for turbine, *row in store.rows(
-            "SELECT t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, "
-            "e.relative_humidity_sd, e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN "
-            "estimate e ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = "
-            "t.name)"
+            select(
+                t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity,
+                e.relative_humidity_sd, e.margin_K, e.margin_sd, e.condensation,
+            ).select_from(_newest_of(schema.estimate))
         )
-    }
+    }  # fmt: skip
     # the newest reading stands for the last received one, which only a scan of every observation would find
-    heard = {
-        turbine: received
-        for turbine, received in store.rows(
-            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC "
-            "LIMIT 1) FROM turbine t"
-        )
-    }
+    last_one = select(o.received).where(o.turbine == t.name).order_by(o.time.desc()).limit(1)
+    heard: dict[str, float | None] = dict(store.rows(select(t.name, last_one.scalar_subquery())))
     states = store.assessments()
     cabinets, highest = _cabinets(store), _highest_forecast(store, now)
     open_: dict[str, list[Alarm]] = {}
@@ -313,6 +312,12 @@ def fleet_view(
     return rows
 
 
+def _newest_of(rows: Table, **same: object) -> Join:
+    """Turbines, each with the newest of its rows that have the same values."""
+    own = rows.c.turbine == schema.turbine.c.name, matching(rows, **same)
+    return schema.turbine.outerjoin(rows, and_(*own, rows.c.time == schema.newest(rows, **same)))
+
+
 def fleet_summary(rows: Iterable[FleetRow]) -> dict[str, int]:
     """Number of turbines in each of the `STATES`."""
     counts = Counter(row["state"] for row in rows)
@@ -335,10 +340,9 @@ def _cabinets(store: Store) -> dict[str, str]:
     """Whether the properties of each turbine's cabinet are observable now: turbine → words for the page."""
     found: dict[str, str] = {}
     for one in WATCHED:
+        newest = select(schema.turbine.c.name, schema.property_.c.observable)
         for turbine, observable in store.rows(
-            "SELECT t.name, p.observable FROM turbine t LEFT JOIN property p ON p.turbine = t.name AND "
-            "p.name = ? AND p.time = (SELECT MAX(time) FROM property WHERE turbine = t.name AND name = ?)",
-            (one.name, one.name),
+            newest.select_from(_newest_of(schema.property_, name=one.name))
         ):
             if observable or (observable is not None and turbine not in found):
                 found[turbine] = "as fitted" if observable else "not observable"
@@ -348,11 +352,9 @@ def _cabinets(store: Store) -> dict[str, str]:
 def _highest_forecast(store: Store, now: float) -> dict[str, Chance]:
     """The highest forecast probability of condensation for each turbine, and the first time it is reached."""
     found: dict[str, Chance] = {}
-    for turbine, at, chance in store.rows(
-        "SELECT turbine, time, condensation FROM forecast WHERE time >= ? AND condensation IS NOT NULL ORDER "
-        "BY turbine, time",
-        (now,),
-    ):
+    f = schema.forecast.c
+    coming = select(f.turbine, f.time, f.condensation).where(f.time >= now, f.condensation.is_not(None))
+    for turbine, at, chance in store.rows(coming.order_by(f.turbine, f.time)):
         if turbine not in found or chance > found[turbine]["condensation"]:
             found[turbine] = {"condensation": chance, "time": at}
     return found
@@ -370,23 +372,14 @@ def turbine_view(
 
     needs: what its model reads, of which signals that never came are listed too.
     """
-    found = _thin(
-        store.rows(
-            f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
-            "ORDER BY time",
-            (name, since),
-        )
-    )
+    e, o = schema.estimate.c, schema.observation.c
+    estimates = select(*_air(e), e.time, e.final, e.condensation).where(e.turbine == name, e.time >= since)
+    found = _thin(store.rows(estimates.order_by(e.time)))
     readings: dict[str, ReadingCourse] = {}
     for quantity, signal in READ.items():
         shown = COURSES[quantity]
-        rows = _thin(
-            store.rows(
-                "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND "
-                "contradicted = 0 ORDER BY time",
-                (name, signal, since),
-            )
-        )
+        own = matching(schema.observation, turbine=name, signal=signal, contradicted=0)
+        rows = _thin(store.rows(select(o.time, o.value).where(own, o.time >= since).order_by(o.time)))
         if rows:
             readings[quantity] = {
                 "time": [at for at, _ in rows],
@@ -442,6 +435,11 @@ def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple
     return sorted(most.items())
 
 
+def _air(columns: ReadOnlyColumnCollection[str, Any]) -> list[ColumnElement[Any]]:
+    """Value and standard deviation of each of the `COURSES`."""
+    return [columns[name] for q in COURSES.values() for name in (q.column, q.sd_column)]
+
+
 def _courses(rows: Sequence[Row]) -> dict[str, Course]:
     """Value and bounds of each quantity that has values, from rows that begin with the columns of
     `COURSES`."""
@@ -465,10 +463,9 @@ def _forecast(store: Store, name: str) -> ForecastView | None:
     if not memory:
         return None
     made = structured(ForecastMade, memory)
-    rows = store.rows(
-        f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
-        (name,),
-    )
+    f = schema.forecast.c
+    courses = select(*_air(f), f.time, f.condensation, f.above_limit).where(f.turbine == name)
+    rows = store.rows(courses.order_by(f.time))
     return {
         "made": made.made,
         "weather": made.weather,
@@ -486,19 +483,17 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
 
     Open alarms come first; within each group the most severe come first, and then the newest.
     """
-    where = "WHERE (ended IS NULL OR ended >= ?)"
-    parameters: list[float | str] = [since]
-    if turbine is not None:
-        where += " AND turbine = ?"
-        parameters.append(turbine)
-    found = store.found(Alarm, f"{where} ORDER BY began DESC", parameters)
+    a = schema.alarm.c
+    alarms = select(schema.alarm).where(a.ended.is_(None) | (a.ended >= since)).order_by(a.began.desc())
+    found = store.found(Alarm, alarms if turbine is None else alarms.where(a.turbine == turbine))
     return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
 def labels_view(store: Store) -> list[KindLabels]:
     """How often each kind of alarm was right, as those say who acknowledged it; by kind."""
     found: dict[str, KindLabels] = {}
-    for kind, cause, count in store.rows("SELECT kind, cause, COUNT(*) FROM alarm GROUP BY kind, cause"):
+    a = schema.alarm.c
+    for kind, cause, count in store.rows(select(a.kind, a.cause, func.count()).group_by(a.kind, a.cause)):
         row = found.setdefault(
             kind, {"kind": kind, "alarms": 0, "causes": dict.fromkeys(CAUSES, 0), "right": 0, "wrong": 0}
         )
@@ -513,11 +508,10 @@ def labels_view(store: Store) -> list[KindLabels]:
 def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:
     """Each property with its course, whose last value is the present one."""
     found: dict[str, PropertyCourse] = {}
-    for prop, unit, at, value, lower, upper, reference, observable in store.rows(
-        "SELECT name, unit, time, value, lower_bound, upper_bound, reference, observable FROM property "
-        "WHERE turbine = ? AND time >= ? ORDER BY time",
-        (name, since),
-    ):
+    p = schema.property_.c
+    columns = (p.name, p.unit, p.time, p.value, p.lower_bound, p.upper_bound, p.reference, p.observable)
+    rows = select(*columns).where(p.turbine == name, p.time >= since).order_by(p.time)
+    for prop, unit, at, value, lower, upper, reference, observable in store.rows(rows):
         factor = 100.0 if unit == "1" else 1.0  # shares are shown in per cent
         one = found.setdefault(
             prop,
