@@ -502,13 +502,11 @@ def fit_mle(
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
 
-def _largest_shift(at: Sensitivities, inside: np.ndarray) -> float:
-    """Largest distance [standard errors] of a coordinate `inside` its bounds (d,) from the maximum that a
-    score and the expected information tell of."""
-    among = np.ix_(inside, inside)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(at.information)[inside], 1e-300))
-    covariance = np.linalg.pinv(at.information[among] * np.outer(scale, scale), hermitian=True)
-    shift = covariance @ (at.score[inside] * scale)
+def _largest_shift(change: np.ndarray, information: np.ndarray) -> float:
+    """Largest shift [standard errors] of a coordinate that a change of the score (f,) brings about."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    covariance = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True)
+    shift = covariance @ (change * scale)
     return float(np.max(np.abs(shift) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)), initial=0.0))
 
 
@@ -545,8 +543,12 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
     )
     loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
     if error > 0.0 and best.converged:
-        finer = Objective(likelihood.halved(values), coordinates)
-        error = max(error, _largest_shift(finer.information(best.z), ~ends))
+        held, finer = (
+            Objective(one(values), coordinates) for one in (likelihood.scheduled, likelihood.halved)
+        )
+        at = finer.information(best.z)
+        change = at.score - held.score(best.z)[1]
+        error = max(error, _largest_shift(change[~ends], at.information[np.ix_(~ends, ~ends)]))
     if error > INEXACT:
         finest = 0.1 * likelihood.tolerance * INEXACT / error
         message += (
