@@ -154,13 +154,7 @@ class JointLikelihood:
 
     def scheduled(self, values: Mapping[str, float]) -> JointLikelihood:
         """The likelihood that holds the sub-steps chosen for these values; itself where steps are exact."""
-        return self._with([one.scheduled(own) for one, own in records_of(self, values)])
-
-    def halved(self, values: Mapping[str, float]) -> JointLikelihood:
-        """The likelihood that holds halves of these sub-steps; itself where steps are exact."""
-        return self._with([one.halved(own) for one, own in records_of(self, values)])
-
-    def _with(self, parts: Sequence[Likelihood]) -> JointLikelihood:
+        parts = [one.scheduled(own) for one, own in records_of(self, values)]
         return self if all(map(operator.is_, parts, self.parts)) else replace(self, parts=parts)
 
     def discretisation_error(self, values: Mapping[str, float]) -> float:

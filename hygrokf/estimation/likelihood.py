@@ -135,16 +135,12 @@ class Likelihood:
         # with working memory of its own, so that one for another thread is none of this one's
         return self if self.recursion.exact else replace(self._chosen(values, True, None))
 
-    def halved(self, values: Mapping[str, float]) -> Likelihood:
-        """The likelihood that holds halves of the sub-steps chosen for these values, or of those that it
-        holds; itself where steps are exact."""
-        held = self if self.schedule is not None else self.scheduled(values)
-        return self if held.schedule is None else replace(held, schedule=held.schedule.halved())
-
     def discretisation_error(self, values: Mapping[str, float]) -> float:
         """Change of ln L where every sub-step is halved; 0 where steps are exact."""
-        finer = self.halved(values)
-        return 0.0 if finer is self else abs(finer.value(values) - self.value(values))
+        held = self if self.schedule is not None else self.scheduled(values)
+        if held.schedule is None:
+            return 0.0
+        return abs(replace(held, schedule=held.schedule.halved()).value(values) - held.value(values))
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
         """Filter steps of one pass with these values per instant of the record; 1 where steps are exact."""

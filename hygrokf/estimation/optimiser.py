@@ -53,8 +53,7 @@ BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
 INEXACT = 1e-3
-"""Change of ln L, or of a parameter in its standard errors, with sub-steps of half the length above which an
-estimate is not exact."""
+"""Change of ln L with sub-steps of half the length above which an estimate is not exact."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
@@ -77,9 +76,8 @@ class Estimate:
     """The best optimum of several climbs.
 
     `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
-    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L, or of a
-    parameter in its standard errors if that is larger, with sub-steps of half the length; 0 where steps are
-    exact.
+    `at_bounds` free parameters that ended at a bound; `discretisation_error` the change of ln L with
+    sub-steps of half the length, 0 where steps are exact.
     """
 
     coordinates: Coordinates
@@ -502,14 +500,6 @@ def fit_mle(
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
 
-def _largest_shift(change: np.ndarray, information: np.ndarray) -> float:
-    """Largest shift [standard errors] of a coordinate that a change of the score (f,) brings about."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    covariance = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True)
-    shift = covariance @ (change * scale)
-    return float(np.max(np.abs(shift) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)), initial=0.0))
-
-
 def reject_below(least: float, found: Estimate) -> Estimate:
     """The estimate, marked as not converged where it is below the maximum of a model that it contains."""
     short = least - found.objective
@@ -542,18 +532,11 @@ def estimate_of(likelihood: AnyLikelihood, coordinates: Coordinates, optima: lis
         else f"not converged: {best.message}; try more starts or other start values"
     )
     loglik, error = likelihood.value(values), likelihood.discretisation_error(values)
-    if error > 0.0 and best.converged:
-        held, finer = (
-            Objective(one(values), coordinates) for one in (likelihood.scheduled, likelihood.halved)
-        )
-        at = finer.information(best.z)
-        change = at.score - held.score(best.z)[1]
-        error = max(error, _largest_shift(change[~ends], at.information[np.ix_(~ends, ~ends)]))
     if error > INEXACT:
-        finest = 0.1 * likelihood.tolerance * INEXACT / error
+        finer = 0.1 * likelihood.tolerance * INEXACT / error
         message += (
-            "; not exact: sub-steps of half the length change ln L, or a parameter in its standard errors, "
-            f"by {error:.2g}; give the likelihood tolerance={finest:.0e}"
+            f"; not exact: sub-steps of half the length change ln L by {error:.2g}; give the likelihood "
+            f"tolerance={finer:.0e}"
         )
     return Estimate(
         coordinates=coordinates,

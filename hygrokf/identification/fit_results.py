@@ -233,8 +233,8 @@ class FitResults(Scored):
     stated; `loglik` of the whole model at the reported values on the identification period, and `aic`, `bic`
     of it; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
     their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
-    `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L, or
-    of a parameter in its standard errors, with sub-steps of half the length.
+    `identified_on`: 0.1 and 99.9 % quantiles of the inputs; `discretisation_error`: change of ln L with
+    sub-steps of half the length.
     """
 
     name: str = ""

@@ -144,12 +144,8 @@ def _convergence(fit: FitResults, part: str) -> Iterator[Reason]:
         why = f" ({fit.message})" if fit.message else ""
         yield Reason("not_converged", REJECT, f"the estimation did not converge{why}")
     if fit.discretisation_error > INEXACT:
-        yield Reason(
-            "not_exact",
-            REJECT,
-            "the filter's steps are not exact: sub-steps of half the length change ln L, or a parameter in "
-            f"its standard errors, by {fit.discretisation_error:.2g}",
-        )
+        change = f"sub-steps of half the length change ln L by {fit.discretisation_error:.2g}"
+        yield Reason("not_exact", REJECT, f"the filter's steps are not exact: {change}")
 
 
 def _interval(fit: FitResults, part: str) -> Iterator[Reason]:
