@@ -134,13 +134,9 @@ class Stages:
 
         def run(operation: Operation) -> None:
             if isinstance(operation, Choose):
-                stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
-                for condition, inner in (
-                    (stiff, operation.stiff), (w.value(f"xor i1 {stiff}, true"), operation.plain),
-                ):  # fmt: skip
-                    with w.when(condition):
-                        for one in inner:
-                            run(one)
+                for inner in self._chosen(operation, times):
+                    for one in inner:
+                        run(one)
             elif isinstance(operation, Repeat):
                 with w.loop(times) as j:
                     if levels:
@@ -163,13 +159,9 @@ class Stages:
 
         def run(operation: Operation) -> None:
             if isinstance(operation, Choose):
-                stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
-                for condition, inner in (
-                    (stiff, operation.stiff), (w.value(f"xor i1 {stiff}, true"), operation.plain),
-                ):  # fmt: skip
-                    with w.when(condition):
-                        for one in reversed(inner):
-                            run(one)
+                for inner in self._chosen(operation, times):
+                    for one in reversed(inner):
+                        run(one)
                 return
             into = [e.index for e in operation.into]
             if isinstance(operation, Repeat):
@@ -181,6 +173,16 @@ class Stages:
 
         for one in reversed(program):
             run(one)
+
+    def _chosen(self, operation: Choose, times: str) -> Iterator[tuple[Operation, ...]]:
+        """Both alternatives in turn; what is written meanwhile runs where that one is chosen."""
+        w = self.writer
+        stiff = w.value(f"icmp sgt i64 {times}, {MILD}")
+        for condition, inner in (
+            (stiff, operation.stiff), (w.value(f"xor i1 {stiff}, true"), operation.plain),
+        ):  # fmt: skip
+            with w.when(condition):
+                yield inner
 
     def _compute(self, slots: Names) -> Compute:
         def plain(operation: Assign | Repeat, leaves: Names) -> None:
