@@ -217,6 +217,7 @@ class Stream:
                     LOG.warning("source lost", extra=said, exc_info=None if foreseen else fault)
                 reason = words
             back_off.wait(self._ended)
+        # a file that is not there when the tracker ends stays lost, which the command reports
         if self._ended.is_set() and (self.is_server or self._state.word != "lost"):
             self._state = SourceState("stopped", "")
 
