@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.errors import unknown_names
+from hygrokf.errors import suggestion, unknown_names
 from hygrokf.physics.holds import REGIME
 from hygrokf.physics.model import Model
 
@@ -189,7 +189,7 @@ def _faults(
 ) -> list[str]:
     """What is wrong with the names and the numbers of a run."""
     faults = [
-        f"the input {name!r} of the model is missing; given are {sorted(inputs)}"
+        f"the input {name!r} of the model is missing; given are {sorted(inputs)}{suggestion(name, inputs, 1)}"
         for name in model.inputs
         if name not in inputs
     ]

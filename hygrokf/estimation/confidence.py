@@ -365,10 +365,17 @@ def with_unit(value: float, unit: str) -> str:
     return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
 
 
+def expect_level(level: float) -> None:
+    """Check a level of confidence [1]; raises ValueError outside 0 … 1."""
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
+
+
 def normal_quantile(level: float) -> float:
     """Two-sided standard normal quantile of a confidence level."""
     from statistics import NormalDist
 
+    expect_level(level)
     return NormalDist().inv_cdf(0.5 + 0.5 * level)
 
 

@@ -19,6 +19,7 @@ from hygrokf.estimation.confidence import (
     OPEN,
     Bounds,
     Uncertainty,
+    expect_level,
     normal_quantile,
     positive_inverse,
     scaled_spectrum,
@@ -55,7 +56,7 @@ it has not, the bound is open."""
 def confidence_intervals(
     source: Source,
     given: Given | None = None,
-    names: Sequence[str] | None = None,
+    names: str | Sequence[str] | None = None,
     method: str = "profile",
     level: float = 0.95,
     progress: Callable[[str], None] | None = None,
@@ -64,7 +65,7 @@ def confidence_intervals(
 
     source, given: a `Likelihood` and the `Estimate` that `fit_mle` made of it; or a `Fit` and its `Record`,
         where the likelihood of the whole model is first climbed to its maximum from the fit's values.
-    names: of the parameters.
+    names: of the parameters, or of one.
     method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
         sandwich factor (`profile_likelihood.profile`); "likelihood-ratio" does so with the plain threshold;
         "wald" uses the observed information; "sandwich" uses the covariance that remains valid under a wrong
@@ -80,15 +81,14 @@ def confidence_intervals(
     """
     likelihood, estimate = estimated("confidence_intervals", source, given)
     free = estimate.coordinates.names
-    wanted = free if names is None else tuple(names)
+    wanted = free if names is None else (names,) if isinstance(names, str) else tuple(names)
     unknown = [f"{name}{suggestion(name, free, 1)}" for name in wanted if name not in free]
     if unknown:
         raise ValueError(f"names: expected free parameters, {', '.join(free)}, found {', '.join(unknown)}")
     if method not in METHODS:
         near = suggestion(str(method), METHODS, 1)
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}{near}")
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
+    expect_level(level)
     objective = Objective(likelihood, estimate.coordinates).at(estimate.z)
     known = uncertainty(objective, estimate)
     if method in ("wald", "sandwich"):
@@ -150,6 +150,7 @@ def modal_time_constants(
     """
     from scipy.linalg import eig
 
+    expect_level(level)
     likelihood, estimate = estimated("modal_time_constants", source, given)
     at_state, at_inputs = operating_point(likelihood, estimate.values, state or {}, inputs or {})
     coordinates, z = estimate.coordinates, estimate.z

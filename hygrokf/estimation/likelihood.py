@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from hygrokf.data.record import kind_of
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.filter_loops import Control, filter_loop
 from hygrokf.engine.gaps import gap_variances
@@ -89,6 +90,12 @@ class Likelihood:
     schedule: Schedule | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.timeline, Timeline):
+            raise ValueError(
+                f"timeline: expected a Timeline, found {kind_of(self.timeline)}; timeline(model, …) makes one"
+            )
+        if not self.tolerance > 0.0:
+            raise ValueError(f"tolerance: expected a number above 0, found {self.tolerance}")
         expect_initial(self.model, self.initial, self.diffuse_states)
         if self.schedule is not None and len(self.schedule.offset) != len(self.timeline) + 1:
             raise ValueError(

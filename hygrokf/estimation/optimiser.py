@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.data.record import kind_of, maker_of
 from hygrokf.estimation.joint_likelihood import AnyLikelihood
 from hygrokf.estimation.likelihood import Sensitivities
 from hygrokf.physics.parameters import Coordinates, Parameter, expect_starts
@@ -449,13 +450,13 @@ def fit_mle(
     progress: called with a sentence about each step.
 
     Returns the estimate: `values` in the parameters' units, `loglik`, `converged` and `message`, `others`.
-    Raises ValueError for unknown names, starts outside their limits, and where there are no readings.
+    Raises ValueError for unknown names, starts outside their limits, settings that are not positive, and
+    where there are no readings.
     """
+    _expect_search(likelihood, count, budget, tolerance)
     coordinates = Coordinates(likelihood.parameters, fixed)
     further = {f"more_starts[{k}]": one for k, one in enumerate(more_starts)}
     expect_starts(coordinates.parameters, coordinates.fixed, {"values": values or {}, **further})
-    if count < 1:
-        raise ValueError(f"count: expected at least 1 start, found {count}")
     if not likelihood.timeline.n_readings:
         raise ValueError(
             "likelihood: expected readings, found none at any instant; give `timeline` readings of "
@@ -498,6 +499,21 @@ def fit_mle(
     if max(o.objective for o in optima) < least - BETTER:
         optima += [climb(objective, z, tolerance=tolerance, budget=budget) for z in nested]
     return reject_below(least, estimate_of(likelihood, coordinates, optima))
+
+
+def _expect_search(likelihood: object, count: int, budget: float, tolerance: float) -> None:
+    """Check the settings of a search; raises ValueError that lists every fault."""
+    faults = []
+    if not callable(getattr(likelihood, "sensitivities", None)):
+        maker = maker_of(likelihood, fit=True) or "Likelihood(model, timeline(model, …)) makes one"
+        faults.append(f"fit_mle: expected a Likelihood, found {kind_of(likelihood)}; {maker}")
+    if count < 1:
+        faults.append(f"count: expected at least 1 start, found {count}")
+    for name, value in (("budget", budget), ("tolerance", tolerance)):
+        if not value > 0.0:
+            faults.append(f"{name}: expected a number above 0, found {value}")
+    if faults:
+        raise ValueError("; ".join(faults))
 
 
 def reject_below(least: float, found: Estimate) -> Estimate:

@@ -125,7 +125,7 @@ def subject(verb: str, source: Source, given: object, part: str = WHOLE) -> Subj
         )
     if _is_likelihood(source):
         if isinstance(given, Estimate):
-            expect_values(source.model.parameters, given.values)
+            _expect_own(verb, source, given)
             return Subject(source, given.values, given)
         if isinstance(given, Mapping) and not maker_of(given):
             expect_values(source.model.parameters, given)
@@ -139,7 +139,7 @@ def estimated(verb: str, source: Source, given: object) -> tuple[AnyLikelihood, 
     """The likelihood and its maximum: for a fit that of its whole model on the identification period of the
     record, from the fit's values."""
     if isinstance(source, JointLikelihood) and isinstance(given, Estimate):
-        expect_values(source.parameters, given.values)
+        _expect_own(verb, source, given)
         return source, given
     found = subject(verb, source, given, IDENTIFICATION)
     if found.estimate is not None:
@@ -165,6 +165,16 @@ def covariances(source: Source, given: Given | None = None) -> Uncertainty:
     """
     likelihood, estimate = estimated("covariances", source, given)
     return uncertainty(Objective(likelihood, estimate.coordinates), estimate)
+
+
+def _expect_own(verb: str, likelihood: AnyLikelihood, estimate: Estimate) -> None:
+    """Check that an estimate has the parameters of a likelihood, no more and no fewer."""
+    names = [p.name for p in likelihood.parameters]
+    if {*names} != {*estimate.values}:
+        raise ValueError(
+            f"{verb}: expected an Estimate of the parameters {', '.join(names)}, found one of "
+            f"{', '.join(estimate.values)}; fit_mle(likelihood) makes one of this likelihood"
+        )
 
 
 def _is_likelihood(source: object) -> TypeGuard[Likelihood]:

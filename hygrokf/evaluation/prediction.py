@@ -95,6 +95,10 @@ def forecast(
     Raises ValueError for anything else, with the call that makes what is missing, and where no reading or no
     later instant is left.
     """
+    if leads_h is not None and not (len(leads_h) and min(leads_h) > 0.0):
+        raise ValueError(f"leads_h: expected leads above 0 h, found {list(leads_h)}")
+    if count < 1:
+        raise ValueError(f"count: expected at least 1 forecast, found {count}")
     found = subject("forecast", source, given)
     if isinstance(given, Record) and found.fit is not None:
         design, run = run_on(found.fit.design, found.values, given, beyond=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from hygrokf.data.drawn import drawn
 from hygrokf.data.record import Record
+from hygrokf.estimation.confidence import expect_level
 from hygrokf.estimation.inference import operating_point
 from hygrokf.estimation.subject import Given, Source, Spread, is_fit, subject
 from hygrokf.modelling.thermal_system import thermal_system
@@ -137,6 +138,9 @@ def bode(
     for plain values, whose uncertainty is not known.  `plot()` draws the diagram.
     Raises ValueError as `to_statespace` does.
     """
+    expect_level(level)
+    if omega is not None and not np.min(omega, initial=np.inf) > 0.0:
+        raise ValueError(f"omega: expected frequencies above 0 rad/h, found {np.min(omega)}")
     made, spread = _linear("bode", source, given, state, inputs)
     system = made(spread.values)
     rates = np.abs(_modes(system))
@@ -179,6 +183,7 @@ def step_response(
     uncertainty is not known.  `plot()` draws the answers.
     Raises ValueError as `to_statespace` does, and for times that are not evenly spaced from 0 on.
     """
+    expect_level(level)
     made, spread = _linear("step_response", source, given, state, inputs)
     system = made(spread.values)
     if time_h is None:

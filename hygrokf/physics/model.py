@@ -554,22 +554,25 @@ class Equations:
 
 
 def compose(
-    mechanisms: Iterable[Mechanism],
+    mechanisms: Mechanism | Iterable[Mechanism],
     holds: Mapping[str, str] | None = None,
     averaged: Mapping[str, float] | None = None,
 ) -> Model:
     """Compose a model from mechanisms.
 
-    mechanisms: in any order; each brings its parameters, states, inputs and contributions.
+    mechanisms: one or several, in any order; each brings its parameters, states, inputs and contributions.
     holds: input → how it continues between its values at two instants: "previous" ("zoh", held from an
         instant on), "mean" (constant over the step that ends at an instant) or "linear" ("foh").
     averaged: output → interval [h] over which its readings are means.
 
-    Returns the model.  Its equations are put together at first use.  Raises ValueError for an unknown hold
-    or output and, then, for two states of one name, for a sum that nobody reads, and for an input without a
-    hold.
+    Returns the model.  Its equations are put together at first use.  Raises ValueError for what
+    is no mechanism, an unknown hold or output and, then, for two states of one name, for a sum that nobody
+    reads, and for an input without a hold.
     """
-    made = Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
+    given = tuple(mechanisms) if isinstance(mechanisms, Iterable) else (mechanisms,)
+    if wrong := [type(one).__name__ for one in given if not isinstance(one, Mechanism)]:
+        raise ValueError(f"mechanisms: expected Mechanisms, found {', '.join(wrong)}")
+    made = Model(given, dict(holds or {}), dict(averaged or {}))
     faults = unknown_names("averaged", made.averaged, made.outputs)
     faults += [
         f"averaged: expected an interval above 0 h for {name}, found {interval}"
@@ -591,4 +594,5 @@ def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None =
     Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood
     ratio compares them.  Raises ValueError at first use, as `compose` does.
     """
-    return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})
+    larger = compose((*model.mechanisms, mechanism), {**model.holds, **(holds or {})}, model.averaged)
+    return replace(larger, bound=model.bound)

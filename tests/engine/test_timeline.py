@@ -185,7 +185,7 @@ def test_numbers_that_are_none_and_misspelt_names_are_refused() -> None:
     dates = np.array(["2020-01-01"] * 3, "datetime64[s]")
     for inputs, read, resets, words in (
         (masked, {}, {}, "sun: not finite at instant 1"),
-        (misspelt, {}, {}, "'sun' of the model is missing; given are .*suun"),
+        (misspelt, {}, {}, "'sun' of the model is missing; given are .*did you mean \"suun\""),
         (values, {"y": [1.0, np.inf, 2.0]}, {}, "y: infinite at instant 1"),
         (values, {"y": ["a", "b", "c"]}, {}, "y: expected numbers, found list"),
         (values, {"y": dates}, {}, r"y: expected numbers, found datetime64\[s\]"),

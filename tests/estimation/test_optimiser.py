@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -338,12 +339,28 @@ def test_a_promise_is_kept_within_the_box_and_never_negative(seed: int) -> None:
             r'more_starts\[1\]: .*found "men"; did you mean "mean"',
         ),
         ({"values": {"spread": 1e9}}, r"values: expected spread within 0\.001 … 1000 1, found 1000000000"),
-        ({"count": 0}, "count: expected at least 1 start, found 0"),
+        (
+            {"count": 0, "budget": 0.0, "tolerance": float("nan")},
+            "count: expected at least 1 start, found 0; budget: expected a number above 0, found 0.0; "
+            "tolerance: expected a number above 0, found nan",
+        ),
     ],
 )
 def test_misspelt_and_impossible_options_are_refused(options: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         fit_mle(sample(), **options)
+
+
+def test_a_model_is_no_likelihood_and_a_likelihood_needs_a_timeline() -> None:
+    likelihood = sample()
+    with pytest.raises(
+        ValueError, match=r"expected a Likelihood, found a Model; Likelihood\(model, timeline"
+    ):
+        fit_mle(likelihood.model)
+    with pytest.raises(ValueError, match=r"timeline: expected a Timeline, found nothing; timeline\(model"):
+        replace(likelihood, timeline=None)
+    with pytest.raises(ValueError, match="tolerance: expected a number above 0, found -1"):
+        replace(likelihood, tolerance=-1)
 
 
 def test_a_record_without_readings_is_refused() -> None:

@@ -3,6 +3,7 @@ is missing."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,29 @@ def test_anything_else_is_answered_by_the_call_that_makes_it(
 def test_bounds_need_an_estimate_where_values_are_not_enough(things: dict, verb: str) -> None:
     with pytest.raises(ValueError, match=r"found values, which .*fit_mle\(likelihood, values, count=1\)"):
         getattr(hygrokf, verb)(things["likelihood"], things["estimate"].values)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_an_estimate_of_another_model_is_refused(things: dict, verb: str) -> None:
+    estimate = things["estimate"]
+    other = replace(estimate, values={**estimate.values, "third": 1.0})
+    with pytest.raises(
+        ValueError, match=f"{verb}: expected an Estimate of the parameters .*found .*, third; fit_"
+    ):
+        getattr(hygrokf, verb)(things["likelihood"], other)
+
+
+@pytest.mark.parametrize(
+    "verb", ["bode", "step_response", "confidence_intervals", "modal_time_constants", "parameter_table"]
+)
+def test_a_level_is_a_probability(things: dict, verb: str) -> None:
+    with pytest.raises(ValueError, match="level: expected a probability between 0 and 1, found 95"):
+        getattr(hygrokf, verb)(things["likelihood"], things["estimate"], level=95)
+
+
+def test_leads_lie_ahead(things: dict) -> None:
+    with pytest.raises(ValueError, match=r"leads_h: expected leads above 0 h, found \[-1.0\]"):
+        hygrokf.forecast(things["likelihood"], things["estimate"], leads_h=[-1.0])
 
 
 @pytest.mark.parametrize("verb", VERBS)

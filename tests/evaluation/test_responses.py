@@ -166,6 +166,8 @@ def test_values_without_uncertainty_have_no_bands(few: tuple) -> None:
     )
     with pytest.raises(ValueError, match="evenly spaced times"):
         hygrokf.step_response(likelihood, estimate, np.array([0.0, 1.0, 5.0]))
+    with pytest.raises(ValueError, match="omega: expected frequencies above 0 rad/h, found -1"):
+        hygrokf.bode(likelihood, estimate, np.array([-1.0, 1.0]))
 
 
 def test_an_integral_and_an_oscillation_have_responses() -> None:

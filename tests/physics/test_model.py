@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -94,7 +95,8 @@ def test_extending() -> None:
     sun = Mechanism(
         name="sun", inputs=("irradiance",), contributions=lambda p, x, u, q: {"heat_release": u.irradiance}
     )
-    larger = extend(base, sun, {"irradiance": "mean"})
+    larger = extend(replace(base, bound=3.0), sun, {"irradiance": "mean"})
+    assert larger.bound == 3.0
     assert larger.inputs == ("outside", "irradiance")
     assert larger.holds == {"outside": "linear", "irradiance": "mean"}
     assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
@@ -135,6 +137,8 @@ def test_what_does_not_fit_is_named() -> None:
         _ = compose([READ, READ]).outputs
     with pytest.raises(ValueError, match=r'averaged: expected names of y, found "Y"; did you mean "y"'):
         compose([READ], averaged={"Y": 1.0})
+    with pytest.raises(ValueError, match="mechanisms: expected Mechanisms, found Model"):
+        compose(compose([]))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="averaged: expected an interval above 0 h for y, found 0"):
         compose([READ], averaged={"y": 0.0})
 
