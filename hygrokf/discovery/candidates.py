@@ -47,7 +47,7 @@ WATER_SHARE = 0.5
 class Candidate:
     """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence.
 
-    lacking: whether a quantity does not gain that must; alike: codes of the cause's other forms that the
+    lacking: whether a quantity does not gain that must; alike: the cause's other forms that the
     record cannot tell from it.
     """
 

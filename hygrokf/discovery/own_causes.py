@@ -206,7 +206,7 @@ def form_faults(cause: Cause) -> list[str]:
         if not isinstance(form, Form) or form.cause != cause.name:
             faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
         else:
-            faults += [f"form {form.code!r}: {fault}" for fault in _faults_of(form)]
+            faults += [f"form {form.words or 'as given'!r}: {fault}" for fault in _faults_of(form)]
     return list(dict.fromkeys(faults))
 
 
@@ -514,7 +514,7 @@ def _guarded(cause: Cause, file: Path | None = None) -> Cause:
 
     return replace(
         cause,
-        forms=guard(cause.forms, "forms"),
+        forms=guard(lambda ground: list(cause.forms(ground)), "forms"),
         features={
             name: (guard(pair[0], f"feature {name!r}"), pair[1]) if is_feature(pair) else pair
             for name, pair in _mapping(cause.features).items()

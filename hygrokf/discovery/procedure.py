@@ -19,7 +19,7 @@ from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
-from hygrokf.discovery.forms import ground_of
+from hygrokf.discovery.forms import ground_of, possible
 from hygrokf.discovery.library import LIBRARY, Cause, named
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
@@ -119,8 +119,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     say("base model")
     start = base_estimate(record)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
-    # quantiles of too few readings leave a form without settings
-    forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
+    forms = {cause.name: possible(cause.forms(ground), ground) for cause in library}
     found = Search(start, [form for one in forms.values() for form in one], say, budget).run()
     say("parameters of the base and of the extended model")
     ended = concluded(found)
@@ -146,7 +145,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
         refuted=tuple(
-            Refuted(one.cause, one.form.code, evidence_of(one, found.searched), judged)
+            Refuted(one.cause, one.form.words, evidence_of(one, found.searched), judged)
             for one, judged in ended.refuted
         ),
         lines=tuple(left),
@@ -180,7 +179,7 @@ def _rejected(
     def add(one: Candidate, reason: Exclusion) -> None:
         if one.cause not in told:
             rest.setdefault(
-                one.cause, Rejected(one.cause, one.form.code, evidence_of(one, found.searched), reason)
+                one.cause, Rejected(one.cause, one.form.words, evidence_of(one, found.searched), reason)
             )
 
     for one in found.left:
@@ -228,7 +227,7 @@ def cause_found(
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
-        form=candidate.form.code,
+        form=candidate.form.words,
         forms_alike=candidate.alike,
         confidence=confidence(candidate.in_days, one.lead),
         statement=cause.meaning,

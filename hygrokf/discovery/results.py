@@ -177,7 +177,7 @@ class CauseParameter:
 class CauseFound:
     """An accepted cause.
 
-    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
+    form: its best form in words; forms_alike: those that the record cannot tell from it.
     confidence: [1] how often a name with such evidence is right.
     ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
     separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.

@@ -171,7 +171,7 @@ class Search:
             if verdict.reason:
                 # another form of the cause may hold what this one does not
                 self._refuted.append((one, verdict))
-                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
+                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.words != one.form.words]
                 for known in (self._known.screened, self._known.candidates, self._known.finished):
                     known.pop(one.cause, None)
                 again = True
@@ -268,7 +268,7 @@ class Search:
                 made.append(candidate(self.parent, one, s.form, s.setting, self.searched[cause]))
             best = max(made, key=lambda one: one.evidence, default=None)
             if best is not None:
-                near = (c.form.code for c in made if c.form is not best.form and alike(best, c))
+                near = (c.form.words for c in made if c.form is not best.form and alike(best, c))
                 best = replace(best, alike=tuple(dict.fromkeys(near)))
             self._known.candidates[cause] = mark, best
         found = self._known.candidates[cause][1]
@@ -295,8 +295,8 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     """The best setting of each form, then the best of the others: forms differ more than settings."""
     first: dict[str, Screened] = {}
     for s in seen:
-        first.setdefault(s.form.code, s)
-    rest = [s for s in seen if first[s.form.code] is not s]
+        first.setdefault(s.form.words, s)
+    rest = [s for s in seen if first[s.form.words] is not s]
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 

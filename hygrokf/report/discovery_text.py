@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
 
-from hygrokf.discovery.forms import IN_SUMMER
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
@@ -32,54 +31,6 @@ from hygrokf.identification.wording import (
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.fit_tables import unit
 
-FORMS = {
-    "second_mass": "a second mass beside the converter",
-    "roof": "on the roof",
-    "wall": "on a wall",
-    "linear": "in proportion to the wind speed",
-    "square": "in proportion to its square",
-    "thermostat_always": "thermostat, at any time",
-    "thermostat_standstill": "thermostat, at standstill",
-    "humidistat_always": "humidistat, at any time",
-    "humidistat_standstill": "humidistat, at standstill",
-    "stage": "a stage that grows with the temperature",
-    "capacity": "of constant power",
-    "vent": "a vent opened by temperature",
-    "vent_by_humidity": "a vent opened by humidity",
-    "date": "from a date on",
-    "windows": "single openings",
-    "straight": "in proportion to time",
-    "saturating": "from a date on, and less and less",
-    "daily": "every day",
-    "workdays": "on workdays",
-    "smoothed": "a smoothed series",
-    "air_lags": "the air around the cabinet lags the series",
-    "intake_lags": "the intake air lags the series",
-    "offset": "offset of the vapour",
-    "humidity": "offset of the relative humidity",
-    "gain": "gain of the vapour",
-    "thin": "thin material, alike at all temperatures",
-    "thin_activated": "thin material, faster when warm",
-    "slab": "a slab, alike at all temperatures",
-    "slab_activated": "a slab, faster when warm",
-    "cold_surface": "on a cold surface",
-    "night_sky": "on a surface cooled by the night sky",
-    "all_rain": "with all rain",
-    "plate": "a cold plate",
-    "plate_warms": "a cold plate whose heat stays in the cabinet",
-    "desiccant": "a desiccant",
-    "constant": "constant",
-    "wet_surface": "a wet surface",
-    "standstill": "at standstill",
-    "fading": "drying out from a date on",
-    "by_the_clock": "in the same hours of the day",
-    "drift": "an offset that grows",
-    "scale_drifts": "a scale that goes off",
-    "scale": "a scale that is off",
-    "ceiling": "a ceiling of the readings",
-    "as_given": "",
-}
-"""Code of a form → words; that of a clock is its source's name and stays as it is."""
 EXCLUSIONS = {
     "no_effect": "the screening finds no effect",
     "weak": "too little evidence",
@@ -136,16 +87,9 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
-def form_words(code: str) -> str:
-    """A form in words; of a clock its source."""
-    source, summer, _ = code.partition(IN_SUMMER)
-    return f"{source}, in summer time" if summer else FORMS.get(code, code)
-
-
 def formed(cause: str, form: str) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    words = form_words(form)
-    return f"{spoken(cause)} ({words})" if words else spoken(cause)
+    return f"{spoken(cause)} ({form})" if form else spoken(cause)
 
 
 def signed_percent(share: float) -> str:
@@ -399,8 +343,7 @@ def alike_sentence(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
-        forms = listed((form_words(form) or "as given" for form in cause.forms_alike), "or")
-        said.append(f"in this form or {forms}: this record cannot tell these apart")
+        said.append(f"in this form or {listed(cause.forms_alike, 'or')}: this record cannot tell these apart")
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)

@@ -300,12 +300,12 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "import numpy as np\nC = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: "
             "{'heat_release': np.sin(p.stove_heat * u.auxiliary_power)}), **WORDS)",
-            "form 'as_given': TypeError",
+            "form 'as given': TypeError",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.heat}), "
             "**WORDS)",
-            "form 'as_given': UnknownName: a mechanism reads p.heat, but the parameters here are ",
+            "form 'as given': UnknownName: a mechanism reads p.heat, but the parameters here are ",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove), starts={'stov_heat': 2.0}, **WORDS)",

@@ -51,7 +51,6 @@ from hygrokf.report.discovery_page import (
     write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
-    FORMS,
     formed,
     held_out_sentence,
     held_out_sentences,
@@ -187,7 +186,7 @@ def test_what_the_extension_leaves_alone_is_drawn_once(whole: str) -> None:
 def test_an_event_is_shown_where_it_was_found() -> None:
     found = discovery_case() | {"findings": []}
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
-    found["causes"][0] |= {"cause": "door_opening", "form": "windows", "settings": {"spans": [span]}}
+    found["causes"][0] |= {"cause": "door_opening", "form": "single openings", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
     assert page.lead[-2].name == "episodes-1" and page.lead[-2].heading.startswith("The sun heats")
     text = page_html(discovery_blocks(typed(found), residuals_case(), residuals_case(0.2)))
@@ -379,16 +378,15 @@ def test_every_form_of_the_library_has_words() -> None:
     ground = Ground(record, frozenset(), True, 1, True)
     made = [form for cause in LIBRARY for form in cause.forms(ground)]
     assert {form.cause for form in made} == {cause.name for cause in LIBRARY}
-    codes = {form.code for form in made if form.cause != "clock_shift"}
-    assert codes <= set(FORMS), codes - set(FORMS)
-    assert set(FORMS) - codes == {"as_given"}
-    assert {form.code for form in made if form.cause == "clock_shift"} <= set(sources(record))
+    assert all(form.words for form in made)
+    clocks = {form.words for form in made if form.cause == "clock_shift"}
+    assert clocks and clocks <= set(sources(record))
 
 
 def test_a_form_is_told_with_its_cause() -> None:
-    assert formed("unlogged_heater", "humidistat_standstill") == "unlogged heater (humidistat, at standstill)"
+    assert formed("unlogged_heater", "humidistat") == "unlogged heater (humidistat)"
     assert formed("clock_shift", "cabinet_log.csv") == "clock shift (cabinet_log.csv)"
-    assert formed("oven", "as_given") == formed("oven", "") == "oven"
+    assert formed("oven", "") == "oven"
 
 
 def test_settings_are_told_in_their_own_words() -> None:
