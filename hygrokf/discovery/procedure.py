@@ -317,8 +317,8 @@ def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[Error
     together = np.array_equal(before.time_s, after.time_s)
     found = []
     for quantity in QUANTITIES:
-        old = _outside(before.time_s, before.error(quantity), spans)
-        new = _outside(after.time_s, after.error(quantity), spans)
+        old = _outside(before.time_s, before.error[quantity], spans)
+        new = _outside(after.time_s, after.error[quantity], spans)
         for period, chosen in (("validation", True), ("identification", False)):
             pair = old[before.validation == chosen], new[after.validation == chosen]
             if all(np.isfinite(one).any() for one in pair):

@@ -23,7 +23,7 @@ from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, w
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.tabular import with_units
-from hygrokf.discovery.residuals import Residuals
+from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.identification.fit_results import FitResults, TimeConstant
@@ -54,35 +54,24 @@ CLASS_LIMIT = 3
 class Finding:
     """An error of the free run in the identification period.
 
-    quantity: "temperature" or "humidity"; unit: K or g/m³.
-    where, when: the condition in words, empty for any.
-    size: mean effect under the condition less that elsewhere, by generalised least squares under the error
-        model; direction: of the simulation.
-    duration_h: [h] for how long of an episode, or NaN.
+    kind: of the condition; driver: signal that it goes with, or "".
+    size: [K], [g/m³] mean effect under the condition less that elsewhere, by generalised least squares under
+        the error model.
     n_episodes: in which it is seen, of n_possible.
     sensor_share: [1] of its square that the sensors' accuracy explains.
-    p, p_adjusted: [1] chance of it without a cause, alone and as adjusted share of false discoveries.
-    driver: signal that it goes with, or None.  kind: of the condition.
-    curve: reading − free run over the condition's bins.
+    p_adjusted: [1] chance of it without a cause, as adjusted share of false discoveries.
     spans: (start, end) [s] of its episodes, the largest error first.
     """
 
-    quantity: str
-    where: str
-    when: str
-    size: float
-    unit: str
-    direction: str
-    duration_h: float
-    n_episodes: int
-    n_possible: int
-    sensor_share: float
-    statement: str
-    p: float
-    p_adjusted: float
-    driver: str | None
+    quantity: Quantity
     kind: str
-    curve: Mapping[str, Any] = field(default_factory=dict)
+    driver: str
+    statement: str
+    size: float = math.nan
+    n_episodes: int = 0
+    n_possible: int = 0
+    sensor_share: float = math.nan
+    p_adjusted: float = math.nan
     spans: tuple[tuple[float, float], ...] = ()
 
 
@@ -421,18 +410,9 @@ def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None
     """Residuals from the arrays of `_arrays`; None where there are none."""
     found: dict[str, Any] = {}
     for key, array in arrays.items():
-        head, *path = key.split("/", 2)
-        if head != which:
-            continue
-        if len(path) == 2:
-            found.setdefault(path[0], {})[path[1]] = array
-        elif path[0] == "name":
-            found["name"] = str(array)
-        else:
-            found[path[0]] = array if array.ndim else float(array)
-    if not found:
-        return None
-    if not math.isfinite(found.get("origin_s", math.nan)):
-        raise ValueError(f"no {which}/origin_s")
-    found.setdefault("drivers", {})
-    return Residuals(**found)
+        head, name, *part = key.split("/", 2)
+        if head == which and part:
+            found.setdefault(name, {})[part[0]] = array
+        elif head == which:
+            found[name] = array if array.ndim else float(array)
+    return Residuals(**found) if found else None

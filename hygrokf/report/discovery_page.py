@@ -91,8 +91,8 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
     """Significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
-            capital(one.statement.split(" (", 1)[0]),
-            f"{plain_number(one.size, 2)} {one.unit}".strip(),
+            capital(one.statement),
+            f"{plain_number(one.size, 2)} {quantity_of(one.quantity)[1]}",
             f"{one.n_episodes} of {one.n_possible}",
             percent(one.sensor_share),
             p_value(one.p_adjusted),
@@ -474,5 +474,5 @@ def _differ(before: Residuals, after: Residuals | None, quantity: str) -> bool:
         return False
     if len(before.time_h) != len(after.time_h):
         return True
-    apart = np.abs(before.error(quantity) - after.error(quantity))
+    apart = np.abs(before.error[quantity] - after.error[quantity])
     return bool(np.nanmax(apart, initial=0.0) > 0.01 * before.rmse(quantity))

@@ -38,10 +38,8 @@ def residuals_case(sun: float = 1.5, seed: int = 0) -> Residuals:
     return Residuals(
         time_h=time,
         origin_s=ORIGIN_S,
-        temperature_error=error["temperature"],
-        humidity_error=error["humidity"],
-        temperature_innovation=random.standard_normal(HOURS),
-        humidity_innovation=random.standard_normal(HOURS),
+        error=error,
+        innovation={name: random.standard_normal(HOURS) for name in error},
         drivers={
             "ambient_temperature": ambient,
             "power": power,
@@ -55,7 +53,6 @@ def residuals_case(sun: float = 1.5, seed: int = 0) -> Residuals:
         measured={name: simulated[name] + error[name] for name in error},
         simulated=simulated,
         sd={"temperature": np.full(HOURS, 1.0), "humidity": np.full(HOURS, 0.3)},
-        name="tower 7",
     )
 
 
@@ -159,11 +156,9 @@ def _gain(quantity: str, before: float, after: float, lower: float, upper: float
 def _misfit() -> dict:
     start = ORIGIN_S + 10 * 3600.0
     return {
-        "quantity": "temperature", "where": "", "when": "from 10 to 15 h UTC", "size": 1.4, "unit": "K",
-        "direction": "too low", "duration_h": 5.0, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02,
-        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the "
-                     "sensors explain 0.2 K)",
-        "p": 1e-9, "p_adjusted": 1e-7, "driver": "global_horizontal_irradiance", "kind": "hour", "curve": {},
+        "quantity": "temperature", "kind": "hour", "driver": "global_horizontal_irradiance",
+        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low",
+        "size": 1.4, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02, "p_adjusted": 1e-7,
         "spans": [[start + 86400.0 * day, start + 86400.0 * day + 18000.0] for day in (12, 5, 20, 1, 2)],
     }  # fmt: skip
 

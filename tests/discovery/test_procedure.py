@@ -170,7 +170,7 @@ def test_a_discovery_is_a_table_a_text_and_can_be_pickled(sunny: Discovery) -> N
     assert str(sunny).splitlines()[1].startswith("  solar_gain (")
     again = pickle.loads(pickle.dumps(sunny))
     assert again.to_json() == sunny.to_json()
-    assert again.after.temperature_error.tobytes() == sunny.after.temperature_error.tobytes()
+    assert again.after.error["temperature"].tobytes() == sunny.after.error["temperature"].tobytes()
 
 
 def test_the_same_record_gives_the_same_file(sunny: Discovery, in_the_sun: Record) -> None:

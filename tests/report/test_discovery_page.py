@@ -344,7 +344,7 @@ def test_the_course_of_the_error_shows_each_day_of_both_models() -> None:
         edges, values = _steps(one)
         late = residuals.validation
         expected = [
-            np.sqrt(np.nanmean(residuals.temperature_error[late & (residuals.time_h // 24 == day)] ** 2))
+            np.sqrt(np.nanmean(residuals.error["temperature"][late & (residuals.time_h // 24 == day)] ** 2))
             for day in range(30, 40)
         ]
         np.testing.assert_allclose(values, expected, rtol=1e-12)
@@ -354,9 +354,10 @@ def test_the_course_of_the_error_shows_each_day_of_both_models() -> None:
 
 def test_days_without_readings_are_gaps_and_no_held_out_part_is_told() -> None:
     before, after = residuals_case(), residuals_case(0.2)
-    error = before.temperature_error.copy()
+    error = before.error["temperature"].copy()
     error[24 * 33 : 24 * 34] = np.nan
-    warm, _ = figure_error_course(replace(before, temperature_error=error), after).figure().axes
+    holed = replace(before, error={**before.error, "temperature": error})
+    warm, _ = figure_error_course(holed, after).figure().axes
     _, values = _steps(warm.get_lines()[0])
     assert np.flatnonzero(np.isnan(values)).tolist() == [3]
     nothing = np.zeros(len(error), bool)
@@ -445,11 +446,11 @@ def test_what_was_judged_stands_in_order_of_its_evidence_with_its_outcome() -> N
 
 def test_what_is_left_is_told_of_the_extended_model() -> None:
     assert "The errors of the extended model show no structure" in words(discovery_case())
-    statement = "when it rains, simulated humidity is too low (9 h)"
+    statement = "when it rains, simulated humidity is too low"
     left = discovery_case()["findings"][0] | {"statement": statement}
     found = discovery_case() | {"left": [left]}
     text = words(found).split("What is left")[1]
-    assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
+    assert "When it rains, simulated humidity is too low" in text
     assert verdict(found).lines[-2] == f"The extended model still errs: {statement}."
     line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
     assert "12.4 h" in line_sentence(typed(discovery_case() | {"lines": [line]}).lines[0])
@@ -552,7 +553,9 @@ def test_a_discovery_of_nothing_gives_a_page_that_says_so() -> None:
 
 def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
     nothing = np.full(len(residuals_case().time_h), np.nan)
-    before = replace(residuals_case(), humidity_error=nothing, humidity_innovation=nothing)
+    before = residuals_case()
+    error, innovation = ({**one, "humidity": nothing} for one in (before.error, before.innovation))
+    before = replace(before, error=error, innovation=innovation)
     found = discovery_case()
     for which in ("baseline", "extended"):
         del found[which]["time_constants"]["hygric"]
@@ -590,12 +593,13 @@ def test_residuals_come_back_as_they_were(written: Path) -> None:
     assert plain(read.results) == plain(typed(discovery_case()))
     assert read.before is not None and read.after is not None
     made = residuals_case()
-    for name in ("time_h", "temperature_error", "humidity_innovation", "validation"):
+    for name in ("time_h", "validation"):
         np.testing.assert_array_equal(getattr(read.before, name), getattr(made, name))
-    assert read.before.name == made.name and read.before.origin_s == made.origin_s
-    for name in ("drivers", "measured", "simulated", "sd", "sensor_error"):
+    assert read.before.origin_s == made.origin_s
+    for name in ("drivers", "error", "innovation", "measured", "simulated", "sd", "sensor_error"):
         assert set(getattr(read.before, name)) == set(getattr(made, name))
     np.testing.assert_array_equal(read.before.drivers["power"], made.drivers["power"])
+    np.testing.assert_array_equal(read.before.error["humidity"], made.error["humidity"])
 
 
 def test_report_makes_both_pages_again(written: Path, whole: str, capsys: pytest.CaptureFixture) -> None:

@@ -18,6 +18,7 @@ from hygrokf.discovery.residuals import (
     QUANTITIES,
     TEMPERATURE,
     UNITS,
+    Quantity,
     Residuals,
     binned,
     displayed,
@@ -44,7 +45,7 @@ AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
 COLOURS = (SIMULATED, AFTER)
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
-TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
+TITLE: Mapping[str, str] = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
 FEWEST_READINGS = 100
@@ -59,10 +60,10 @@ def error_label(quantity: str) -> str:
     return f"simulation − reading [{UNITS[quantity]}]"
 
 
-def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
+def _known(residuals: Residuals, innovations: bool = False) -> list[Quantity]:
     take = residuals.innovation if innovations else residuals.error
     early = ~residuals.validation
-    found = [q for q in QUANTITIES if np.isfinite(take(q)[early]).sum() >= FEWEST_READINGS]
+    found = [q for q in QUANTITIES if np.isfinite(take[q][early]).sum() >= FEWEST_READINGS]
     if not found:
         raise NothingToShow(f"Fewer than {FEWEST_READINGS} readings can be compared with the simulation.")
     return found
@@ -196,7 +197,7 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
 
 def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
     """Root mean square (n,) of the error on held-out days (n,) since 1970; NaN on those without a reading."""
-    error = residuals.error(quantity)
+    error = residuals.error[quantity]
     chosen = residuals.validation & np.isfinite(error)
     place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
     return np.sqrt(means(place, error[chosen] ** 2, len(days)))
@@ -240,7 +241,7 @@ def held_out(residuals: Residuals, span: tuple[float, float]) -> tuple[Mark, ...
 
 def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
     """Number of the first day since 1970 and mean errors (days, 24), NaN without a reading."""
-    error = -residuals.error(quantity)
+    error = -residuals.error[quantity]
     there = np.isfinite(error)
     hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
     first = int(np.floor(residuals.time_s[0] / DAY_S))
@@ -281,7 +282,7 @@ def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> 
 def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
     """`diagnose` of the identification period's innovations, by quantity."""
     early = ~residuals.validation
-    innovations = {q: residuals.innovation(q)[early] for q in QUANTITIES}
+    innovations = {q: residuals.innovation[q][early] for q in QUANTITIES}
     inputs = {name: value[early] for name, value in residuals.drivers.items()}
     known, varying = (
         {name: value for name, value in one.items() if np.isfinite(value).any()}
