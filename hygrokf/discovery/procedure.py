@@ -4,7 +4,8 @@ and what is told of a cause."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +14,13 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
-from hygrokf.discovery.forms import ground_of, possible
+from hygrokf.discovery.forms import Form, Setting, ground_of, possible
 from hygrokf.discovery.library import LIBRARY, Cause, named
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import without_repeats
@@ -33,7 +34,6 @@ from hygrokf.discovery.results import (
     ErrorGain,
     Exclusion,
     ModelScores,
-    Refuted,
     Rejected,
     SearchCost,
     Settings,
@@ -45,7 +45,9 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.verdict_terms import REJECT, Reason
+from hygrokf.identification.wording import fixed
 from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.switches import CONTROLLED
 from hygrokf.version import __version__
 
 BUDGET = 40_000
@@ -145,7 +147,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
         refuted=tuple(
-            Refuted(one.cause, one.form.words, evidence_of(one, found.searched), judged)
+            Rejected(one.cause, one.form.words, evidence_of(one, found.searched), "refuted", judged)
             for one, judged in ended.refuted
         ),
         lines=tuple(left),
@@ -198,7 +200,7 @@ def _rejected(
 
 def _scores(fit: Fit) -> ModelScores:
     found = fit.results
-    return ModelScores(found.rmse, found.baselines, found.time_constants, found.loglik, found.n_obs)
+    return ModelScores(found.rmse, found.baselines, found.time_constants)
 
 
 def _saturated(record: Record) -> float:
@@ -224,6 +226,7 @@ def cause_found(
     candidate = one.candidate
     cause = named(candidate.cause, library)
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
+    settings = _settings(candidate, ended.base.estimate.simulator.scene.record)
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
@@ -232,7 +235,8 @@ def cause_found(
         confidence=confidence(candidate.in_days, one.lead),
         statement=cause.meaning,
         parameters=_parameters(candidate, ended.base, ended.extended),
-        settings=_settings(candidate, ended.base.estimate.simulator.scene.record),
+        settings=settings,
+        chosen=tuple(chosen(candidate.form, candidate.setting, settings)),
         evidence=evidence_of(candidate, searched, one.lead),
         held_out=one.judged,
         ambiguous_with=rivals,
@@ -266,6 +270,28 @@ def _settings(one: Candidate, record: Record) -> Settings:
         others = [name for name in sources(record) if name != one.form.clock]
         found |= {"relative_to": others[0]} if len(others) == 1 else {}
     return found
+
+
+CHOSEN: Mapping[str, Callable[[Any], str]] = {
+    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
+    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
+    "azimuth_deg": "azimuth {:.0f}°".format,
+    "days": "over {:.3g} days".format,
+    "start_h": "from {:g} h UTC".format,
+    "hours": "for {:g} h".format,
+}
+"""Setting of a feature → words."""
+
+
+def chosen(form: Form, setting: Setting, settings: Settings) -> Iterator[str]:
+    """What the search chose of a form's grid, in words; the levels of a controller are parameters."""
+    for feature, found in setting.features.items():
+        for key, value in found.items() if feature not in CONTROLLED else ():
+            if any(point.features[feature].get(key) != value for point in form.grid):
+                yield CHOSEN[key](value) if key in CHOSEN else f"{key} = {value}"
+    if form.clock:
+        other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
+        yield f"stamps moved by {fixed(setting.shift_s / 60.0, 1)} min{other}"
 
 
 def _remedy(cause: Cause, one: Candidate) -> str:

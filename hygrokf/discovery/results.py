@@ -41,9 +41,11 @@ beside what is named; held-out readings refute every cause that was found."""
 Reason: TypeAlias = Literal["", "worse", "no_gain", "unproven", "no_effect"]
 """Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
 spare, or do not bear out little evidence; it has no effect in the final set."""
-Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
-"""Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
-place to later ones; the budget ended the search; the record cannot show it."""
+Exclusion: TypeAlias = Literal[
+    "refuted", "no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"
+]
+"""Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
+evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
 Settings: TypeAlias = Mapping[str, Any]
 """Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 CLASS_LIMIT = 3
@@ -168,6 +170,7 @@ class CauseFound:
 
     form: its best form in words; forms_alike: those that the record cannot tell from it.
     confidence: [1] how often a name with such evidence is right.
+    settings: what the search chose; chosen: in words.
     ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
     separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
     """
@@ -179,6 +182,7 @@ class CauseFound:
     statement: str = ""
     parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
+    chosen: tuple[str, ...] = ()
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
     ambiguous_with: tuple[str, ...] = ()
@@ -193,21 +197,13 @@ class CauseFound:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A cause that was left out, with the evidence of its best form and the reason."""
+    """A cause that was left out: its best form, its evidence, the reason, and the held-out test where there
+    was one."""
 
     cause: str
     form: str = ""
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
-
-
-@dataclass(frozen=True)
-class Refuted:
-    """A cause that the identification period shows and the held-out period refutes."""
-
-    cause: str
-    form: str = ""
-    evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
 
 
@@ -223,13 +219,11 @@ class SearchCost:
 
 @dataclass(frozen=True)
 class ModelScores:
-    """Errors, time constants and likelihood of the base or of the extended model, as in its `fit.json`."""
+    """Errors and time constants of the base or of the extended model, as in its `fit.json`."""
 
     rmse: Scores = field(default_factory=dict)
     baselines: RuleScores = field(default_factory=dict)
     time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
-    loglik: float = math.nan
-    n_obs: int = 0
 
     @cached_property
     def fit(self) -> FitResults:
@@ -264,7 +258,7 @@ class DiscoveryResults:
     held_out_days: int = 0
     causes: tuple[CauseFound, ...] = ()
     rejected: tuple[Rejected, ...] = ()
-    refuted: tuple[Refuted, ...] = ()
+    refuted: tuple[Rejected, ...] = ()
     lines: tuple[SpectralLine, ...] = ()
     work: SearchCost = field(default_factory=SearchCost)
     repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
@@ -286,17 +280,15 @@ class DiscoveryResults:
         share [1] by which a free-run error on held-out readings falls."""
         import pandas
 
-        rows = [
-            *(
-                (c.cause, c.form, "accepted", c.confidence, c.evidence.evidence, c.held_out.improvement)
-                for c in self.causes
-            ),
-            *(
-                (c.cause, c.form, "refuted", math.nan, c.evidence.evidence, c.held_out.improvement)
-                for c in self.refuted
-            ),
-            *((c.cause, c.form, c.reason, math.nan, c.evidence.evidence, math.nan) for c in self.rejected),
+        judged: list[tuple[CauseFound | Rejected, str, float]] = [
+            *((c, "accepted", c.confidence) for c in self.causes),
+            *((c, c.reason, math.nan) for c in (*self.refuted, *self.rejected)),
         ]
+        rows = [
+            (c.cause, c.form, verdict, sure, c.evidence.evidence,
+             c.held_out.improvement if c.held_out.days else math.nan)
+            for c, verdict, sure in judged
+        ]  # fmt: skip
         columns = ["cause", "form", "verdict", "confidence", "evidence", "improvement"]
         frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
         return with_units(frame, {"confidence": "1", "evidence": "1", "improvement": "1"})

@@ -20,7 +20,6 @@ from hygrokf.discovery.results import (
     DiscoveryResults,
     Finding,
     HeldOutTest,
-    Refuted,
     Rejected,
     read_discovery,
     write_discovery,
@@ -55,23 +54,18 @@ from hygrokf.report.discovery_text import (
     EXCLUSIONS,
     MOST_SATURATED,
     SCORED_AS,
-    actions,
     capital,
     formed,
-    headline,
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    named_alone,
     parameter_cells,
     place_of,
     quantity_of,
-    reasons,
-    settings_words,
     signed_percent,
     tried,
     unchanged,
-    warned,
+    verdict_of,
 )
 from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import (
@@ -211,10 +205,9 @@ def _change(before: float, after: float) -> str:
 
 def evidence_table(found: DiscoveryResults) -> Table:
     """Every cause that was judged, in order of its evidence; accepted ones are set off."""
-    judged: list[tuple[CauseFound | Refuted | Rejected, str]] = [
+    judged: list[tuple[CauseFound | Rejected, str]] = [
         *((one, _accepted(one)) for one in found.causes),
-        *((one, "held-out readings refute it") for one in found.refuted),
-        *((one, _reason(found, one)) for one in found.rejected),
+        *((one, _reason(found, one)) for one in (*found.refuted, *found.rejected)),
     ]
     judged.sort(key=lambda row: -worth if math.isfinite(worth := row[0].evidence.evidence) else math.inf)
     rows = []
@@ -223,7 +216,7 @@ def evidence_table(found: DiscoveryResults) -> Table:
         paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
         gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
         worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(one.cause, one.form)), *gains, *paid, *worths, outcome))
+        rows.append((capital(formed(one)), *gains, *paid, *worths, outcome))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
@@ -321,10 +314,11 @@ def discovery_blocks(
         ),
     )
     gains = table_or(gains_table(found), "No errors of a free run are known.")
+    verdict = verdict_of(found)
     card = Card(
-        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
-        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
-        tone="open" if warned(found) else "plain",
+        "Verdict", verdict.headline, bounds=verdict.confidence,
+        lines=tuple(map(sentence, (*verdict.reasons, *verdict.actions))), wide=True, words=True,
+        tone="open" if verdict.warned else "plain",
     )  # fmt: skip
     return Page(
         "Discovery report",
@@ -351,14 +345,13 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 # --- sections --------------------------------------------------------------------------------
 
 
-def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
+def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block, ...]:
     """A cause: settings and parameters of one that was accepted, and the held-out test."""
-    blocks: list[Block | None] = [Heading(capital(formed(one.cause, one.form)), 3)]
+    blocks: list[Block | None] = [Heading(capital(formed(one)), 3)]
     if isinstance(one, CauseFound):
-        settings = settings_words(one.settings)
         without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Prose(f"Found by search: {'; '.join(settings)}.") if settings else None,
+            Prose(f"Found by search: {'; '.join(one.chosen)}.") if one.chosen else None,
             table_or(parameters_table(one), without),
         ]
     return present(

@@ -93,8 +93,6 @@ def _scores(kelvin: float, grams: float, thermal: float) -> dict:
             for p in periods
         },
         "time_constants": {"thermal": _constant(thermal, 0.05), "hygric": _constant(0.3, 0.02)},
-        "loglik": 1234.5,
-        "n_obs": 1800,
     }
 
 
@@ -138,6 +136,7 @@ def cause(name: str = "solar_gain", form: str = "on the roof", **changes: object
                 "meaning": "lag"},
         },
         "settings": {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0},
+        "chosen": ["azimuth 135°"],
         "evidence": _evidence(296.4, 0.2, 2, 274.6, 81.5) | {"lead": 33.3},
         "held_out": _held_out(1.79, 1.57),
         "ambiguous_with": [],
@@ -257,6 +256,7 @@ def refuted_case() -> dict:
     """The plain data of a discovery whose cause held-out readings refute."""
     one = {
         "cause": "unlogged_heater", "form": "humidistat, at standstill", "evidence": cause()["evidence"],
+        "reason": "refuted",
         "held_out": _held_out(1.85, 2.4, "worse")
         | {"z": {"temperature": 4.4}, "growth": {"temperature": 0.52}},
     }  # fmt: skip

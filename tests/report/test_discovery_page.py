@@ -35,9 +35,16 @@ from hygrokf.commands.main import main
 from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain
-from hygrokf.discovery.forms import Ground
+from hygrokf.discovery.forms import Form, Ground, Setting
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.results import Discovery, DiscoveryResults, read_discovery, write_discovery
+from hygrokf.discovery.procedure import chosen as told
+from hygrokf.discovery.results import (
+    Discovery,
+    DiscoveryResults,
+    Rejected,
+    read_discovery,
+    write_discovery,
+)
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
@@ -55,9 +62,8 @@ from hygrokf.report.discovery_text import (
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    reasons,
-    settings_words,
     signed_percent,
+    verdict_of,
 )
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.residual_structure import figure_error_course, telling_drivers
@@ -385,30 +391,31 @@ def test_every_form_of_the_library_has_words() -> None:
 
 
 def test_a_form_is_told_with_its_cause() -> None:
-    assert formed("unlogged_heater", "humidistat") == "unlogged heater (humidistat)"
-    assert formed("clock_shift", "cabinet_log.csv") == "clock shift (cabinet_log.csv)"
-    assert formed("oven", "") == "oven"
+    assert formed(Rejected("unlogged_heater", "humidistat")) == "unlogged heater (humidistat)"
+    assert formed(Rejected("clock_shift", "cabinet_log.csv")) == "clock shift (cabinet_log.csv)"
+    assert formed(Rejected("oven")) == "oven"
 
 
-def test_settings_are_told_in_their_own_words() -> None:
-    settings = {
-        "date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start": 303.15, "full": 308.15, "idle": True,
-        "reads": "cabinet_temperature", "start_h": 6, "hours": 8.0, "workdays": True, "days": 8.0,
-        "shift_s": -3600.0, "source": "a.csv", "relative_to": "b.csv", "half_life_h": 3.0,
-    }  # fmt: skip
-    assert settings_words(settings) == [
-        "date 16 July 2020 00:00 UTC",
-        "azimuth 135 °",
-        "from 6 h UTC",
-        "for 8 h",
-        "over 8.00 days",
-        "stamps of a.csv moved by −60.0 min against b.csv",
-        "half life 3.00 h",
-    ]
-    spans = {"spans": [[ORIGIN_S + 7200.0 * i, ORIGIN_S + 7200.0 * i + 3600.0] for i in range(8)]}
-    first, *_, last = settings_words(spans)
-    assert first == "from 15 July 2020 00:00 UTC to 15 July 2020 01:00 UTC" and last == "and 3 more"
-    assert settings_words({}) == [] and settings_words({"date_s": 1e300}) == ["date unknown date"]
+def test_what_the_search_chose_is_told_in_words() -> None:
+    chosen = {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start_h": 6, "hours": 8.0, "days": 8.0,
+              "half_life_h": 3.0}  # fmt: skip
+    spans = [[ORIGIN_S, ORIGIN_S + 3600.0]]
+    grid = tuple(Setting({"own": {**chosen, "given": 1, key: 0.0}}) for key in chosen)
+    form = Form("own", "", grid=grid)
+    assert list(told(form, Setting({"own": {**chosen, "given": 1}}), {})) == [
+        "date 2020-07-16T00:00Z", "azimuth 135°", "from 6 h UTC", "for 8 h", "over 8 days",
+        "half_life_h = 3.0",
+    ]  # fmt: skip
+    # one point was given, levels of controllers are parameters
+    assert list(told(replace(form, grid=(Setting({"own": chosen}),)), Setting({"own": chosen}), {})) == []
+    level = Form("own", "", grid=(Setting({"venting": {"start": 1.0}}),))
+    assert list(told(level, Setting({"venting": {"start": 2.0}}), {})) == []
+    door = Form("door", "", grid=(Setting({"door_open": {"spans": []}}),))
+    (said,) = told(door, Setting({"door_open": {"spans": spans}}), {})
+    assert said == "2020-07-15T00:00Z to 2020-07-15T01:00Z"
+    clock = Form("clock_shift", "a.csv", clock="a.csv")
+    (said,) = told(clock, Setting(shift_s=-3600.0), {"relative_to": "b.csv"})
+    assert said == "stamps moved by −60.0 min against b.csv"
 
 
 def test_levels_of_controllers_are_told_in_degrees() -> None:
@@ -469,7 +476,8 @@ def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
 def test_a_doubt_about_the_record_comes_before_any_cause() -> None:
     doubt = "the clock of a.csv seems 2 h fast: if so, state it"
     found = typed(discovery_case() | {"doubts": [doubt]})
-    assert doubt in reasons(found)[0] and len(reasons(found)) > 1
+    reasons = verdict_of(found).reasons
+    assert doubt in reasons[0] and len(reasons) > 1
     assert doubt in " ".join(page_text(discovery_blocks(found)).split())
     assert doubt in Page(page_html(discovery_blocks(found))).text
 
