@@ -40,7 +40,7 @@ from hygrokf.discovery.results import (
     SpectralLine,
     Verdict,
 )
-from hygrokf.discovery.search import Accepted, Search, SearchEnd, foreseen, needed
+from hygrokf.discovery.search import Search, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
@@ -144,14 +144,14 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         estimator=ended.base.estimator,
         gains=gains(ended, before, after),
         held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
-        causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
+        causes=tuple(cause_found(one, ended, library) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
         refuted=tuple(
-            Rejected(one.cause, one.form.words, evidence_of(one, found.searched), "refuted", judged)
-            for one, judged in ended.refuted
+            Rejected(one.cause, one.form.words, evidence_of(one), "refuted", one.judged)
+            for one in ended.refuted
         ),
         lines=tuple(left),
-        work=SearchCost(start.simulator.work.simulations, budget, found.not_judged),
+        work=SearchCost(start.simulator.work.simulations, budget, tuple(found.not_judged)),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
         own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
@@ -172,17 +172,15 @@ def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
 
 
 def _rejected(
-    found: SearchEnd, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+    found: Search, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
-    told = {one.candidate.cause for one in ended.accepted} | {one.cause for one, _ in ended.refuted}
+    told = {one.cause for one in (*ended.accepted, *ended.refuted)}
     rest: dict[str, Rejected] = {}
 
     def add(one: Candidate, reason: Exclusion) -> None:
         if one.cause not in told:
-            rest.setdefault(
-                one.cause, Rejected(one.cause, one.form.words, evidence_of(one, found.searched), reason)
-            )
+            rest.setdefault(one.cause, Rejected(one.cause, one.form.words, evidence_of(one), reason))
 
     for one in found.left:
         add(one, "later_gone")
@@ -219,29 +217,26 @@ confidence."""
 SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
 
 
-def cause_found(
-    one: Accepted, ended: Conclusion, library: Sequence[Cause], searched: Mapping[str, int]
-) -> CauseFound:
+def cause_found(one: Candidate, ended: Conclusion, library: Sequence[Cause]) -> CauseFound:
     """A named cause: its evidence and parameters, how sure its name is, and what to check."""
-    candidate = one.candidate
-    cause = named(candidate.cause, library)
+    cause = named(one.cause, library)
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
-    settings = _settings(candidate, ended.base.estimate.simulator.scene.record)
+    settings = _settings(one, ended.base.estimate.simulator.scene.record)
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
-        form=candidate.form.words,
-        forms_alike=candidate.alike,
-        confidence=confidence(candidate.in_days, one.lead),
+        form=one.form.words,
+        forms_alike=one.alike,
+        confidence=confidence(one.in_days, one.lead),
         statement=cause.meaning,
-        parameters=_parameters(candidate, ended.base, ended.extended),
+        parameters=_parameters(one, ended.base, ended.extended),
         settings=settings,
-        chosen=tuple(chosen(candidate.form, candidate.setting, settings)),
-        evidence=evidence_of(candidate, searched, one.lead),
+        chosen=tuple(chosen(one.form, one.setting, settings)),
+        evidence=evidence_of(one),
         held_out=one.judged,
         ambiguous_with=rivals,
         separate_by=SECOND_SENSOR if one.wet else cause.separate_by,
-        remedy=SECOND_SENSOR if one.wet else _remedy(cause, candidate),
+        remedy=SECOND_SENSOR if one.wet else _remedy(cause, one),
     )
 
 
@@ -254,11 +249,9 @@ def confidence(in_days: float, lead: float) -> float:
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
-def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> CauseEvidence:
+def evidence_of(one: Candidate) -> CauseEvidence:
     """The evidence of a candidate."""
-    return CauseEvidence(
-        dict(one.gains), one.constants, searched.get(one.cause, 0), one.evidence, one.in_days, lead
-    )
+    return CauseEvidence(dict(one.gains), one.constants, one.searched, one.evidence, one.in_days, one.lead)
 
 
 def _settings(one: Candidate, record: Record) -> Settings:
@@ -361,8 +354,8 @@ def _openings(ended: Conclusion) -> list[list[float]]:
     """The stretches [s] in which a door was named, those of the held-out part included."""
     spans = []
     for one in ended.accepted:
-        if one.candidate.form.windows and ended.extended is not None:
-            whole = foreseen(ended.base.estimate, one.candidate)
+        if one.form.windows and ended.extended is not None:
+            whole = foreseen(ended.base.estimate, one)
             spans += next(
                 design.features["door_open"]["spans"]
                 for design in whole.simulator.designs

@@ -136,7 +136,7 @@ def unchanged(before: float, after: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DiscoveryVerdict:
     """A discovery's verdict in words.
 
     headline: the first sentence; confidence: behind the only cause that it names, else "".
@@ -152,7 +152,7 @@ class Verdict:
     warned: bool
 
 
-def verdict_of(found: DiscoveryResults) -> Verdict:
+def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
     """The verdict of a discovery in words."""
     names, refuted = " + ".join(map(class_of, found.causes)), listed(map(formed, found.refuted))
     constants = inherited(found.baseline.fit).items()
@@ -195,7 +195,7 @@ def verdict_of(found: DiscoveryResults) -> Verdict:
         reasons.append(repeated_text(repeated))
         actions.append("find out why the logger repeats readings")
     sure = sure_of(found.causes[0]) if alone and found.verdict in ("named", "ambiguous") else ""
-    return Verdict(headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS)
+    return DiscoveryVerdict(headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS)
 
 
 def _code(found: DiscoveryResults, wrong: bool) -> str:
