@@ -1,4 +1,4 @@
-"""Errors of the free run and of the one-step prediction, and all drivers that they may depend on.
+"""Errors of the free run, and all drivers that they may depend on.
 
 Shapes: T instants of a fit's series, n bins of an hour.
 """
@@ -51,7 +51,6 @@ class Residuals:
 
     time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
     error: quantity -> (T,) [K], [g/m³] reading − free run; NaN where there is none, or not scored.
-    innovation: quantity -> (T,) [1] of the one-step prediction, in its own standard deviations.
     drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
         `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not
         choose the condition under which it is looked at.
@@ -66,7 +65,6 @@ class Residuals:
     time_h: np.ndarray
     origin_s: float
     error: Mapping[str, np.ndarray]
-    innovation: Mapping[str, np.ndarray]
     operating: np.ndarray
     preheating: np.ndarray
     validation: np.ndarray
@@ -117,7 +115,6 @@ def residuals(fit: Fit, record: Record) -> Residuals:
         time_h=(time - time[0]) / 3600.0,
         origin_s=float(time[0]),
         error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES},
-        innovation={q: np.where(scored, s[f"{q}_innovation"], np.nan) for q in QUANTITIES},
         drivers=_drivers(s, record, time),
         operating=np.asarray(s["operating"]) > 0.5,
         preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,

@@ -30,7 +30,6 @@ from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
-    INNOVATIONS,
     SYNTHETIC_PAGE,
     Block,
     Card,
@@ -72,7 +71,6 @@ from hygrokf.report.figures.residual_structure import (
     TITLE,
     figure_day_hour,
     figure_error_course,
-    figure_innovations,
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fit_tables import rmse_table
@@ -286,7 +284,7 @@ def discovery_blocks(
     body = (
         *section(
             "What the simulation gets wrong",
-            Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
+            Prose(FREE_RUN, "note"),
             table_or(
                 findings_table(found.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
@@ -435,7 +433,7 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The errors over drivers, over days and hours, and the innovations."""
+    """The errors over drivers, and over days and hours."""
     figures = [errors_over_drivers(found, before, after)]
     for quantity in QUANTITIES:
         changed = after if _differ(before, after, quantity) else None
@@ -449,15 +447,6 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
                 partial(figure_day_hour, before, quantity, changed),
             )
         )
-    figures.append(
-        Figure(
-            "innovations",
-            "Innovations: periods, and correlation with the drivers",
-            "Curves should stay within the grey bands. A peak shows a period; a correlation at lags above "
-            "zero shows a response to that driver that the one-step prediction lacks.",
-            lambda: figure_innovations(before, after),
-        )
-    )
     return figures
 
 

@@ -195,7 +195,9 @@ def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
         reasons.append(repeated_text(repeated))
         actions.append("find out why the logger repeats readings")
     sure = sure_of(found.causes[0]) if alone and found.verdict in ("named", "ambiguous") else ""
-    return DiscoveryVerdict(headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS)
+    return DiscoveryVerdict(
+        headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS
+    )
 
 
 def _code(found: DiscoveryResults, wrong: bool) -> str:

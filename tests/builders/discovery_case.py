@@ -39,7 +39,6 @@ def residuals_case(sun: float = 1.5, seed: int = 0) -> Residuals:
         time_h=time,
         origin_s=ORIGIN_S,
         error=error,
-        innovation={name: random.standard_normal(HOURS) for name in error},
         drivers={
             "ambient_temperature": ambient,
             "power": power,

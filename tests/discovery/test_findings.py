@@ -24,7 +24,7 @@ from hygrokf.discovery.results import Finding
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
 from hygrokf.report.figures.findings import figure_episodes
-from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers, figure_innovations
+from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers
 
 STEP_H = 0.25
 ORIGIN_S = 1594771200.0
@@ -80,7 +80,6 @@ def made(seed: int, days: int = 60) -> Residuals:
         time_h=time_h,
         origin_s=ORIGIN_S,
         error=errors,
-        innovation={name: random.standard_normal(size) for name in errors},
         drivers={
             "ambient_temperature": ambient,
             "ambient_absolute_humidity": 7.0 + memory(random, size, 40.0),
@@ -471,8 +470,6 @@ def test_every_figure_is_drawn_with_and_without_an_extended_model(overlaid: bool
     assert "wind speed [m/s]" in drawn(panels, "drivers")
     assert len(figure_day_hour(hidden, "humidity", after).figure().axes) == (3 if overlaid else 2)
     drawn(figure_day_hour(hidden, "humidity", after).figure(), "map")
-    spectra = drawn(figure_innovations(hidden, after).figure(), "spectra")
-    assert "Temperature" in spectra and "Absolute humidity" in spectra
 
 
 def test_a_lasting_misfit_is_drawn_over_the_whole_record() -> None:
@@ -498,11 +495,10 @@ def test_the_map_shows_simulation_less_reading_at_its_day_and_hour() -> None:
 def test_figures_without_data_say_so() -> None:
     base = made(10)
     nothing = np.full(len(base.time_h), np.nan)
-    none = dict.fromkeys(base.error, nothing)
-    empty = replace(base, error=none, innovation=none)
+    empty = replace(base, error=dict.fromkeys(base.error, nothing))
     one = single(findings(with_effect(base, "humidity", 1.1 * base.preheating)))
     for draw in (
-        lambda r: figure_drivers(r, (), None), figure_day_hour, figure_innovations,
+        lambda r: figure_drivers(r, (), None), figure_day_hour,
         lambda r: figure_episodes(r, one),
     ):  # fmt: skip
         with pytest.raises(NothingToShow):

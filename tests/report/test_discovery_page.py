@@ -101,7 +101,7 @@ def test_the_page_needs_nothing_else(whole: str) -> None:
     page = expect_alone(whole)
     assert [attributes["href"] for tag, attributes in page.tags if tag == "a"] == ["fit_report.html"]
     drawn = [attributes for tag, attributes in page.tags if tag == "svg"]
-    assert len(drawn) == 6 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
+    assert len(drawn) == 5 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
 
 
 def test_the_verdict_and_its_picture_come_first_and_what_was_tried_last(whole: str) -> None:
@@ -562,8 +562,7 @@ def test_a_discovery_of_nothing_gives_a_page_that_says_so() -> None:
 def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
     nothing = np.full(len(residuals_case().time_h), np.nan)
     before = residuals_case()
-    error, innovation = ({**one, "humidity": nothing} for one in (before.error, before.innovation))
-    before = replace(before, error=error, innovation=innovation)
+    before = replace(before, error={**before.error, "humidity": nothing})
     found = discovery_case()
     for which in ("baseline", "extended"):
         del found[which]["time_constants"]["hygric"]
@@ -604,7 +603,7 @@ def test_residuals_come_back_as_they_were(written: Path) -> None:
     for name in ("time_h", "validation"):
         np.testing.assert_array_equal(getattr(read.before, name), getattr(made, name))
     assert read.before.origin_s == made.origin_s
-    for name in ("drivers", "error", "innovation", "measured", "simulated", "sd", "sensor_error"):
+    for name in ("drivers", "error", "measured", "simulated", "sd", "sensor_error"):
         assert set(getattr(read.before, name)) == set(getattr(made, name))
     np.testing.assert_array_equal(read.before.drivers["power"], made.drivers["power"])
     np.testing.assert_array_equal(read.before.error["humidity"], made.error["humidity"])
