@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.residuals import Hours, date_text, displayed, run_lengths, words
+from hygrokf.discovery.residuals import Residuals, date_text, displayed, run_lengths, words
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
@@ -107,7 +107,7 @@ class Stratum:
         return np.isin(self.bins, np.arange(first, last + 1) % count)
 
 
-def conditions(hours: Hours) -> list[Stratum]:
+def conditions(hours: Residuals) -> list[Stratum]:
     """All conditions that a record can show: those that hold for at least six hours."""
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
@@ -149,9 +149,9 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
     return flag
 
 
-def _regimes(hours: Hours) -> list[Stratum]:
+def _regimes(hours: Residuals) -> list[Stratum]:
     """Standstill, its longer episodes, the hours after starts, hours since the last change."""
-    count, step, running = len(hours), hours.step_h, hours.operating
+    count, step, running = len(hours.time_h), hours.step_h, hours.operating
     if running.all() or not running.any():
         return []
     made = [_flag("regime", ~running, "at standstill")]
@@ -182,10 +182,11 @@ def _regimes(hours: Hours) -> list[Stratum]:
     return made
 
 
-def _preheating(hours: Hours) -> list[Stratum]:
+def _preheating(hours: Residuals) -> list[Stratum]:
     """Pre-heating, after long standstills and after any, and the hours after it."""
-    count, step = len(hours), hours.step_h
-    heated = run_lengths(hours.preheating)
+    count, step = len(hours.time_h), hours.step_h
+    heating = hours.preheating > 0.5
+    heated = run_lengths(heating)
     if not heated:
         return []
     stops = run_lengths(~hours.operating)
@@ -196,12 +197,12 @@ def _preheating(hours: Hours) -> list[Stratum]:
     long = [span for span, length in zip(heated, stood, strict=True) if length >= LONG_STANDSTILL_H]
     stood_long = "after standstills longer than a day, during pre-heating"
     every = stood_long if len(long) == len(heated) else "during pre-heating"
-    made = [_flag("episode", hours.preheating, every, hours.heated)]
+    made = [_flag("episode", heating, every, hours.preheating)]
     if 0 < len(long) < len(heated):
         around = _filled([(a - 1, b + 1) for a, b in long], count)
-        share = np.where(around, hours.heated, 0.0)
+        share = np.where(around, hours.preheating, 0.0)
         made.append(_flag("episode", _filled(long, count), stood_long, share))
-    after = _filled([(last, last + near) for _, last in heated], count) & ~hours.preheating
+    after = _filled([(last, last + near) for _, last in heated], count) & ~heating
     made.append(_flag("episode", after, "in the first 6 h after pre-heating"))
     return made
 
@@ -209,18 +210,19 @@ def _preheating(hours: Hours) -> list[Stratum]:
 # --- clock and calendar ----------------------------------------------------------------------
 
 
-def _hour(hours: Hours) -> Stratum:
-    angle = 2.0 * math.pi * hours.hour / 24.0
+def _hour(hours: Residuals) -> Stratum:
+    hour = hours.time_s / 3600.0 % 24.0
+    angle = 2.0 * math.pi * hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
-    bins = np.floor(hours.hour).astype(int)
+    bins = np.floor(hour).astype(int)
     return Stratum(
         "hour", "", basis, bins, lambda a, b: f"from {a % 24} to {(b + 1) % 24} h UTC", circular=True
     )
 
 
-def _calendar(hours: Hours) -> list[Stratum]:
+def _calendar(hours: Residuals) -> list[Stratum]:
     """Months and a straight drift."""
-    count, step = len(hours), hours.step_h
+    count, step = len(hours.time_h), hours.step_h
     month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
     bins = month - month[0]
     names = [f"{np.datetime64(int(one), 'M').item():%B %Y}" for one in range(month[0], month[-1] + 1)]
@@ -241,18 +243,18 @@ def _calendar(hours: Hours) -> list[Stratum]:
     return made
 
 
-def step_at(hours: Hours, first: int, sharp: bool) -> Stratum:
+def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
     """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
-    date = hours.start_s + 3600.0 * hours.step_h * first
+    date = hours.time_s[first] - 1800.0 * hours.step_h
     words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
-    after = np.arange(len(hours)) >= first
+    after = np.arange(len(hours.time_h)) >= first
     return _flag("step", after, words if sharp else f"since about {date_text(date)}")
 
 
 # --- drivers ---------------------------------------------------------------------------------
 
 
-def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Stratum]:
+def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]

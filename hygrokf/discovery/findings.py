@@ -12,7 +12,6 @@ from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.residuals import (
     QUANTITIES,
     UNITS,
-    Hours,
     Quantity,
     Residuals,
     binned,
@@ -108,7 +107,7 @@ def findings(residuals: Residuals) -> list[Finding]:
     return found[:MOST]
 
 
-def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Hours) -> None:
+def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Residuals) -> None:
     """ln p of every condition, and of the likeliest step."""
     white, change = state.white, state.white.change()
     state.conditions = [*known, step_at(hours, change.first, change.sharp)]
@@ -156,7 +155,7 @@ def _take_out(state: _QuantityErrors, number: int) -> None:
     state.white = state.white.without(state.columns(number), np.column_stack([bins, *kin]))
 
 
-def _described(hours: Hours, state: _QuantityErrors, number: int, q: float) -> Finding | None:
+def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) -> Finding | None:
     """The finding in numbers and words; None where it is immaterial, or where the free run does not show it.
 
     Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run

@@ -39,7 +39,7 @@ from hygrokf.discovery.starting_model import base_designs
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import HOLDS
-from hygrokf.modelling.registry import Origin, admit, name_faults, origins, withdraw
+from hygrokf.modelling.registry import Origin, admit, name_faults, withdraw
 from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
@@ -365,11 +365,6 @@ def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
             admit(guarded.mechanisms, guarded.features, origin)
             _adopted[cause.name] = guarded
     return [f"cause {cause.name!r}: {fault}" for fault in faults]
-
-
-def origins_of(cause: Cause) -> dict[str, dict[str, str]]:
-    """Origin of every mechanism and feature that an adopted cause brings."""
-    return origins((*cause.mechanisms, *cause.features))
 
 
 def _origin_in_python(cause: Cause) -> dict[str, str]:

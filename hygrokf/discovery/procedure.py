@@ -22,13 +22,12 @@ from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.forms import Form, Setting, ground_of, possible
 from hygrokf.discovery.library import LIBRARY, Cause, named
-from hygrokf.discovery.own_causes import adopt, origins_of
+from hygrokf.discovery.own_causes import adopt
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.results import (
     CauseEvidence,
     CauseFound,
-    CauseParameter,
     Discovery,
     DiscoveryResults,
     ErrorGain,
@@ -43,10 +42,10 @@ from hygrokf.discovery.results import (
 from hygrokf.discovery.search import Search, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.verdict_terms import REJECT, Reason
 from hygrokf.identification.wording import fixed
-from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.switches import CONTROLLED
 from hygrokf.version import __version__
 
@@ -154,7 +153,6 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         work=SearchCost(start.simulator.work.simulations, budget, tuple(found.not_judged)),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
-        own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
         doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
@@ -296,29 +294,17 @@ def _remedy(cause: Cause, one: Candidate) -> str:
     return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
-def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, CauseParameter]:
+def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:
     """The cause's own parameters in the extended model, with bounds."""
-    known = set(base.estimate.simulator.names)
-    mine = set(one.estimate.simulator.names) - known
-    simulator = extended.estimate.simulator
-    own: dict[str, Parameter] = {}
+    mine = set(one.estimate.simulator.names) - set(base.estimate.simulator.names)
+    simulator, own = extended.estimate.simulator, {}
     for p in simulator.parameters:
         level = p.name.rpartition("_")[0] in one.setting.features
         if (p.name in mine and (p.name in brought(one.form, simulator) or level)) or p.name == one.form.freed:
-            own[p.name] = p
-    return {name: _parameter(p, extended) for name, p in own.items()}
-
-
-def _parameter(p: Parameter, extended: FinalSet) -> CauseParameter:
-    value = extended.estimate.values[p.name]
-    lower, upper = extended.bounds(p.name)
-    reach = extended.deviation(p.name)
-    null = math.nan if p.null is None else p.null
-    return CauseParameter(value, p.unit, _closed(lower), _closed(upper), reach, null, p.meaning)
-
-
-def _closed(bound: float) -> float:
-    return bound if math.isfinite(bound) else math.nan
+            lower, upper = (b if math.isfinite(b) else math.nan for b in extended.bounds(p.name))
+            value, se = extended.estimate.values[p.name], extended.deviation(p.name)
+            own[p.name] = ParameterRow(value, p.unit, se, lower, upper, p.meaning)
+    return own
 
 
 # -- errors --------------------------------------------------------------------------------------------------
@@ -338,15 +324,18 @@ def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[Error
     for quantity in QUANTITIES:
         old = _outside(before.time_s, before.error[quantity], spans)
         new = _outside(after.time_s, after.error[quantity], spans)
-        for period, chosen in (("validation", True), ("identification", False)):
-            pair = old[before.validation == chosen], new[after.validation == chosen]
-            if all(np.isfinite(one).any() for one in pair):
-                chosen_s = before.time_s[before.validation == chosen]
-                day = np.floor(chosen_s / DAY_S) if together else np.empty(0)
-                found.append(
-                    _gain(quantity, period, *pair, day, _driven(ended, QUANTITY[quantity], chosen, spans))
-                )
-                break
+        for period, held_out in (("validation", True), ("identification", False)):
+            first, later = before.validation == held_out, after.validation == held_out
+            pair = old[first], new[later]
+            if not all(np.isfinite(one).any() for one in pair):
+                continue
+            bounds = math.nan, math.nan
+            if together:
+                bounds = _bounds(*pair, np.floor(before.time_s[first] / DAY_S))
+            driven = _driven(ended, QUANTITY[quantity], held_out, spans)
+            a, b = map(root_mean_square, pair)
+            found.append(ErrorGain(quantity, period, a, b, *bounds, *driven))
+            break
     return tuple(found)
 
 
@@ -384,13 +373,6 @@ def _driven(
         return root_mean_square(_outside(r.time_s, chosen, spans))
 
     return error(ended.base.estimate), error((ended.extended or ended.base).estimate)
-
-
-def _gain(
-    quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
-) -> ErrorGain:
-    lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
-    return ErrorGain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:

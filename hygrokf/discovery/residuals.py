@@ -54,7 +54,7 @@ class Residuals:
     drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
         `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not
         choose the condition under which it is looked at.
-    operating, preheating: (T,) bool.
+    operating, preheating: (T,) whether; in bins, of a length `step_h` [h], of pre-heating the share of time.
     validation: (T,) bool, True after the end of the identification period.
     sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's
         and of the ambient sensors brings about.
@@ -70,6 +70,7 @@ class Residuals:
     validation: np.ndarray
     sensor_error: Mapping[str, np.ndarray]
     drivers: Mapping[str, np.ndarray] = field(default_factory=dict)
+    step_h: float = math.nan
     time_constants: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, np.ndarray] = field(default_factory=dict)
     simulated: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -243,41 +244,9 @@ def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple
 # --- hourly bins -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Hours:
-    """Residuals in bins of equal length (n,).
-
-    start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
-    error [K], [g/m³]: quantity -> (n,), NaN without a reading.
-    drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share
-    of the bin with pre-heating; sensor_error: quantity -> (n,).
-    """
-
-    start_s: float
-    step_h: float
-    error: Mapping[str, np.ndarray]
-    drivers: Mapping[str, np.ndarray]
-    operating: np.ndarray
-    preheating: np.ndarray
-    heated: np.ndarray
-    sensor_error: Mapping[str, np.ndarray]
-
-    def __len__(self) -> int:
-        return len(self.operating)
-
-    @property
-    def time_s(self) -> np.ndarray:
-        """Middles (n,) [s] of the bins."""
-        return self.start_s + 3600.0 * self.step_h * (np.arange(len(self)) + 0.5)
-
-    @property
-    def hour(self) -> np.ndarray:
-        """Hour of the day (n,) [h], UTC."""
-        return (self.time_s / 3600.0) % 24.0
-
-
-def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
-    """The identification period in bins of a length [h], or of the readings' step where that is longer."""
+def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
+    """Means over the identification period in bins of a length [h], or of the readings' step where that is
+    longer, at the middles of the bins; of pre-heating the share of the bin."""
     chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
@@ -300,9 +269,9 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
     def circular(values: np.ndarray) -> np.ndarray:
         return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
 
-    heated = np.nan_to_num(mean(residuals.preheating))
-    return Hours(
-        start_s=first * 3600.0 * length,
+    return Residuals(
+        time_h=length * np.arange(count),
+        origin_s=(first + 0.5) * 3600.0 * length,
         step_h=length,
         error={q: mean(residuals.error[q]) for q in QUANTITIES},
         drivers={
@@ -310,8 +279,8 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
             for name, value in residuals.drivers.items()
         },
         operating=np.nan_to_num(_carried(mean(residuals.operating))) > 0.5,
-        preheating=heated > 0.5,
-        heated=heated,
+        preheating=np.nan_to_num(mean(residuals.preheating)),
+        validation=np.zeros(count, bool),
         sensor_error={q: mean(values) for q, values in residuals.sensor_error.items()},
     )
 

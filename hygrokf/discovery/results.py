@@ -26,7 +26,7 @@ from hygrokf.data.tabular import with_units
 from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
-from hygrokf.identification.fit_results import FitResults, TimeConstant
+from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
 from hygrokf.physics.model import fields_alone
 
 if TYPE_CHECKING:
@@ -151,20 +151,6 @@ class HeldOutTest:
 
 
 @dataclass(frozen=True)
-class CauseParameter:
-    """A parameter that a cause adds: value, 95 % bounds (NaN for an open side), standard error, and the value
-    without an effect, in its unit."""
-
-    value: float
-    unit: str
-    lower: float = math.nan
-    upper: float = math.nan
-    se: float = math.nan
-    null: float = math.nan
-    meaning: str = ""
-
-
-@dataclass(frozen=True)
 class CauseFound:
     """An accepted cause.
 
@@ -180,7 +166,7 @@ class CauseFound:
     forms_alike: tuple[str, ...] = ()
     confidence: float = math.nan
     statement: str = ""
-    parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
     chosen: tuple[str, ...] = ()
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
@@ -244,7 +230,7 @@ class DiscoveryResults:
     lines: what is left without a cause.
     repeated: signal → stretches [s] of repeated readings that were set aside; saturated: [1] share of the
     humidity readings at the end of the sensor's range.
-    own_causes: origin of the user's causes.  doubts: those about the record that concern a time constant.
+    doubts: those about the record that concern a time constant.
     """
 
     name: str
@@ -263,7 +249,6 @@ class DiscoveryResults:
     work: SearchCost = field(default_factory=SearchCost)
     repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     saturated: float = math.nan
-    own_causes: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = field(kw_only=True)
     left: tuple[Finding, ...] = ()
     doubts: tuple[str, ...] = ()

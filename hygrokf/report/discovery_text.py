@@ -10,13 +10,13 @@ from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
     CauseFound,
-    CauseParameter,
     DiscoveryResults,
     ErrorGain,
     HeldOutTest,
     Rejected,
     SpectralLine,
 )
+from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
@@ -331,7 +331,7 @@ def alike_sentence(cause: CauseFound) -> str:
     return "; ".join(said)
 
 
-def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
+def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
     """(value, bounds, unit) of a parameter with the digits that its bounds justify; levels in °C."""
     value, low, high = row.value, row.lower, row.upper
     symbol = unit(row.unit)

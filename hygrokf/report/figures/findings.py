@@ -158,7 +158,7 @@ def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) ->
         marks.append(Curve(day, mean, colour, 1.0, f"daily mean{end}"))
         if one is residuals:
             marks.append(Band(day, low, high, colour, 0.13, "middle 80 % of the day"))
-    inside = np.zeros(len(hours), dtype=bool)
+    inside = np.zeros(len(hours.time_h), dtype=bool)
     for first, last in finding.spans:
         marks.append(Shade(first, last, CONDITION, 0.6, "where the finding is"))
         inside |= (hours.time_s >= first) & (hours.time_s <= last)
