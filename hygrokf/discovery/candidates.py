@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from hygrokf.discovery.estimate import (
     weighted,
 )
 from hygrokf.discovery.forms import Form, Setting
+from hygrokf.discovery.results import HeldOutTest
 from hygrokf.discovery.screening import added, amplitudes, chord_gains, parent_of, widened
 from hygrokf.discovery.simulator import Simulator
 from hygrokf.physics.parameters import Parameter
@@ -45,10 +46,13 @@ WATER_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence.
+    """A form of a cause at its maximum beside a parent: gains in −2 ln L by quantity, evidence of the best of
+    so many settings that were searched.
 
-    lacking: whether a quantity does not gain that must; alike: codes of the cause's other forms that the
+    lacking: whether a quantity does not gain that must; alike: the cause's other forms that the
     record cannot tell from it.
+    judged: what held-out readings say of it; rivals: of the round in which it was accepted; lead: by how much
+    the best of all others stayed behind there, in days.
     """
 
     form: Form
@@ -56,14 +60,28 @@ class Candidate:
     estimate: Calibration
     gains: Mapping[str, float]
     constants: int
+    searched: int
     evidence: float
     in_days: float
     lacking: bool = False
     alike: tuple[str, ...] = ()
+    judged: HeldOutTest = field(default_factory=HeldOutTest)
+    rivals: tuple[Candidate, ...] = ()
+    lead: float = math.nan
 
     @property
     def cause(self) -> str:
         return self.form.cause
+
+    @property
+    def acts(self) -> set[str]:
+        """The quantities that it acts on."""
+        return acts(self.form, self.estimate.quantities)
+
+    @property
+    def wet(self) -> bool:
+        """Whether an error of the humidity sensor is told together with water."""
+        return self.cause == SENSOR and any(rival.cause in WATER for rival in self.rivals)
 
     @property
     def strength(self) -> float:
@@ -131,7 +149,7 @@ def candidate(
         number += constants
         evidence += max(0.0, paid)
     factor = day_factor(parent, one) if evidence >= THRESHOLD else 1.0
-    return Candidate(form, setting, one, gains, number, evidence, evidence / factor, lacking)
+    return Candidate(form, setting, one, gains, number, searched, evidence, evidence / factor, lacking)
 
 
 def day_factor(parent: Calibration, one: Calibration) -> float:
@@ -165,7 +183,7 @@ def _factor_of_gains(parent: Calibration, one: Calibration) -> float:
     return max(1.0, spread / (4.0 * total)) if total > 0.0 else 1.0
 
 
-def jumped(parent: Calibration, best: Candidate, searched: int) -> Candidate:
+def jumped(parent: Calibration, best: Candidate) -> Candidate:
     """The candidate after jumps of its size, its shapes and its settings, while they improve it.
 
     All jumps are run; those that promise to be no worse, if all other parameters follow by one chord step,
@@ -174,11 +192,10 @@ def jumped(parent: Calibration, best: Candidate, searched: int) -> Candidate:
     steps = dict(best.form.steps)
     for _ in range(SWEEPS):
         before, here = best.estimate.deviance, parent_of(best.estimate)
-        mine = acts(best.form, parent.quantities)
         promising = []
         for setting, values in _jumps(parent, best, steps):
             wider = widened(parent, best.form, setting)
-            gain = chord_gains(here, wider, wider.vector(values)[:, None], {}, mine)[0]
+            gain = chord_gains(here, wider, wider.vector(values)[:, None], {}, best.acts)[0]
             promising.append((float(gain), setting, values))
         promising.sort(key=lambda one: -one[0])
         for gain, setting, values in promising[:FOLLOWED]:
@@ -186,9 +203,11 @@ def jumped(parent: Calibration, best: Candidate, searched: int) -> Candidate:
                 break
             light = estimated(parent, best.form, setting, values, LIGHT, here.columns)
             if light.deviance < best.estimate.deviance + 0.5 * WORSE:
-                one = fitted(light, acting(light, mine), POLISH)
+                one = fitted(light, acting(light, best.acts), POLISH)
                 if one.deviance < best.estimate.deviance - 0.1:
-                    best = replace(candidate(parent, one, best.form, setting, searched), alike=best.alike)
+                    best = replace(
+                        candidate(parent, one, best.form, setting, best.searched), alike=best.alike
+                    )
         steps = {key: 0.5 * step for key, step in steps.items()}
         if not best.estimate.deviance < before - 1.0 and not steps:
             break
@@ -232,16 +251,15 @@ def _within(p: Parameter, value: float) -> float:
 def grafted(parent: Calibration, one: Candidate) -> Calibration:
     """A candidate of an earlier parent beside one that differs in the other quantity alone."""
     wider = widened(parent, one.form, one.setting)
-    mine = acts(one.form, parent.quantities)
-    own = {n: v for n, v in one.estimate.values.items() if set(one.estimate.simulator.affects(n)) & mine}
+    own = {n: v for n, v in one.estimate.values.items() if set(one.estimate.simulator.affects(n)) & one.acts}
     theta = wider.vector({**parent.values, **own})
-    variances = {**parent.variances, **{q: one.estimate.variances[q] for q in mine}}
+    variances = {**parent.variances, **{q: one.estimate.variances[q] for q in one.acts}}
     return estimate_at(wider, parent.errors, theta, parent.linear | one.estimate.linear, variances)
 
 
 def alike(best: Candidate, rival: Candidate) -> bool:
     """Whether a rival explains the days' readings of a quantity that both act on as well (Vuong by days)."""
-    shared = acts(best.form, best.estimate.quantities) & acts(rival.form, best.estimate.quantities)
+    shared = best.acts & rival.acts
     if not shared or rival.evidence < THRESHOLD:
         return False
     if best.evidence - rival.evidence < THRESHOLD:
@@ -263,8 +281,5 @@ def water(best: Candidate, rival: Candidate) -> bool:
 
 def lead(best: Candidate, found: Sequence[Candidate]) -> float:
     """By how much the best of all other causes on the same quantities stays behind, in days."""
-    mine = acts(best.form, best.estimate.quantities)
-    others = [
-        c.in_days for c in found if c.cause != best.cause and acts(c.form, best.estimate.quantities) & mine
-    ]
+    others = [c.in_days for c in found if c.cause != best.cause and c.acts & best.acts]
     return best.in_days - max([0.0, *others])

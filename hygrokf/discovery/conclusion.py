@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.candidates import Candidate, acts, brought
+from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.estimate import Calibration, frame, slopes
 from hygrokf.discovery.final_set import Estimator, FinalSet, final_estimator, final_set, fitted_by
 from hygrokf.discovery.judgement import NOTICED, scores
 from hygrokf.discovery.results import HeldOutTest, SpectralLine
 from hygrokf.discovery.screening import added
-from hygrokf.discovery.search import Accepted, SearchEnd, composed, effect_of, foreseen, tested
+from hygrokf.discovery.search import Search, composed, effect_of, foreseen, tested
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Conclusion:
 
     base: FinalSet
     extended: FinalSet | None
-    accepted: tuple[Accepted, ...]
-    refuted: tuple[tuple[Candidate, HeldOutTest], ...]
+    accepted: tuple[Candidate, ...]
+    refuted: tuple[Candidate, ...]
 
 
-def concluded(found: SearchEnd) -> Conclusion:
+def concluded(found: Search) -> Conclusion:
     """The sets with which a search ends."""
-    accepted, refuted, one = list(found.accepted), list(found.refuted), found.final
+    accepted, refuted, one = list(found.accepted), list(found.refuted), found.parent
     while accepted:
         estimator = final_estimator(found.base, one)
         base, extended = (final_set(model, estimator) for model in (found.base, one))
@@ -50,31 +50,29 @@ def concluded(found: SearchEnd) -> Conclusion:
         # without an effect first, then the one with which the errors grow most
         harm = [(v.reason == "no_effect", max(v.growth.values(), default=0.0)) for v in verdicts]
         worst = max(gone, key=lambda i: harm[i])
-        left_out = accepted.pop(worst).candidate
-        refuted.append((left_out, verdicts[worst]))
-        one = composed(found.base, [a.chosen for a in accepted], one, acts(left_out.form, one.quantities))
+        refuted.append(replace(accepted.pop(worst), judged=verdicts[worst]))
+        one = composed(found.base, accepted, one, refuted[-1].acts)
     return Conclusion(final_set(found.base, final_estimator(found.base)), None, (), tuple(refuted))
 
 
 def _judged(
     start: Calibration,
     base: FinalSet,
-    accepted: Sequence[Accepted],
-    name: Accepted,
+    accepted: Sequence[Candidate],
+    name: Candidate,
     extended: FinalSet,
     estimator: Estimator,
 ) -> HeldOutTest:
     """What held-out readings say of the extended model beside the one without a name."""
-    others = [a.chosen for a in accepted if a is not name]
+    others = [a for a in accepted if a is not name]
     without = base.estimate
     if others:
-        moved = acts(name.candidate.form, start.quantities)
-        without = fitted_by(composed(start, others, extended.estimate, moved), estimator, moved)
-    child = foreseen(without, replace(name.candidate, estimate=extended.estimate))
-    after, one = scores(child), name.candidate
+        without = fitted_by(composed(start, others, extended.estimate, name.acts), estimator, name.acts)
+    child = foreseen(without, replace(name, estimate=extended.estimate))
+    after = scores(child)
     earlier = list(itertools.takewhile(lambda a: a is not name, accepted))
-    verdict = tested(scores(without), after, one, earlier)
-    if effect_of(one.form, without, child, after) < NOTICED:
+    verdict = tested(scores(without), after, name, earlier)
+    if effect_of(name.form, without, child, after) < NOTICED:
         return replace(verdict, reason="no_effect")
     return verdict
 
@@ -165,7 +163,6 @@ def what_is_left(ended: Conclusion) -> list[SpectralLine]:
     """What is left in the errors of the last model, and in the daily scores of what is named."""
     one, own = (ended.extended or ended.base).estimate, {}
     for accepted in ended.accepted:
-        new = {p.name for p in added(ended.base.estimate, accepted.candidate.estimate.simulator)}
-        mine = brought(accepted.candidate.form, one.simulator)
-        own[accepted.candidate.cause] = tuple(sorted(new & mine))
+        new = {p.name for p in added(ended.base.estimate, accepted.estimate.simulator)}
+        own[accepted.cause] = tuple(sorted(new & brought(accepted.form, one.simulator)))
     return lines(one, own)

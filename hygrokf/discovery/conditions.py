@@ -15,9 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.residuals import NORMAL_95, Hours, date_text, displayed, run_lengths, words
-from hygrokf.discovery.results import Settings
-from hygrokf.evaluation.bootstrap import block_h
+from hygrokf.discovery.residuals import Residuals, date_text, displayed, run_lengths, words
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
@@ -50,7 +48,7 @@ GROUPS = {
 }  # fmt: skip
 """Kind -> group; each group may make an equal share of the false discoveries."""
 
-Phrase = Callable[[int, int], tuple[str, str]]
+Phrase = Callable[[int, int], str]
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,8 @@ class Stratum:
     """A condition on which errors may depend.
 
     kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
-    bins: (n,) number of the bin 0 … m − 1, −1 = none.  x: (n,) the values that are binned, in display units;
-        axis: their label.
-    phrase: first and last bin -> (where, when).  flag: bin 0 is the condition, bin 1 the rest.
+    bins: (n,) number of the bin 0 … m − 1, −1 = none.
+    phrase: first and last bin -> words.  flag: bin 0 is the condition, bin 1 the rest.
     circular: the bins close a circle.
     """
 
@@ -68,9 +65,7 @@ class Stratum:
     driver: str
     basis: np.ndarray
     bins: np.ndarray
-    x: np.ndarray
     phrase: Phrase
-    axis: str = ""
     flag: bool = False
     circular: bool = False
 
@@ -111,23 +106,8 @@ class Stratum:
         count = int(self.bins.max()) + 1
         return np.isin(self.bins, np.arange(first, last + 1) % count)
 
-    def curve(self, error: np.ndarray, step_h: float) -> Settings:
-        """Mean error by bin, with its sign, and a 95 % band that counts blocks instead of hours."""
-        there = np.isfinite(error) & (self.bins >= 0)
-        block = np.arange(len(error)) // max(1, round(block_h(error, step_h) / step_h))
-        rows = []
-        for one in np.unique(self.bins[there]):
-            part = there & (self.bins == one)
-            mean, count = float(error[part].mean()), int(part.sum())
-            shares = np.bincount(block[part], weights=error[part] - mean)
-            half = NORMAL_95 * math.sqrt(float((shares**2).sum())) / count
-            hours = round(step_h * count)
-            rows.append((float(np.nanmedian(self.x[part])), mean, mean - half, mean + half, hours))
-        names = ("x", "error", "lower", "upper", "hours")
-        return {"axis": self.axis} | {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
-
-def conditions(hours: Hours) -> list[Stratum]:
+def conditions(hours: Residuals) -> list[Stratum]:
     """All conditions that a record can show: those that hold for at least six hours."""
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
@@ -145,13 +125,10 @@ def _held(one: Stratum, step_h: float) -> bool:
     return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
 
 
-def _flag(
-    kind: str, flag: np.ndarray, where: str, when: str = "", share: np.ndarray | None = None
-) -> Stratum:
+def _flag(kind: str, flag: np.ndarray, words: str, share: np.ndarray | None = None) -> Stratum:
     """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     column = flag.astype(float) if share is None else share
-    bins = np.where(flag, 0, 1)
-    return Stratum(kind, "", column[:, None], bins, column, lambda a, b: (where, when), where, flag=True)
+    return Stratum(kind, "", column[:, None], np.where(flag, 0, 1), lambda a, b: words, flag=True)
 
 
 def dummies(bins: np.ndarray) -> np.ndarray:
@@ -172,9 +149,9 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
     return flag
 
 
-def _regimes(hours: Hours) -> list[Stratum]:
+def _regimes(hours: Residuals) -> list[Stratum]:
     """Standstill, its longer episodes, the hours after starts, hours since the last change."""
-    count, step, running = len(hours), hours.step_h, hours.operating
+    count, step, running = len(hours.time_h), hours.step_h, hours.operating
     if running.all() or not running.any():
         return []
     made = [_flag("regime", ~running, "at standstill")]
@@ -186,7 +163,8 @@ def _regimes(hours: Hours) -> list[Stratum]:
             continue
         made.append(_flag("episode", _filled(chosen, count), f"at standstills {long}"))
         started = _filled([(b, b + after) for _, b in chosen], count) & running
-        made.append(_flag("episode", started, "in the first 6 h of operation", f"after standstills {long}"))
+        words = f"after standstills {long}, in the first 6 h of operation"
+        made.append(_flag("episode", started, words))
     edges = (0.0, *SINCE_H, math.inf)
     for flag, where, change in ((~running, "at standstill", "stop"), (running, "in operation", "start")):
         since = np.full(count, np.nan)
@@ -194,20 +172,21 @@ def _regimes(hours: Hours) -> list[Stratum]:
             since[first:last] = step * np.arange(last - first)
         bins = np.where(flag, np.digitize(since, SINCE_H), -1)
 
-        def phrase(a: int, b: int, where: str = where, change: str = change) -> tuple[str, str]:
+        def phrase(a: int, b: int, ending: str = f"h after the {change}, {where}") -> str:
             if b == len(SINCE_H):
-                return where, f"more than {edges[a]:g} h after the {change}"
-            return where, f"{edges[a]:g} to {edges[b + 1]:g} h after the {change}"
+                return f"more than {edges[a]:g} {ending}"
+            return f"{edges[a]:g} to {edges[b + 1]:g} {ending}"
 
         basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
-        made.append(Stratum("since", "", basis, bins, since, phrase, f"hours after the {change}"))
+        made.append(Stratum("since", "", basis, bins, phrase))
     return made
 
 
-def _preheating(hours: Hours) -> list[Stratum]:
+def _preheating(hours: Residuals) -> list[Stratum]:
     """Pre-heating, after long standstills and after any, and the hours after it."""
-    count, step = len(hours), hours.step_h
-    heated = run_lengths(hours.preheating)
+    count, step = len(hours.time_h), hours.step_h
+    heating = hours.preheating > 0.5
+    heated = run_lengths(heating)
     if not heated:
         return []
     stops = run_lengths(~hours.operating)
@@ -216,14 +195,14 @@ def _preheating(hours: Hours) -> list[Stratum]:
         max((step * (b - a) for a, b in stops if a <= first < b + near), default=0.0) for first, _ in heated
     ]
     long = [span for span, length in zip(heated, stood, strict=True) if length >= LONG_STANDSTILL_H]
-    stood_long = "after standstills longer than a day"
-    every = stood_long if len(long) == len(heated) else ""
-    made = [_flag("episode", hours.preheating, "during pre-heating", every, hours.heated)]
+    stood_long = "after standstills longer than a day, during pre-heating"
+    every = stood_long if len(long) == len(heated) else "during pre-heating"
+    made = [_flag("episode", heating, every, hours.preheating)]
     if 0 < len(long) < len(heated):
         around = _filled([(a - 1, b + 1) for a, b in long], count)
-        share = np.where(around, hours.heated, 0.0)
-        made.append(_flag("episode", _filled(long, count), "during pre-heating", stood_long, share))
-    after = _filled([(last, last + near) for _, last in heated], count) & ~hours.preheating
+        share = np.where(around, hours.preheating, 0.0)
+        made.append(_flag("episode", _filled(long, count), stood_long, share))
+    after = _filled([(last, last + near) for _, last in heated], count) & ~heating
     made.append(_flag("episode", after, "in the first 6 h after pre-heating"))
     return made
 
@@ -231,54 +210,51 @@ def _preheating(hours: Hours) -> list[Stratum]:
 # --- clock and calendar ----------------------------------------------------------------------
 
 
-def _hour(hours: Hours) -> Stratum:
-    angle = 2.0 * math.pi * hours.hour / 24.0
+def _hour(hours: Residuals) -> Stratum:
+    hour = hours.time_s / 3600.0 % 24.0
+    angle = 2.0 * math.pi * hour / 24.0
     basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
-    bins = np.floor(hours.hour).astype(int)
+    bins = np.floor(hour).astype(int)
     return Stratum(
-        "hour", "", basis, bins, hours.hour, lambda a, b: ("", f"from {a % 24} to {(b + 1) % 24} h UTC"),
-        "hour of the day [UTC]", circular=True,
-    )  # fmt: skip
+        "hour", "", basis, bins, lambda a, b: f"from {a % 24} to {(b + 1) % 24} h UTC", circular=True
+    )
 
 
-def _calendar(hours: Hours) -> list[Stratum]:
+def _calendar(hours: Residuals) -> list[Stratum]:
     """Months and a straight drift."""
-    count, step = len(hours), hours.step_h
+    count, step = len(hours.time_h), hours.step_h
     month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
     bins = month - month[0]
     names = [f"{np.datetime64(int(one), 'M').item():%B %Y}" for one in range(month[0], month[-1] + 1)]
 
-    def months(a: int, b: int) -> tuple[str, str]:
-        return "", f"in {names[a]}" if a == b else f"from {names[a]} to {names[b]}"
+    def months(a: int, b: int) -> str:
+        return f"in {names[a]}" if a == b else f"from {names[a]} to {names[b]}"
 
-    def thirds(a: int, b: int) -> tuple[str, str]:
-        if a == b:
-            return "", ("in the first third of", "in the middle of", "in the last third of")[
-                a
-            ] + " the record"
-        return "", f"in the {'first' if a == 0 else 'last'} two thirds of the record"
+    def thirds(a: int, b: int) -> str:
+        one = ("first third", "middle", "last third")[a]
+        return f"in the {one if a == b else f'{one[:5].strip()} two thirds'} of the record"
 
     made = []
     if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
-        made.append(Stratum("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
-    days, third = step * np.arange(count) / 24.0, np.minimum(3 * np.arange(count) // count, 2)
+        made.append(Stratum("season", "", dummies(bins), bins, months))
+    third = np.minimum(3 * np.arange(count) // count, 2)
     trend = np.linspace(-1.0, 1.0, count)[:, None]
-    made.append(Stratum("drift", "", trend, third, days, thirds, "days since the start"))
+    made.append(Stratum("drift", "", trend, third, thirds))
     return made
 
 
-def step_at(hours: Hours, first: int, sharp: bool) -> Stratum:
+def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
     """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
-    date = hours.start_s + 3600.0 * hours.step_h * first
+    date = hours.time_s[first] - 1800.0 * hours.step_h
     words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
-    after = np.arange(len(hours)) >= first
-    return _flag("step", after, "", words if sharp else f"since about {date_text(date)}")
+    after = np.arange(len(hours.time_h)) >= first
+    return _flag("step", after, words if sharp else f"since about {date_text(date)}")
 
 
 # --- drivers ---------------------------------------------------------------------------------
 
 
-def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Stratum]:
+def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
     if name.endswith("_direction"):
         return [_direction(name, value)]
@@ -312,11 +288,11 @@ def _direction(name: str, value: np.ndarray) -> Stratum:
     width = 360.0 / SECTORS
     bins = np.where(np.isfinite(value), np.nan_to_num(degrees // width).astype(int) % SECTORS, -1)
 
-    def phrase(a: int, b: int) -> tuple[str, str]:
+    def phrase(a: int, b: int) -> str:
         low, high = width * (a % SECTORS), width * (b % SECTORS + 1)
-        return f"while the {words(name)} is between {low:.0f} and {high:.0f}°", ""
+        return f"while the {words(name)} is between {low:.0f} and {high:.0f}°"
 
-    return Stratum("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
+    return Stratum("level", name, basis, bins, phrase, circular=True)
 
 
 def _binned(
@@ -335,19 +311,17 @@ def _binned(
     unit = f" {unit}/h" if rate else f" {unit}" if unit else ""
     last = len(edges)
 
-    def phrase(a: int, b: int) -> tuple[str, str]:
+    def phrase(a: int, b: int) -> str:
         if rate:
-            return f"{opening} {_changing(marks, a, b, last, unit)}", ""
+            return f"{opening} {_changing(marks, a, b, last, unit)}"
         if a == 0:
-            return f"{opening} below {number(marks[b])}{unit}", ""
+            return f"{opening} below {number(marks[b])}{unit}"
         if b == last:
-            return f"{opening} above {number(marks[a - 1])}{unit}", ""
-        return f"{opening} between {number(marks[a - 1])} and {number(marks[b])}{unit}", ""
+            return f"{opening} above {number(marks[a - 1])}{unit}"
+        return f"{opening} between {number(marks[a - 1])} and {number(marks[b])}{unit}"
 
-    x, _ = displayed(name, value, rate)
-    axis = f"{'change of ' if rate else ''}{words(name)} [{unit.strip() or '1'}]"
     scaled = (value - known.mean()) / known.std()
-    return Stratum(kind, name, scaled[:, None], bins, x, phrase, axis)
+    return Stratum(kind, name, scaled[:, None], bins, phrase)
 
 
 def _changing(marks: np.ndarray, a: int, b: int, last: int, unit: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from hygrokf.discovery.conditions import Stratum, conditions, dummies, step_at
 from hygrokf.discovery.residuals import (
     QUANTITIES,
     UNITS,
-    Hours,
+    Quantity,
     Residuals,
     binned,
     closed,
@@ -48,7 +48,7 @@ class _QuantityErrors:
     """The errors of one quantity beside the findings so far; ln p of each condition, of which the last is a
     step, that of a flow or of the readings."""
 
-    quantity: str
+    quantity: Quantity
     rmse: float
     white: Whitened
     conditions: list[Stratum]
@@ -107,7 +107,7 @@ def findings(residuals: Residuals) -> list[Finding]:
     return found[:MOST]
 
 
-def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Hours) -> None:
+def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Residuals) -> None:
     """ln p of every condition, and of the likeliest step."""
     white, change = state.white, state.white.change()
     state.conditions = [*known, step_at(hours, change.first, change.sharp)]
@@ -155,7 +155,7 @@ def _take_out(state: _QuantityErrors, number: int) -> None:
     state.white = state.white.without(state.columns(number), np.column_stack([bins, *kin]))
 
 
-def _described(hours: Hours, state: _QuantityErrors, number: int, q: float) -> Finding | None:
+def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) -> Finding | None:
     """The finding in numbers and words; None where it is immaterial, or where the free run does not show it.
 
     Innovations see what is fast.  An effect whose removal would not lower the squared error of the free run
@@ -181,30 +181,18 @@ def _described(hours: Hours, state: _QuantityErrors, number: int, q: float) -> F
     episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if under[a:b].any()]
     means = np.array([float(beside[a:b][under[a:b]].mean()) for a, b in episodes])
     duration = duration_h(beside, episodes, hours.step_h) if condition.kind == "episode" else math.nan
-    where, when = condition.phrase(first, last)
+    lasting = f" for {duration:.0f} h" if duration > 0 else ""
     half = 1800.0 * hours.step_h
-    found = Finding(
-        state.quantity, where, when, abs(size), UNITS[state.quantity], "too low" if size > 0 else "too high",
-        duration, int((means >= SEEN * abs(size)).sum()), len(episodes), share, "",
-        math.exp(state.log_p[number]), q, condition.driver or None, condition.kind,
-        condition.curve(error, hours.step_h),
+    return Finding(
+        state.quantity, condition.kind, condition.driver,
+        f"{condition.phrase(first, last)}, simulated {NAMES[state.quantity]} is {digits(abs(size))} "
+        f"{UNITS[state.quantity]} too {'low' if size > 0 else 'high'}{lasting}",
+        abs(size), int((means >= SEEN * abs(size)).sum()), len(episodes), share, q,
         tuple(
             (float(hours.time_s[a] - half), float(hours.time_s[b - 1] + half))
             for a, b in (episodes[i] for i in np.argsort(-means, kind="stable"))
         ),
     )  # fmt: skip
-    return replace(found, statement=_statement(found, sensors))
-
-
-def _statement(one: Finding, sensors: float) -> str:
-    noun = {"hour": "days", "step": "", "drift": "", "season": ""}.get(one.kind, "episodes")
-    count = f"{one.n_episodes} of {one.n_possible} {noun}; " if noun else ""
-    lasting = f" for {one.duration_h:.0f} h" if one.duration_h > 0 else ""
-    place = ", ".join(part for part in (one.when, one.where) if part)
-    return (
-        f"{place}, simulated {NAMES[one.quantity]} is {digits(one.size)} {one.unit} {one.direction}{lasting} "
-        f"({count}the sensors explain {digits(sensors)} {one.unit})"
-    )
 
 
 def digits(size: float) -> str:

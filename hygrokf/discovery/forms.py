@@ -7,9 +7,10 @@ humidistat, is a form of one cause and not a cause of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import wraps
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from hygrokf.physics.mechanisms.moisture import SLAB
 
 MechanismSettings = tuple[str, Settings]
 """A mechanism's name and its settings."""
+TEMPERATURE, HUMIDITY = "cabinet_temperature", "cabinet_relative_humidity"
 AMBIENT_HUMIDITY = "ambient_relative_humidity"
 SLOWEST_H = 2.0
 """[h] shortest time constant of walls, of sorption and of lagging air: shorter ones repair the noise of
@@ -33,8 +35,6 @@ readings, however fast."""
 DATES = 23
 SHIFTS_H = (-1.5, -1.25, -1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 FEWEST_IDLE = 200
-IN_SUMMER = ":summer_time"
-"""What follows the source in the code of a clock that is off in summer time only."""
 AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 
@@ -53,7 +53,9 @@ class Setting:
 class Form:
     """One form of a cause.
 
-    heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.
+    words: what it is, beside its cause, and its name among the cause's forms; of a clock the source's.
+    heat, vapour: mechanisms that it adds; altered: mechanism of the base → settings that differ.  On a record
+    without humidity those of the heat alone are added.
     grid: what is tried; limits: of parameters, where they are narrower than the library's.
     steps: (feature, key) → first change by which a found setting is refined; clock: source whose stamps move.
     summer: whether they do in summer time only; freed: parameter of the base that loses its prior.
@@ -62,7 +64,7 @@ class Form:
     """
 
     cause: str
-    code: str
+    words: str
     heat: tuple[MechanismSettings, ...] = ()
     vapour: tuple[MechanismSettings, ...] = ()
     grid: tuple[Setting, ...] = (Setting(),)
@@ -89,6 +91,9 @@ class Ground:
     operation: bool
 
     def quantiles(self, signal: str, shares: Iterable[float], idle: bool = False) -> list[float]:
+        """Quantiles of a signal's readings (at standstill); none of too few readings."""
+        if signal not in self.record:
+            return []
         series = self.record[signal]
         value = series.value
         if idle:
@@ -98,12 +103,25 @@ class Ground:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        series = self.record["cabinet_temperature"]
+        series = self.record[TEMPERATURE]
         return float(series.time[0]), float(series.time[-1])
 
+    @property
+    def elapsed(self) -> tuple[Setting, ...]:
+        """The time since the beginning of the record."""
+        first, last = self.span_s
+        return (Setting({"elapsed": {"start_s": first, "end_s": last}}),)
+
+    @property
     def dates(self) -> list[float]:
         first, last = self.span_s
         return (first + (last - first) * np.arange(1, DATES + 1) / (DATES + 1)).tolist()
+
+    @property
+    def half_step_s(self) -> float:
+        """Half the time between two of the dates."""
+        first, last = self.span_s
+        return 0.5 * (last - first) / (DATES + 1)
 
 
 def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
@@ -116,351 +134,258 @@ def ground_of(record: Record, heat: Design, vapour: Design | None) -> Ground:
     )  # fmt: skip
 
 
-# -- heat and air exchange -----------------------------------------------------------------------------------
-def _joint(ground: Ground, vapour: MechanismSettings) -> tuple[MechanismSettings, ...]:
-    return (vapour,) if ground.humid else ()
+def possible(forms: Iterable[Form], ground: Ground) -> list[Form]:
+    """The forms that a record can show: quantiles of too few readings leave one without settings."""
+    return [one for one in forms if one.grid and (ground.humid or one.heat or one.clock)]
 
 
-def wall(ground: Ground) -> list[Form]:
-    grid = tuple(
-        Setting(values={"wall_time_constant": h, "wall_position": at})
-        for h in (2.0, 7.0, 20.0, 60.0)
-        for at in (0.0, 0.5, 1.0)
-    )
-    limits = {"wall_time_constant": (SLOWEST_H, 500.0)}
-    return [Form("wall_thermal_mass", "second_mass", (("wall_thermal_mass", {}),), grid=grid, limits=limits)]
+def using(mechanism: str, **settings: Any) -> tuple[MechanismSettings, ...]:
+    """One mechanism and its settings."""
+    return ((mechanism, settings),)
 
 
-def sun(ground: Ground) -> list[Form]:
-    record = ground.record
-    if "global_horizontal_irradiance" not in record and record.site is None:
-        return []
-    lags = (0.3, 1.0, 4.0)
-    roof = ("solar_gain", {"lagged": True})
-    found = [
-        Form("solar_gain", "roof", (roof,), grid=tuple(
-            Setting({"sunshine": {}}, {"solar_time": lag}) for lag in lags
-        ))
-    ]  # fmt: skip
-    if record.site is not None:
-        side = ("solar_gain", {"lagged": True, "flag": "sunlit_wall"})
-        grid = tuple(
-            Setting({"sunlit_wall": {"azimuth_deg": one}}, {"solar_time": lag})
-            for one in AZIMUTHS
-            for lag in lags
-        )
-        found.append(
-            Form("solar_gain", "wall", (side,), grid=grid, steps={("sunlit_wall", "azimuth_deg"): 22.5})
-        )
-    return found
-
-
-def wind(ground: Ground) -> list[Form]:
-    if "wind_speed" not in ground.record:
-        return []
-    return [
-        Form(
-            "wind_driven_exchange", code, (("wind_loss", {"flag": flag}),),
-            _joint(ground, ("wind_exchange", {"flag": flag})), (Setting({flag: {}}),),
-        )
-        for code, flag in (("linear", "wind_tenth"), ("square", "wind_square"))
-    ]  # fmt: skip
-
-
-def heater(ground: Ground) -> list[Form]:
-    found = []
-    idle = "active_power" in ground.record and bool(ground.quantiles("cabinet_temperature", (0.5,), True))
-    for still in (False, True) if idle else (False,):
-        where = "standstill" if still else "always"
-        for reads, code in (
-            ("cabinet_temperature", "thermostat"),
-            ("cabinet_relative_humidity", "humidistat"),
-        ):
-            if reads not in ground.record:
-                continue
-            warm = reads == "cabinet_temperature"
-            levels = ground.quantiles(
-                reads, (0.1, 0.3, 0.5, 0.7, 0.85) if warm else (0.3, 0.5, 0.7, 0.85, 0.95), still
-            )
-            widths = (1.5, 5.0) if warm else (0.04, 0.12)
-            grid = tuple(
-                Setting({"throttled_heating": {
-                    "reads": reads, "start": level, "idle": still,
-                    "full": level - width if warm else level + width,
-                }})
-                for level in levels
-                for width in widths
-            )  # fmt: skip
-            mechanism = ("unreported_heater", {"flag": "throttled_heating"})
-            found.append(Form("unlogged_heater", f"{code}_{where}", (mechanism,), grid=grid))
-    return found
-
-
-def cooling(ground: Ground) -> list[Form]:
-    shares = (0.3, 0.5, 0.65, 0.8, 0.9, 0.96)
-    found = []
-    levels = ground.quantiles("cabinet_temperature", shares)
-
-    def grid(
-        feature: str, levels: Sequence[float], widths: Sequence[float], reads: str
-    ) -> tuple[Setting, ...]:
-        return tuple(
-            Setting({feature: {"reads": reads, "start": level, "full": level + width}})
-            for level in levels
-            for width in widths
-        )
-
-    warm = grid("venting", levels, (1.5, 5.0), "cabinet_temperature")
-    found.append(Form("cooling_switching", "stage", (("throttled_cooling_loss", {}),), grid=warm))
-    found.append(Form("cooling_switching", "capacity", (("throttled_cooling", {}),), grid=warm))
-    loss: tuple[MechanismSettings, ...] = (("vent_loss", {}),)
-    exchange = _joint(ground, ("vent_exchange", {}))
-    found.append(Form("cooling_switching", "vent", loss, exchange, grid=warm))
-    if ground.humid and "cabinet_relative_humidity" in ground.record:
-        levels = ground.quantiles("cabinet_relative_humidity", shares)
-        damp = grid("venting", levels, (0.04, 0.12), "cabinet_relative_humidity")
-        found.append(Form("cooling_switching", "vent_by_humidity", loss, exchange, grid=damp))
-    return found
-
-
-def exchange_step(ground: Ground) -> list[Form]:
-    grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
-    return [
-        Form(
-            "exchange_step", "date", (("stepped_loss", {}),), _joint(ground, ("stepped_exchange", {})),
-            grid, steps={("after_step", "date_s"): _step_s(ground)},
-        )
-    ]  # fmt: skip
-
-
-def doors(ground: Ground) -> list[Form]:
-    if "door_open" in ground.record:
-        return []
-    return [
-        Form("door_opening", "windows", (("open_loss", {}),), _joint(ground, ("open_exchange", {})),
-             (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), limits={"door_exchange": OPEN},
-             together=True, windows=True)
-    ]  # fmt: skip
-
-
-def _step_s(ground: Ground) -> float:
-    first, last = ground.span_s
-    return 0.5 * (last - first) / (DATES + 1)
-
-
-def heat_drift(ground: Ground) -> list[Form]:
-    own = {"order": ground.order, "operation": True} if ground.operation else {}
-    first, last = ground.span_s
-    elapsed = {"elapsed": {"start_s": first, "end_s": last}}
-    saturating = tuple(
-        Setting({"since": {"date_s": date, "days": days}})
-        for date in (first, *ground.dates())
-        for days in (8.0, 30.0)
-    )
-    return [
-        Form("heat_release_drift", "straight", (("release_drift", own),), grid=(Setting(elapsed),)),
-        Form(
-            "heat_release_drift", "saturating", (("release_drift", {**own, "flag": "since"}),),
-            grid=saturating, steps={("since", "date_s"): _step_s(ground), ("since", "days"): 4.0},
-        ),
-    ]  # fmt: skip
-
-
-def by_the_clock(ground: Ground) -> list[Form]:
-    return [
-        Form("scheduled_heat", code, (("scheduled_heat", {}),), grid=_hours(workdays, "scheduled"),
-             steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0})
-        for code, workdays in (("daily", False), ("workdays", True))
-    ]  # fmt: skip
-
-
-def _hours(workdays: bool, feature: str) -> tuple[Setting, ...]:
+def grid(
+    feature: str = "", values: Mapping[str, Sequence[float]] | None = None, **settings: Iterable[Any]
+) -> tuple[Setting, ...]:
+    """All combinations of a feature's settings and of parameters' values, the last of them the fastest."""
+    values = values or {}
     return tuple(
-        Setting({feature: {"start_h": start, "hours": hours, "workdays": workdays}})
-        for start in range(0, 24, 2)
-        for hours in (2.0, 4.0, 8.0, 12.0)
+        Setting(
+            {feature: dict(zip(settings, point, strict=False))} if feature else {},
+            dict(zip(values, point[len(settings) :], strict=True)),
+        )
+        for point in product(*settings.values(), *values.values())
     )
 
 
-def clock(ground: Ground) -> list[Form]:
+def switched(
+    feature: str, reads: str, levels: Iterable[float], widths: Iterable[float], **settings: Any
+) -> tuple[Setting, ...]:
+    """A controller that begins to act at each level and acts fully a width further."""
+    return tuple(
+        Setting({feature: {"reads": reads, "start": level, **settings, "full": level + width}})
+        for level in levels
+        for width in widths
+    )
+
+
+# -- heat and air exchange -----------------------------------------------------------------------------------
+def wall(ground: Ground) -> Iterator[Form]:
+    places = grid(values={"wall_time_constant": (2.0, 7.0, 20.0, 60.0), "wall_position": (0.0, 0.5, 1.0)})
+    yield Form(
+        "wall_thermal_mass", "a second mass beside the converter", using("wall_thermal_mass"), grid=places,
+        limits={"wall_time_constant": (SLOWEST_H, 500.0)},
+    )  # fmt: skip
+
+
+def sun(ground: Ground) -> Iterator[Form]:
+    name, lags, site = "solar_gain", {"solar_time": (0.3, 1.0, 4.0)}, ground.record.site
+    if "global_horizontal_irradiance" in ground.record or site is not None:
+        yield Form(name, "on the roof", using(name, lagged=True), grid=grid("sunshine", lags))
+    if site is not None:
+        yield Form(
+            name, "on a wall", using(name, lagged=True, flag="sunlit_wall"),
+            grid=grid("sunlit_wall", lags, azimuth_deg=AZIMUTHS),
+            steps={("sunlit_wall", "azimuth_deg"): 22.5},
+        )  # fmt: skip
+
+
+def wind(ground: Ground) -> Iterator[Form]:
+    kinds = (
+        ("in proportion to the wind speed", "wind_tenth"),
+        ("in proportion to its square", "wind_square"),
+    )
+    for words, flag in kinds if "wind_speed" in ground.record else ():
+        yield Form(
+            "wind_driven_exchange", words, using("wind_loss", flag=flag), using("wind_exchange", flag=flag),
+            grid(flag),
+        )  # fmt: skip
+
+
+def heater(ground: Ground) -> Iterator[Form]:
+    power = "active_power" in ground.record and bool(ground.quantiles(TEMPERATURE, (0.5,), True))
+    for idle in (False, True) if power else (False,):
+        for kind, reads, shares, widths in (
+            ("thermostat", TEMPERATURE, (0.1, 0.3, 0.5, 0.7, 0.85), (-1.5, -5.0)),
+            ("humidistat", HUMIDITY, (0.3, 0.5, 0.7, 0.85, 0.95), (0.04, 0.12)),
+        ):
+            levels = ground.quantiles(reads, shares, idle)
+            yield Form(
+                "unlogged_heater", f"{kind}, at {'standstill' if idle else 'any time'}",
+                using("unreported_heater", flag="throttled_heating"),
+                grid=switched("throttled_heating", reads, levels, widths, idle=idle),
+            )  # fmt: skip
+
+
+def cooling(ground: Ground) -> Iterator[Form]:
+    name, shares = "cooling_switching", (0.3, 0.5, 0.65, 0.8, 0.9, 0.96)
+    warm = switched("venting", TEMPERATURE, ground.quantiles(TEMPERATURE, shares), (1.5, 5.0))
+    damp = switched("venting", HUMIDITY, ground.quantiles(HUMIDITY, shares), (0.04, 0.12))
+    yield Form(name, "a stage that grows with the temperature", using("throttled_cooling_loss"), grid=warm)
+    yield Form(name, "of constant power", using("throttled_cooling"), grid=warm)
+    vent = using("vent_loss"), using("vent_exchange")
+    yield Form(name, "a vent opened by temperature", *vent, warm)
+    if ground.humid:
+        yield Form(name, "a vent opened by humidity", *vent, damp)
+
+
+def exchange_step(ground: Ground) -> Iterator[Form]:
+    yield Form(
+        "exchange_step", "from a date on", using("stepped_loss"), using("stepped_exchange"),
+        grid("after_step", date_s=ground.dates), steps={("after_step", "date_s"): ground.half_step_s},
+    )  # fmt: skip
+
+
+def doors(ground: Ground) -> Iterator[Form]:
+    if "door_open" not in ground.record:
+        yield Form(
+            "door_opening", "single openings", using("open_loss"), using("open_exchange"),
+            (Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),), {"door_exchange": OPEN},
+            together=True, windows=True,
+        )  # fmt: skip
+
+
+def heat_drift(ground: Ground) -> Iterator[Form]:
+    name = "heat_release_drift"
+    own = {"order": ground.order, "operation": True} if ground.operation else {}
+    yield Form(name, "in proportion to time", using("release_drift", **own), grid=ground.elapsed)
+    yield Form(
+        name, "from a date on, and less and less", using("release_drift", **own, flag="since"),
+        grid=grid("since", date_s=(ground.span_s[0], *ground.dates), days=(8.0, 30.0)),
+        steps={("since", "date_s"): ground.half_step_s, ("since", "days"): 4.0},
+    )  # fmt: skip
+
+
+def by_the_clock(ground: Ground) -> Iterator[Form]:
+    for words, workdays in (("every day", False), ("on workdays", True)):
+        yield Form(
+            "scheduled_heat", words, using("scheduled_heat"), grid=_hours(workdays),
+            steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0},
+        )  # fmt: skip
+
+
+def _hours(workdays: bool) -> tuple[Setting, ...]:
+    return grid("scheduled", start_h=range(0, 24, 2), hours=(2.0, 4.0, 8.0, 12.0), workdays=(workdays,))
+
+
+def clock(ground: Ground) -> Iterator[Form]:
     """Shifts of each source against the others; of two sources only the difference shows."""
-    main = {"cabinet_temperature", "ambient_temperature", "active_power"}
+    main = {TEMPERATURE, "ambient_temperature", "active_power"}
     known = sources(ground.record)
     names = [name for name, signals in known.items() if main & set(signals)]
     names = names[: {1: 0, 2: 1}.get(len(known))]
-    found = [
-        Form(
-            "clock_shift", name, grid=tuple(Setting(shift_s=HOUR_S * h) for h in SHIFTS_H),
-            steps={("clock", "shift_s"): 0.125 * HOUR_S}, clock=name,
-        )
-        for name in names
-    ]  # fmt: skip
-    summer = summer_time(ground.record["cabinet_temperature"].time, in_america(ground.record))
-    if summer.all() or not summer.any():
-        return found
-    hours = (Setting(shift_s=-HOUR_S), Setting(shift_s=HOUR_S))
-    return [
-        *found,
-        *(Form("clock_shift", f"{one}{IN_SUMMER}", grid=hours, clock=one, summer=True) for one in names),
-    ]
+    shifts, hour = ([Setting(shift_s=HOUR_S * h) for h in hours] for hours in (SHIFTS_H, (-1.0, 1.0)))
+    steps = {("clock", "shift_s"): 0.125 * HOUR_S}
+    for name in names:
+        yield Form("clock_shift", name, grid=tuple(shifts), steps=steps, clock=name)
+    summer = summer_time(ground.record[TEMPERATURE].time, in_america(ground.record))
+    for name in names if summer.any() and not summer.all() else ():
+        yield Form("clock_shift", f"{name}, in summer time", grid=tuple(hour), clock=name, summer=True)
 
 
-def temperature_offset(ground: Ground) -> list[Form]:
-    grid = tuple(Setting({"after_step": {"date_s": date}}) for date in ground.dates())
+def temperature_offset(ground: Ground) -> Iterator[Form]:
     name = "temperature_sensor_offset"
     # the humidity sensor has a temperature of its own: what moves is the one on which the vapour runs
-    moved: Mapping[str, Settings] = {"measured_air": {"step": True}} if ground.humid else {}
-    found = [
-        Form(
-            name, "date", (("temperature_step", {}),), grid=grid, altered=moved,
-            steps={("after_step", "date_s"): _step_s(ground)},
-        )
-    ]  # fmt: skip
-    return [*found, Form(name, "constant", freed="cabinet_temperature_offset")] if ground.humid else found
+    yield Form(
+        name, "from a date on", using("temperature_step"), grid=grid("after_step", date_s=ground.dates),
+        altered={"measured_air": {"step": True}}, steps={("after_step", "date_s"): ground.half_step_s},
+    )  # fmt: skip
+    yield Form(name, "constant", freed="cabinet_temperature_offset")
 
 
-def ambient(ground: Ground) -> list[Form]:
+def ambient(ground: Ground) -> Iterator[Form]:
     # all of the air that surrounds the cabinet lags; a share of it is an outer wall
-    times, shares = (SLOWEST_H, 24.0), (0.8, 1.2)
+    name, times, shares, lags = "ambient_bias", (SLOWEST_H, 24.0), (0.8, 1.2), (2.0, 4.0, 12.0)
     intake = {"breathed_lag_time": times, "breathed_lag_share": shares}
-    limits = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
-    lags = (2.0, 4.0, 12.0)
-    heat: tuple[MechanismSettings, ...] = (("leading_ambient", {}),)
-    vapour = _joint(ground, ("breathed_lead", {}))
-    found = [Form("ambient_bias", "smoothed", heat, vapour, together=True)]
+    around = {"ambient_lag_time": times, "ambient_lag_share": shares, **intake}
+    yield Form(name, "a smoothed series", using("leading_ambient"), using("breathed_lead"), together=True)
     if ground.humid:
         # where the temperature alone lags, that is an outer wall
         both = tuple(Setting(values={"ambient_lag_time": h, "breathed_lag_time": h}) for h in lags)
-        found.append(
-            Form("ambient_bias", "air_lags", (("lagged_ambient", {}),), (("breathed_lag", {}),), both,
-                 limits=limits, together=True)
+        yield Form(
+            name, "the air around the cabinet lags the series", using("lagged_ambient"),
+            using("breathed_lag"), both, around, together=True,
         )  # fmt: skip
-        found.append(
-            Form("ambient_bias", "intake_lags", vapour=(("breathed_lag", {}),), limits=intake,
-                 grid=tuple(Setting(values={"breathed_lag_time": h}) for h in lags))
-        )  # fmt: skip
-        found.append(Form("ambient_bias", "offset", vapour=(("breathed_air", {"form": "vapour"}),)))
-        found.append(Form("ambient_bias", "gain", freed="breathed_gain"))
-        if AMBIENT_HUMIDITY in ground.record:
-            found.append(Form("ambient_bias", "humidity", freed="breathed_humidity_offset"))
-    return found
+    yield Form(
+        name, "the intake air lags the series", vapour=using("breathed_lag"), limits=intake,
+        grid=grid(values={"breathed_lag_time": lags}),
+    )  # fmt: skip
+    yield Form(name, "offset of the vapour", vapour=using("breathed_air", form="vapour"))
+    yield Form(name, "gain of the vapour", freed="breathed_gain")
+    if AMBIENT_HUMIDITY in ground.record:
+        yield Form(name, "offset of the relative humidity", freed="breathed_humidity_offset")
 
 
 # -- moisture ------------------------------------------------------------------------------------------------
-def of_vapour(forms: Callable[[Ground], list[Form]]) -> Callable[[Ground], list[Form]]:
-    """Forms that exist only where the record has humidity."""
-
-    @wraps(forms)
-    def where_there_is(ground: Ground) -> list[Form]:
-        return forms(ground) if ground.humid else []
-
-    return where_there_is
-
-
-@of_vapour
-def sorption(ground: Ground) -> list[Form]:
-    found = []
+def sorption(ground: Ground) -> Iterator[Form]:
     # the skin of a slab responds faster than its slowest mode by this factor
     skin = SLAB["sorbed_skin"][1]
-    for slab, hours, limits in (
-        (False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),
-        (True, (150.0, 400.0, 1200.0), (skin * SLOWEST_H, 4000.0)),
+    for material, slab, hours, limits in (
+        ("thin material", False, (2.0, 8.0, 30.0, 120.0), (SLOWEST_H, 400.0)),
+        ("a slab", True, (150.0, 400.0, 1200.0), (skin * SLOWEST_H, 4000.0)),
     ):
-        grid = tuple(Setting(values={"sorption_time": h}) for h in hours)
-        for activated in (True, False):
-            code = ("slab" if slab else "thin") + ("_activated" if activated else "")
-            mechanism = ("moisture_sorption", {"activated": activated, "slab": slab})
-            found.append(
-                Form("moisture_sorption", code, vapour=(mechanism,), grid=grid,
-                     limits={"sorption_time": limits})
+        for words, activated in (("faster when warm", True), ("alike at all temperatures", False)):
+            yield Form(
+                "moisture_sorption", f"{material}, {words}",
+                vapour=using("moisture_sorption", activated=activated, slab=slab),
+                grid=grid(values={"sorption_time": hours}), limits={"sorption_time": limits},
             )  # fmt: skip
-    return found
 
 
-@of_vapour
-def condensation(ground: Ground) -> list[Form]:
-    grid = tuple(
-        Setting(values={"surface_time": h, "surface_undercooling": below})
-        for h in (1.0, 4.0, 12.0)
-        for below in (0.3, 1.5, 4.0)
-    )
-    found = [Form("condensation", "cold_surface", vapour=(("condensation", {}),), grid=grid)]
+def condensation(ground: Ground) -> Iterator[Form]:
+    points = {"surface_time": (1.0, 4.0, 12.0), "surface_undercooling": (0.3, 1.5, 4.0)}
+    yield Form("condensation", "on a cold surface", vapour=using("condensation"), grid=grid(values=points))
     if ground.record.site is not None:
-        night = tuple(replace(one, features={"night_sky": {}}) for one in grid)
-        found.append(Form("condensation", "night_sky", vapour=(("condensation", {"sky": True}),), grid=night))
-    return found
+        yield Form(
+            "condensation", "on a surface cooled by the night sky", vapour=using("condensation", sky=True),
+            grid=grid("night_sky", points),
+        )  # fmt: skip
 
 
-@of_vapour
-def rain(ground: Ground) -> list[Form]:
-    if "rain" not in ground.record:
-        return []
-    grid = tuple(Setting(values={"rain_drying_time": h}) for h in (0.5, 2.0, 8.0, 30.0))
-    return [Form("rain_ingress", "all_rain", vapour=(("rain_ingress", {}),), grid=grid)]
+def rain(ground: Ground) -> Iterator[Form]:
+    if "rain" in ground.record:
+        hours = grid(values={"rain_drying_time": (0.5, 2.0, 8.0, 30.0)})
+        yield Form("rain_ingress", "with all rain", vapour=using("rain_ingress"), grid=hours)
 
 
-@of_vapour
-def drier(ground: Ground) -> list[Form]:
-    if "cabinet_relative_humidity" not in ground.record:
-        return []
-    levels = ground.quantiles("cabinet_relative_humidity", (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
-    grid = tuple(
-        Setting({"throttled_drying": {"reads": "cabinet_relative_humidity", "start": at, "full": at + width}})
-        for at in levels
-        for width in (0.04, 0.15)
-    )
-    heat: tuple[MechanismSettings, ...] = (("drying_heat", {"flag": "throttled_drying"}),)
-    return [
-        Form("dehumidifier", code, heat if warms else (), grid=grid,
-             vapour=(("switched_drying", {"plate": plate, "flag": "throttled_drying"}),))
-        for code, plate, warms in (
-            ("plate", True, False), ("plate_warms", True, True), ("desiccant", False, False)
-        )
-    ]  # fmt: skip
+def drier(ground: Ground) -> Iterator[Form]:
+    flag, levels = "throttled_drying", ground.quantiles(HUMIDITY, (0.2, 0.35, 0.5, 0.65, 0.8, 0.92))
+    warming = using("drying_heat", flag=flag) if ground.humid else ()
+    for words, plate, heat in (
+        ("a cold plate", True, ()),
+        ("a cold plate whose heat stays in the cabinet", True, warming),
+        ("a desiccant", False, ()),
+    ):
+        yield Form(
+            "dehumidifier", words, heat, using("switched_drying", plate=plate, flag=flag),
+            switched(flag, HUMIDITY, levels, (0.04, 0.15)),
+        )  # fmt: skip
 
 
-@of_vapour
-def source(ground: Ground) -> list[Form]:
-    def mechanism(when: str) -> tuple[MechanismSettings, ...]:
-        return (("internal_moisture_source", {"when": when}),)
+def source(ground: Ground) -> Iterator[Form]:
+    def released(words: str, when: str, tried: tuple[Setting, ...], **steps: float) -> Form:
+        found = {(when, key): step for key, step in steps.items()}
+        return Form(name, words, vapour=using(name, when=when), grid=tried, steps=found)
 
     name = "internal_moisture_source"
-    found = [
-        Form(name, "constant", vapour=mechanism("always")),
-        Form(name, "wet_surface", vapour=(("wet_surface", {}),)),
-    ]
+    yield released("constant", "always", (Setting(),))
+    yield Form(name, "a wet surface", vapour=using("wet_surface"))
     if "active_power" in ground.record:
-        found.append(
-            Form(name, "standstill", vapour=mechanism("standstill"), grid=(Setting({"standstill": {}}),))
-        )
-    fading = tuple(
-        Setting({"fading": {"date_s": date, "days": days}})
-        for date in ground.dates()
-        for days in (2.0, 8.0, 30.0)
-    )
-    found.append(
-        Form(name, "fading", vapour=mechanism("fading"), grid=fading,
-             steps={("fading", "date_s"): _step_s(ground), ("fading", "days"): 1.0})
-    )  # fmt: skip
-    found.append(
-        Form(name, "by_the_clock", vapour=mechanism("scheduled"), grid=_hours(False, "scheduled"),
-             steps={("scheduled", "start_h"): 1.0, ("scheduled", "hours"): 1.0})
-    )  # fmt: skip
-    return found
+        yield released("at standstill", "standstill", grid("standstill"))
+    dates = grid("fading", date_s=ground.dates, days=(2.0, 8.0, 30.0))
+    yield released("drying out from a date on", "fading", dates, date_s=ground.half_step_s, days=1.0)
+    yield released("in the same hours of the day", "scheduled", _hours(False), start_h=1.0, hours=1.0)
 
 
-@of_vapour
-def humidity_sensor(ground: Ground) -> list[Form]:
-    if "cabinet_relative_humidity" not in ground.record:
-        return []
-    first, last = ground.span_s
-    elapsed = {"elapsed": {"start_s": first, "end_s": last}}
-    levels = ground.quantiles("cabinet_relative_humidity", (0.5, 0.8, 0.95))
+def humidity_sensor(ground: Ground) -> Iterator[Form]:
+    if HUMIDITY not in ground.record:
+        return
     name = "humidity_sensor_drift"
-    return [
-        Form(name, "drift", vapour=(("humidity_drift", {}),), grid=(Setting(elapsed),)),
-        Form(name, "scale_drifts", vapour=(("humidity_scale", {}),), grid=(Setting(elapsed),)),
-        Form(name, "scale", freed="humidity_scale_error"),
-        Form(name, "ceiling", vapour=(("humidity_ceiling", {}),),
-             grid=tuple(Setting(values={"humidity_ceiling": level}) for level in levels)),
-    ]  # fmt: skip
+    yield Form(name, "an offset that grows", vapour=using("humidity_drift"), grid=ground.elapsed)
+    yield Form(name, "a scale that goes off", vapour=using("humidity_scale"), grid=ground.elapsed)
+    yield Form(name, "a scale that is off", freed="humidity_scale_error")
+    levels = ground.quantiles(HUMIDITY, (0.5, 0.8, 0.95))
+    yield Form(
+        name, "a ceiling of the readings", vapour=using("humidity_ceiling"),
+        grid=grid(values={"humidity_ceiling": levels}),
+    )  # fmt: skip

@@ -10,30 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.forms import (
-    Form,
-    Ground,
-    MechanismSettings,
-    Setting,
-    ambient,
-    by_the_clock,
-    clock,
-    condensation,
-    cooling,
-    doors,
-    drier,
-    exchange_step,
-    heat_drift,
-    heater,
-    humidity_sensor,
-    rain,
-    sorption,
-    source,
-    sun,
-    temperature_offset,
-    wall,
-    wind,
-)
+from hygrokf.discovery import forms
+from hygrokf.discovery.forms import Form, Ground, Setting, using
 from hygrokf.discovery.results import Settings
 from hygrokf.modelling.derived_inputs import without_settings
 from hygrokf.modelling.registry import is_package_feature, is_package_mechanism
@@ -59,7 +37,7 @@ class Cause:
     meaning: str
     remedy: str
     separate_by: str
-    forms: Callable[[Ground], list[Form]]
+    forms: Callable[[Ground], Iterable[Form]]
     needs: str = ""
     mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
     features: Mapping[str, Feature] = field(default_factory=dict)
@@ -106,35 +84,26 @@ def cause_of(
     first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
     grid = tuple(Setting(settings, values) for values in first or ({},))
 
-    def forms(ground: Ground) -> list[Form]:
+    def given(ground: Ground) -> list[Form]:
         there = {key: one for key, one in mechanisms.items() if ground.humid or key == "thermal"}
-        for key, one in there.items():
-            if _lacking(ground, ground.inputs[key != "thermal"], one, settings, needs):
-                return []
-        if not there:
+        known = {*ALWAYS, *settings, *ground.record.signals}
+        if ambient_absolute_humidity(ground.record) is not None:
+            known.add("ambient_absolute_humidity")
+        lacking = [
+            key for key, one in there.items()
+            if {*one.inputs, *needs} - known - ground.inputs[key != "thermal"]
+        ]  # fmt: skip
+        if lacking or not there:
             return []
-        added: dict[str, tuple[MechanismSettings, ...]] = {
-            key: ((one.name, {}),) for key, one in there.items()
-        }
-        return [Form(name, "as_given", added.get("thermal", ()), added.get("hygric", ()), grid)]
+        heat, vapour = (using(there[key].name) if key in there else () for key in ("thermal", "hygric"))
+        return [Form(name, "", heat, vapour, grid)]
 
     made = {mechanisms[key].name: factory for key, factory in factories.items()}
     return Cause(
-        name, meaning, remedy, separate_by, forms, ", ".join(sorted({*inputs, *needs} - set(settings))),
+        name, meaning, remedy, separate_by, given, ", ".join(sorted({*inputs, *needs} - set(settings))),
         mechanisms={key: one for key, one in made.items() if not is_package_mechanism(key, one)},
         features={key: pair for key, pair in own.items() if not is_package_feature(key, pair)},
     )  # fmt: skip
-
-
-def _lacking(
-    ground: Ground, inputs: Iterable[str], mechanism: Mechanism, features: Mapping[str, Settings],
-    needs: Sequence[str],
-) -> set[str]:  # fmt: skip
-    """Signals that a mechanism or its features read and neither a record nor a base model's inputs have."""
-    there = {*ALWAYS, *features, *ground.record.signals, *inputs}
-    if ambient_absolute_humidity(ground.record) is not None:
-        there.add("ambient_absolute_humidity")
-    return {*mechanism.inputs, *needs} - there
 
 
 LIBRARY: tuple[Cause, ...] = (
@@ -144,96 +113,96 @@ LIBRARY: tuple[Cause, ...] = (
         "look for polymers, insulation, paper or desiccant in the cabinet; dry or replace them; pre-heat "
         "with ventilation",
         "weigh a piece of the material before and after pre-heating, or log relative humidity close to it",
-        sorption,
+        forms.sorption,
     ),
     Cause(
         "condensation", "a film forms on a surface colder than the dew point and evaporates later",
         "find and insulate the cold surface; check the drain; keep it above the dew point at standstill",
         "a surface temperature or wetness sensor at the coldest wall",
-        condensation,
+        forms.condensation,
     ),
     Cause(
         "wall_thermal_mass", "a second thermal mass stores heat beside the converter",
         "none needed; use the extended model", "a temperature sensor on the inner wall",
-        wall,
+        forms.wall,
     ),
     Cause(
         "solar_gain", "the sun heats the cabinet or the tower around it",
         "shade or paint the wall; check the ventilation of the tower base",
         "irradiance measured at the tower",
-        sun, needs="irradiance or the site",
+        forms.sun, needs="irradiance or the site",
     ),
     Cause(
         "wind_driven_exchange", "wind drives air through the cabinet",
         "check seals and cable entries on the windward side",
         "wind speed at the tower base; a tracer-gas decay in wind and in calm",
-        wind, needs="wind_speed",
+        forms.wind, needs="wind_speed",
     ),
     Cause(
         "exchange_step", "the exchange of air changed at a date",
         "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now",
-        exchange_step,
+        forms.exchange_step,
     ),
     Cause(
         "heat_release_drift", "the heat release drifts with the calendar",
         "check filters, fans and heat exchangers for fouling; compare losses of the converter",
         "heat flow or coolant temperatures",
-        heat_drift,
+        forms.heat_drift,
     ),
     Cause(
         "humidity_sensor_drift", "the humidity sensor drifts, or its scale is off",
         "compare the sensor with a reference; replace it", "a second humidity sensor beside it",
-        humidity_sensor,
+        forms.humidity_sensor,
     ),
     Cause(
         "temperature_sensor_offset", "the cabinet's temperature sensor is off by more than its accuracy",
         "compare the sensor with a reference; check its place and its wiring",
         "a second temperature sensor beside it",
-        temperature_offset,
+        forms.temperature_offset,
     ),
     Cause(
         "clock_shift", "one source's clock is off",
         "set the clock, or state the zone and the stamp of the source",
-        "an event that all sources see", clock,
+        "an event that all sources see", forms.clock,
     ),
     Cause(
         "rain_ingress", "rain enters and evaporates",
         "find where the water enters: door, cable entry, roof",
-        "a wetness sensor on the floor", rain, needs="rain",
+        "a wetness sensor on the floor", forms.rain, needs="rain",
     ),
     Cause(
         "door_opening", "the door stood open", "compare with the log of service visits", "a door contact",
-        doors,
+        forms.doors,
     ),
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",
-        "current of the drier", drier,
+        "current of the drier", forms.drier,
     ),
     Cause(
         "internal_moisture_source", "water evaporates inside",
         "look for leaks of coolant, wet cable ducts, ground water",
-        "absolute humidity inside and outside with the cabinet at ambient temperature", source,
+        "absolute humidity inside and outside with the cabinet at ambient temperature", forms.source,
     ),
     Cause(
         "ambient_bias", "the ambient series does not describe the air that enters the cabinet",
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
-        ambient,
+        forms.ambient,
     ),
     Cause(
         "unlogged_heater", "a heater that no signal reports runs",
         "find the heater and its thermostat or humidistat; log its state", "current of the heater",
-        heater,
+        forms.heater,
     ),
     Cause(
         "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
         "look for lamps, timers and people at work in these hours; log the load",
         "current of the equipment that runs in these hours",
-        by_the_clock,
+        forms.by_the_clock,
     ),
     Cause(
         "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
         "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve",
-        cooling,
+        forms.cooling,
     ),
 )  # fmt: skip
 

@@ -39,7 +39,7 @@ from hygrokf.discovery.starting_model import base_designs
 from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import HOLDS
-from hygrokf.modelling.registry import Origin, admit, name_faults, origins, withdraw
+from hygrokf.modelling.registry import Origin, admit, name_faults, withdraw
 from hygrokf.physics.holds import hold_named
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
@@ -206,7 +206,7 @@ def form_faults(cause: Cause) -> list[str]:
         if not isinstance(form, Form) or form.cause != cause.name:
             faults.append(f"forms: expected Form objects of the cause {cause.name}, found {form!r}")
         else:
-            faults += [f"form {form.code!r}: {fault}" for fault in _faults_of(form)]
+            faults += [f"form {form.words or 'as given'!r}: {fault}" for fault in _faults_of(form)]
     return list(dict.fromkeys(faults))
 
 
@@ -367,11 +367,6 @@ def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
     return [f"cause {cause.name!r}: {fault}" for fault in faults]
 
 
-def origins_of(cause: Cause) -> dict[str, dict[str, str]]:
-    """Origin of every mechanism and feature that an adopted cause brings."""
-    return origins((*cause.mechanisms, *cause.features))
-
-
 def _origin_in_python(cause: Cause) -> dict[str, str]:
     """Origin of a cause that was made in Python: the file of its first function, else the module."""
     functions = [*_mapping(cause.mechanisms).values()]
@@ -514,7 +509,7 @@ def _guarded(cause: Cause, file: Path | None = None) -> Cause:
 
     return replace(
         cause,
-        forms=guard(cause.forms, "forms"),
+        forms=guard(lambda ground: list(cause.forms(ground)), "forms"),
         features={
             name: (guard(pair[0], f"feature {name!r}"), pair[1]) if is_feature(pair) else pair
             for name, pair in _mapping(cause.features).items()

@@ -4,7 +4,8 @@ and what is told of a cause."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,39 +14,39 @@ from hygrokf.data.progress import Progress, reporting
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record
 from hygrokf.data.signals import SIGNALS
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.discovery.candidates import Candidate, brought
 from hygrokf.discovery.conclusion import Conclusion, concluded, what_is_left
 from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.final_set import FinalSet, fit_of
 from hygrokf.discovery.findings import findings
-from hygrokf.discovery.forms import ground_of
+from hygrokf.discovery.forms import Form, Setting, ground_of, possible
 from hygrokf.discovery.library import LIBRARY, Cause, named
-from hygrokf.discovery.own_causes import adopt, origins_of
+from hygrokf.discovery.own_causes import adopt
 from hygrokf.discovery.repeats import without_repeats
 from hygrokf.discovery.residuals import NORMAL_95, QUANTITIES, Residuals, residuals, root_mean_square
 from hygrokf.discovery.results import (
     CauseEvidence,
     CauseFound,
-    CauseParameter,
     Discovery,
     DiscoveryResults,
     ErrorGain,
     Exclusion,
     ModelScores,
-    Refuted,
     Rejected,
     SearchCost,
     Settings,
     SpectralLine,
     Verdict,
 )
-from hygrokf.discovery.search import Accepted, Search, SearchEnd, foreseen, needed
+from hygrokf.discovery.search import Search, foreseen, needed
 from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.verdict_terms import REJECT, Reason
-from hygrokf.physics.parameters import Parameter
+from hygrokf.identification.wording import fixed
+from hygrokf.physics.switches import CONTROLLED
 from hygrokf.version import __version__
 
 BUDGET = 40_000
@@ -119,8 +120,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
     say("base model")
     start = base_estimate(record)
     ground = ground_of(record, start.simulator.heat, start.simulator.vapour)
-    # quantiles of too few readings leave a form without settings
-    forms = {cause.name: [form for form in cause.forms(ground) if form.grid] for cause in library}
+    forms = {cause.name: possible(cause.forms(ground), ground) for cause in library}
     found = Search(start, [form for one in forms.values() for form in one], say, budget).run()
     say("parameters of the base and of the extended model")
     ended = concluded(found)
@@ -143,17 +143,16 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         estimator=ended.base.estimator,
         gains=gains(ended, before, after),
         held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
-        causes=tuple(cause_found(one, ended, library, found.searched) for one in ended.accepted),
+        causes=tuple(cause_found(one, ended, library) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
         refuted=tuple(
-            Refuted(one.cause, one.form.code, evidence_of(one, found.searched), judged)
-            for one, judged in ended.refuted
+            Rejected(one.cause, one.form.words, evidence_of(one), "refuted", one.judged)
+            for one in ended.refuted
         ),
         lines=tuple(left),
-        work=SearchCost(start.simulator.work.simulations, budget, found.not_judged),
+        work=SearchCost(start.simulator.work.simulations, budget, tuple(found.not_judged)),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
         saturated=saturated,
-        own_causes={cause.name: origin for cause in library if (origin := origins_of(cause))},
         findings=tuple(findings(before)),
         left=() if extended is None else tuple(findings(after)),
         doubts=tuple(dict.fromkeys(line for said in base.results.doubted.values() for line in said)),
@@ -171,17 +170,15 @@ def verdict(ended: Conclusion, left: Sequence[SpectralLine]) -> Verdict:
 
 
 def _rejected(
-    found: SearchEnd, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
+    found: Search, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
-    told = {one.candidate.cause for one in ended.accepted} | {one.cause for one, _ in ended.refuted}
+    told = {one.cause for one in (*ended.accepted, *ended.refuted)}
     rest: dict[str, Rejected] = {}
 
     def add(one: Candidate, reason: Exclusion) -> None:
         if one.cause not in told:
-            rest.setdefault(
-                one.cause, Rejected(one.cause, one.form.code, evidence_of(one, found.searched), reason)
-            )
+            rest.setdefault(one.cause, Rejected(one.cause, one.form.words, evidence_of(one), reason))
 
     for one in found.left:
         add(one, "later_gone")
@@ -199,7 +196,7 @@ def _rejected(
 
 def _scores(fit: Fit) -> ModelScores:
     found = fit.results
-    return ModelScores(found.rmse, found.baselines, found.time_constants, found.loglik, found.n_obs)
+    return ModelScores(found.rmse, found.baselines, found.time_constants)
 
 
 def _saturated(record: Record) -> float:
@@ -218,27 +215,26 @@ confidence."""
 SECOND_SENSOR = "compare the humidity sensor with a second one, before anything rests on either"
 
 
-def cause_found(
-    one: Accepted, ended: Conclusion, library: Sequence[Cause], searched: Mapping[str, int]
-) -> CauseFound:
+def cause_found(one: Candidate, ended: Conclusion, library: Sequence[Cause]) -> CauseFound:
     """A named cause: its evidence and parameters, how sure its name is, and what to check."""
-    candidate = one.candidate
-    cause = named(candidate.cause, library)
+    cause = named(one.cause, library)
     rivals = tuple(dict.fromkeys(rival.cause for rival in one.rivals))
+    settings = _settings(one, ended.base.estimate.simulator.scene.record)
     assert ended.extended is not None
     return CauseFound(
         cause=cause.name,
-        form=candidate.form.code,
-        forms_alike=candidate.alike,
-        confidence=confidence(candidate.in_days, one.lead),
+        form=one.form.words,
+        forms_alike=one.alike,
+        confidence=confidence(one.in_days, one.lead),
         statement=cause.meaning,
-        parameters=_parameters(candidate, ended.base, ended.extended),
-        settings=_settings(candidate, ended.base.estimate.simulator.scene.record),
-        evidence=evidence_of(candidate, searched, one.lead),
+        parameters=_parameters(one, ended.base, ended.extended),
+        settings=settings,
+        chosen=tuple(chosen(one.form, one.setting, settings)),
+        evidence=evidence_of(one),
         held_out=one.judged,
         ambiguous_with=rivals,
         separate_by=SECOND_SENSOR if one.wet else cause.separate_by,
-        remedy=SECOND_SENSOR if one.wet else _remedy(cause, candidate),
+        remedy=SECOND_SENSOR if one.wet else _remedy(cause, one),
     )
 
 
@@ -251,11 +247,9 @@ def confidence(in_days: float, lead: float) -> float:
     return float(expit(constant + by_evidence * math.log(max(in_days, 1.0)) + by_lead * lead))
 
 
-def evidence_of(one: Candidate, searched: Mapping[str, int], lead: float = math.nan) -> CauseEvidence:
+def evidence_of(one: Candidate) -> CauseEvidence:
     """The evidence of a candidate."""
-    return CauseEvidence(
-        dict(one.gains), one.constants, searched.get(one.cause, 0), one.evidence, one.in_days, lead
-    )
+    return CauseEvidence(dict(one.gains), one.constants, one.searched, one.evidence, one.in_days, one.lead)
 
 
 def _settings(one: Candidate, record: Record) -> Settings:
@@ -269,6 +263,28 @@ def _settings(one: Candidate, record: Record) -> Settings:
     return found
 
 
+CHOSEN: Mapping[str, Callable[[Any], str]] = {
+    "date_s": lambda date_s: f"date {stamp_text(date_s)}",
+    "spans": lambda spans: ", ".join(f"{stamp_text(a)} to {stamp_text(b)}" for a, b in spans),
+    "azimuth_deg": "azimuth {:.0f}°".format,
+    "days": "over {:.3g} days".format,
+    "start_h": "from {:g} h UTC".format,
+    "hours": "for {:g} h".format,
+}
+"""Setting of a feature → words."""
+
+
+def chosen(form: Form, setting: Setting, settings: Settings) -> Iterator[str]:
+    """What the search chose of a form's grid, in words; the levels of a controller are parameters."""
+    for feature, found in setting.features.items():
+        for key, value in found.items() if feature not in CONTROLLED else ():
+            if any(point.features[feature].get(key) != value for point in form.grid):
+                yield CHOSEN[key](value) if key in CHOSEN else f"{key} = {value}"
+    if form.clock:
+        other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
+        yield f"stamps moved by {fixed(setting.shift_s / 60.0, 1)} min{other}"
+
+
 def _remedy(cause: Cause, one: Candidate) -> str:
     """What to check, and for an error of a clock the line that corrects it until then."""
     if not one.form.clock or one.form.summer:
@@ -278,29 +294,17 @@ def _remedy(cause: Cause, one: Candidate) -> str:
     return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
-def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, CauseParameter]:
+def _parameters(one: Candidate, base: FinalSet, extended: FinalSet) -> dict[str, ParameterRow]:
     """The cause's own parameters in the extended model, with bounds."""
-    known = set(base.estimate.simulator.names)
-    mine = set(one.estimate.simulator.names) - known
-    simulator = extended.estimate.simulator
-    own: dict[str, Parameter] = {}
+    mine = set(one.estimate.simulator.names) - set(base.estimate.simulator.names)
+    simulator, own = extended.estimate.simulator, {}
     for p in simulator.parameters:
         level = p.name.rpartition("_")[0] in one.setting.features
         if (p.name in mine and (p.name in brought(one.form, simulator) or level)) or p.name == one.form.freed:
-            own[p.name] = p
-    return {name: _parameter(p, extended) for name, p in own.items()}
-
-
-def _parameter(p: Parameter, extended: FinalSet) -> CauseParameter:
-    value = extended.estimate.values[p.name]
-    lower, upper = extended.bounds(p.name)
-    reach = extended.deviation(p.name)
-    null = math.nan if p.null is None else p.null
-    return CauseParameter(value, p.unit, _closed(lower), _closed(upper), reach, null, p.meaning)
-
-
-def _closed(bound: float) -> float:
-    return bound if math.isfinite(bound) else math.nan
+            lower, upper = (b if math.isfinite(b) else math.nan for b in extended.bounds(p.name))
+            value, se = extended.estimate.values[p.name], extended.deviation(p.name)
+            own[p.name] = ParameterRow(value, p.unit, se, lower, upper, p.meaning)
+    return own
 
 
 # -- errors --------------------------------------------------------------------------------------------------
@@ -318,17 +322,20 @@ def gains(ended: Conclusion, before: Residuals, after: Residuals) -> tuple[Error
     together = np.array_equal(before.time_s, after.time_s)
     found = []
     for quantity in QUANTITIES:
-        old = _outside(before.time_s, before.error(quantity), spans)
-        new = _outside(after.time_s, after.error(quantity), spans)
-        for period, chosen in (("validation", True), ("identification", False)):
-            pair = old[before.validation == chosen], new[after.validation == chosen]
-            if all(np.isfinite(one).any() for one in pair):
-                chosen_s = before.time_s[before.validation == chosen]
-                day = np.floor(chosen_s / DAY_S) if together else np.empty(0)
-                found.append(
-                    _gain(quantity, period, *pair, day, _driven(ended, QUANTITY[quantity], chosen, spans))
-                )
-                break
+        old = _outside(before.time_s, before.error[quantity], spans)
+        new = _outside(after.time_s, after.error[quantity], spans)
+        for period, held_out in (("validation", True), ("identification", False)):
+            first, later = before.validation == held_out, after.validation == held_out
+            pair = old[first], new[later]
+            if not all(np.isfinite(one).any() for one in pair):
+                continue
+            bounds = math.nan, math.nan
+            if together:
+                bounds = _bounds(*pair, np.floor(before.time_s[first] / DAY_S))
+            driven = _driven(ended, QUANTITY[quantity], held_out, spans)
+            a, b = map(root_mean_square, pair)
+            found.append(ErrorGain(quantity, period, a, b, *bounds, *driven))
+            break
     return tuple(found)
 
 
@@ -336,8 +343,8 @@ def _openings(ended: Conclusion) -> list[list[float]]:
     """The stretches [s] in which a door was named, those of the held-out part included."""
     spans = []
     for one in ended.accepted:
-        if one.candidate.form.windows and ended.extended is not None:
-            whole = foreseen(ended.base.estimate, one.candidate)
+        if one.form.windows and ended.extended is not None:
+            whole = foreseen(ended.base.estimate, one)
             spans += next(
                 design.features["door_open"]["spans"]
                 for design in whole.simulator.designs
@@ -366,13 +373,6 @@ def _driven(
         return root_mean_square(_outside(r.time_s, chosen, spans))
 
     return error(ended.base.estimate), error((ended.extended or ended.base).estimate)
-
-
-def _gain(
-    quantity: str, period: str, old: np.ndarray, new: np.ndarray, day: np.ndarray, driven: tuple[float, float]
-) -> ErrorGain:
-    lower, upper = _bounds(old, new, day) if len(day) else (math.nan, math.nan)
-    return ErrorGain(quantity, period, root_mean_square(old), root_mean_square(new), lower, upper, *driven)
 
 
 def _bounds(old: np.ndarray, new: np.ndarray, day: np.ndarray) -> tuple[float, float]:

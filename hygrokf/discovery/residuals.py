@@ -1,4 +1,4 @@
-"""Errors of the free run and of the one-step prediction, and all drivers that they may depend on.
+"""Errors of the free run, and all drivers that they may depend on.
 
 Shapes: T instants of a fit's series, n bins of an hour.
 """
@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 
@@ -21,13 +22,14 @@ from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import accuracy_of
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
-TEMPERATURE = "temperature"
-HUMIDITY = "humidity"
+Quantity = Literal["temperature", "humidity"]
+TEMPERATURE: Quantity = "temperature"
+HUMIDITY: Quantity = "humidity"
 QUANTITIES = (TEMPERATURE, HUMIDITY)
-UNITS = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
-SERIES = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
+UNITS: Mapping[str, str] = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
+SERIES: Mapping[str, str] = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
 """Quantity -> stem of its names in a fit's series."""
-TIME_CONSTANT = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
+TIME_CONSTANT: Mapping[str, str] = {TEMPERATURE: "thermal_time_constant", HUMIDITY: "hygric_k"}
 """Quantity -> parameter that is the time constant [h] of its low pass."""
 RESPONSES = ("cabinet_", "converter_")
 """Signals that respond to the cabinet instead of driving it."""
@@ -48,55 +50,40 @@ class Residuals:
     """Reading minus prediction at the instants of a fit, and the drivers that it may depend on.
 
     time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
-    temperature_error [K], humidity_error [g/m³]: (T,) reading − free run; NaN where there is none, or not
-    scored.
-    temperature_innovation, humidity_innovation: [1] (T,) of the one-step prediction, in its own standard
-        deviations.
+    error: quantity -> (T,) [K], [g/m³] reading − free run; NaN where there is none, or not scored.
     drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
         `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not
         choose the condition under which it is looked at.
-    operating, preheating: (T,) bool.
+    operating, preheating: (T,) whether; in bins, of a length `step_h` [h], of pre-heating the share of time.
     validation: (T,) bool, True after the end of the identification period.
     sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's
         and of the ambient sensors brings about.
     time_constants: quantity -> [h] of the cabinet's low pass.
     measured, simulated, sd: quantity -> (T,) [K], [g/m³]: reading, free run and its standard deviation.
-    name: of the record.
     """
 
     time_h: np.ndarray
     origin_s: float
-    temperature_error: np.ndarray
-    humidity_error: np.ndarray
-    temperature_innovation: np.ndarray
-    humidity_innovation: np.ndarray
-    drivers: Mapping[str, np.ndarray]
+    error: Mapping[str, np.ndarray]
     operating: np.ndarray
     preheating: np.ndarray
     validation: np.ndarray
     sensor_error: Mapping[str, np.ndarray]
+    drivers: Mapping[str, np.ndarray] = field(default_factory=dict)
+    step_h: float = math.nan
     time_constants: Mapping[str, float] = field(default_factory=dict)
     measured: Mapping[str, np.ndarray] = field(default_factory=dict)
     simulated: Mapping[str, np.ndarray] = field(default_factory=dict)
     sd: Mapping[str, np.ndarray] = field(default_factory=dict)
-    name: str = ""
 
     @property
     def time_s(self) -> np.ndarray:
         """Instants (T,) [s] since 1970-01-01T00:00Z."""
         return self.origin_s + 3600.0 * self.time_h
 
-    def error(self, quantity: str) -> np.ndarray:
-        """Reading − free run (T,) of "temperature" [K] or "humidity" [g/m³]."""
-        return self.temperature_error if quantity == TEMPERATURE else self.humidity_error
-
-    def innovation(self, quantity: str) -> np.ndarray:
-        """Standardised innovations (T,) [1] of "temperature" or "humidity"."""
-        return self.temperature_innovation if quantity == TEMPERATURE else self.humidity_innovation
-
     def rmse(self, quantity: str) -> float:
         """Root mean square of the free run's error [K], [g/m³] in the identification period."""
-        return root_mean_square(self.error(quantity)[~self.validation])
+        return root_mean_square(self.error[quantity][~self.validation])
 
 
 def root_mean_square(values: np.ndarray) -> float:
@@ -120,17 +107,15 @@ def residuals(fit: Fit, record: Record) -> Residuals:
     time = np.asarray(s["time_s"], dtype=float)
     scored = np.asarray(s["scored"]) > 0
     until = float(s["until_s"])
-    measured = {q: np.asarray(s[f"{SERIES[q]}_measured"], dtype=float) for q in QUANTITIES}
-    simulated = {q: np.asarray(s[f"{SERIES[q]}_simulated"], dtype=float) for q in QUANTITIES}
-    error = {q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES}
-    innovation = {q: np.where(scored, s[f"{q}_innovation"], np.nan) for q in QUANTITIES}
+
+    def course(ending: str) -> dict[str, np.ndarray]:
+        return {q: np.asarray(s[f"{SERIES[q]}_{ending}"], dtype=float) for q in QUANTITIES}
+
+    measured, simulated = course("measured"), course("simulated")
     return Residuals(
         time_h=(time - time[0]) / 3600.0,
         origin_s=float(time[0]),
-        temperature_error=error[TEMPERATURE],
-        humidity_error=error[HUMIDITY],
-        temperature_innovation=innovation[TEMPERATURE],
-        humidity_innovation=innovation[HUMIDITY],
+        error={q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES},
         drivers=_drivers(s, record, time),
         operating=np.asarray(s["operating"]) > 0.5,
         preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,
@@ -139,8 +124,7 @@ def residuals(fit: Fit, record: Record) -> Residuals:
         time_constants={q: fit.values[name] for q, name in TIME_CONSTANT.items() if name in fit.values},
         measured=measured,
         simulated=simulated,
-        sd={q: np.asarray(s[f"{SERIES[q]}_sd"], dtype=float) for q in QUANTITIES},
-        name=fit.name,
+        sd=course("sd"),
     )
 
 
@@ -183,7 +167,7 @@ def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.n
 
     inside, outside = sd("cabinet_temperature"), ambient_sd(record, "ambient_temperature")
     warm = np.asarray(s["temperature_simulated"], dtype=float)
-    result = {TEMPERATURE: np.full(len(warm), math.hypot(inside, outside))}
+    result: dict[str, np.ndarray] = {TEMPERATURE: np.full(len(warm), math.hypot(inside, outside))}
     moist = np.asarray(s["relative_humidity_simulated"], dtype=float)
     vapour = np.asarray(s["absolute_humidity_simulated"], dtype=float)
     there = np.isfinite(warm) & np.isfinite(vapour)
@@ -260,46 +244,14 @@ def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple
 # --- hourly bins -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Hours:
-    """Residuals in bins of equal length (n,).
-
-    start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
-    error [K], [g/m³]: quantity -> (n,), NaN without a reading.
-    drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share
-    of the bin with pre-heating; sensor_error: quantity -> (n,).
-    """
-
-    start_s: float
-    step_h: float
-    error: Mapping[str, np.ndarray]
-    drivers: Mapping[str, np.ndarray]
-    operating: np.ndarray
-    preheating: np.ndarray
-    heated: np.ndarray
-    sensor_error: Mapping[str, np.ndarray]
-
-    def __len__(self) -> int:
-        return len(self.operating)
-
-    @property
-    def time_s(self) -> np.ndarray:
-        """Middles (n,) [s] of the bins."""
-        return self.start_s + 3600.0 * self.step_h * (np.arange(len(self)) + 0.5)
-
-    @property
-    def hour(self) -> np.ndarray:
-        """Hour of the day (n,) [h], UTC."""
-        return (self.time_s / 3600.0) % 24.0
-
-
-def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
-    """The identification period in bins of a length [h], or of the readings' step where that is longer."""
+def binned(residuals: Residuals, least_h: float = 1.0) -> Residuals:
+    """Means over the identification period in bins of a length [h], or of the readings' step where that is
+    longer, at the middles of the bins; of pre-heating the share of the bin."""
     chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
         raise ValueError("binned: the period has no instants")
-    read = np.isfinite(residuals.temperature_error[chosen]) | np.isfinite(residuals.humidity_error[chosen])
+    read = np.any([np.isfinite(residuals.error[q][chosen]) for q in QUANTITIES], axis=0)
     step = float(np.median(np.diff(time[read]))) / 3600.0 if read.sum() > 1 else 1.0
     length = least_h * max(1, math.ceil(step / least_h - 0.05))
     place = np.floor(time / (3600.0 * length)).astype(np.int64)
@@ -317,18 +269,18 @@ def binned(residuals: Residuals, least_h: float = 1.0) -> Hours:
     def circular(values: np.ndarray) -> np.ndarray:
         return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
 
-    heated = np.nan_to_num(mean(residuals.preheating))
-    return Hours(
-        start_s=first * 3600.0 * length,
+    return Residuals(
+        time_h=length * np.arange(count),
+        origin_s=(first + 0.5) * 3600.0 * length,
         step_h=length,
-        error={q: mean(residuals.error(q)) for q in QUANTITIES},
+        error={q: mean(residuals.error[q]) for q in QUANTITIES},
         drivers={
             name: circular(value) if name.endswith("_direction") else mean(value)
             for name, value in residuals.drivers.items()
         },
         operating=np.nan_to_num(_carried(mean(residuals.operating))) > 0.5,
-        preheating=heated > 0.5,
-        heated=heated,
+        preheating=np.nan_to_num(mean(residuals.preheating)),
+        validation=np.zeros(count, bool),
         sensor_error={q: mean(values) for q, values in residuals.sensor_error.items()},
     )
 

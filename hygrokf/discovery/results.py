@@ -23,10 +23,10 @@ from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, w
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import JsonObject, plain
 from hygrokf.data.tabular import with_units
-from hygrokf.discovery.residuals import Residuals
+from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
 from hygrokf.identification.fit import Fit, write_fit
-from hygrokf.identification.fit_results import FitResults, TimeConstant
+from hygrokf.identification.fit_results import FitResults, ParameterRow, TimeConstant
 from hygrokf.physics.model import fields_alone
 
 if TYPE_CHECKING:
@@ -41,9 +41,11 @@ beside what is named; held-out readings refute every cause that was found."""
 Reason: TypeAlias = Literal["", "worse", "no_gain", "unproven", "no_effect"]
 """Why a cause is refuted: its held-out errors are larger; held-out readings cost it more evidence than it can
 spare, or do not bear out little evidence; it has no effect in the final set."""
-Exclusion: TypeAlias = Literal["no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"]
-"""Why a cause was left out: screening found nothing; too little evidence, or evidence in days; it lost its
-place to later ones; the budget ended the search; the record cannot show it."""
+Exclusion: TypeAlias = Literal[
+    "refuted", "no_effect", "weak", "weak_by_days", "later_gone", "left_to_budget", "no_form"
+]
+"""Why a cause was left out: held-out readings refute it; screening found nothing; too little evidence, or
+evidence in days; it lost its place to later ones; the budget ended the search; the record cannot show it."""
 Settings: TypeAlias = Mapping[str, Any]
 """Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 CLASS_LIMIT = 3
@@ -54,35 +56,24 @@ CLASS_LIMIT = 3
 class Finding:
     """An error of the free run in the identification period.
 
-    quantity: "temperature" or "humidity"; unit: K or g/m³.
-    where, when: the condition in words, empty for any.
-    size: mean effect under the condition less that elsewhere, by generalised least squares under the error
-        model; direction: of the simulation.
-    duration_h: [h] for how long of an episode, or NaN.
+    kind: of the condition; driver: signal that it goes with, or "".
+    size: [K], [g/m³] mean effect under the condition less that elsewhere, by generalised least squares under
+        the error model.
     n_episodes: in which it is seen, of n_possible.
     sensor_share: [1] of its square that the sensors' accuracy explains.
-    p, p_adjusted: [1] chance of it without a cause, alone and as adjusted share of false discoveries.
-    driver: signal that it goes with, or None.  kind: of the condition.
-    curve: reading − free run over the condition's bins.
+    p_adjusted: [1] chance of it without a cause, as adjusted share of false discoveries.
     spans: (start, end) [s] of its episodes, the largest error first.
     """
 
-    quantity: str
-    where: str
-    when: str
-    size: float
-    unit: str
-    direction: str
-    duration_h: float
-    n_episodes: int
-    n_possible: int
-    sensor_share: float
-    statement: str
-    p: float
-    p_adjusted: float
-    driver: str | None
+    quantity: Quantity
     kind: str
-    curve: Mapping[str, Any] = field(default_factory=dict)
+    driver: str
+    statement: str
+    size: float = math.nan
+    n_episodes: int = 0
+    n_possible: int = 0
+    sensor_share: float = math.nan
+    p_adjusted: float = math.nan
     spans: tuple[tuple[float, float], ...] = ()
 
 
@@ -160,25 +151,12 @@ class HeldOutTest:
 
 
 @dataclass(frozen=True)
-class CauseParameter:
-    """A parameter that a cause adds: value, 95 % bounds (NaN for an open side), standard error, and the value
-    without an effect, in its unit."""
-
-    value: float
-    unit: str
-    lower: float = math.nan
-    upper: float = math.nan
-    se: float = math.nan
-    null: float = math.nan
-    meaning: str = ""
-
-
-@dataclass(frozen=True)
 class CauseFound:
     """An accepted cause.
 
-    form: code of its best form; forms_alike: codes of those that the record cannot tell from it.
+    form: its best form in words; forms_alike: those that the record cannot tell from it.
     confidence: [1] how often a name with such evidence is right.
+    settings: what the search chose; chosen: in words.
     ambiguous_with: causes that the record cannot tell from it; more than two: it names nothing.
     separate_by: the measurement that tells it from its rivals; remedy: what to check in the turbine.
     """
@@ -188,8 +166,9 @@ class CauseFound:
     forms_alike: tuple[str, ...] = ()
     confidence: float = math.nan
     statement: str = ""
-    parameters: Mapping[str, CauseParameter] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
+    chosen: tuple[str, ...] = ()
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
     ambiguous_with: tuple[str, ...] = ()
@@ -204,21 +183,13 @@ class CauseFound:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A cause that was left out, with the evidence of its best form and the reason."""
+    """A cause that was left out: its best form, its evidence, the reason, and the held-out test where there
+    was one."""
 
     cause: str
     form: str = ""
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
-
-
-@dataclass(frozen=True)
-class Refuted:
-    """A cause that the identification period shows and the held-out period refutes."""
-
-    cause: str
-    form: str = ""
-    evidence: CauseEvidence = field(default_factory=CauseEvidence)
     held_out: HeldOutTest = field(default_factory=HeldOutTest)
 
 
@@ -234,13 +205,11 @@ class SearchCost:
 
 @dataclass(frozen=True)
 class ModelScores:
-    """Errors, time constants and likelihood of the base or of the extended model, as in its `fit.json`."""
+    """Errors and time constants of the base or of the extended model, as in its `fit.json`."""
 
     rmse: Scores = field(default_factory=dict)
     baselines: RuleScores = field(default_factory=dict)
     time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
-    loglik: float = math.nan
-    n_obs: int = 0
 
     @cached_property
     def fit(self) -> FitResults:
@@ -261,7 +230,7 @@ class DiscoveryResults:
     lines: what is left without a cause.
     repeated: signal → stretches [s] of repeated readings that were set aside; saturated: [1] share of the
     humidity readings at the end of the sensor's range.
-    own_causes: origin of the user's causes.  doubts: those about the record that concern a time constant.
+    doubts: those about the record that concern a time constant.
     """
 
     name: str
@@ -275,12 +244,11 @@ class DiscoveryResults:
     held_out_days: int = 0
     causes: tuple[CauseFound, ...] = ()
     rejected: tuple[Rejected, ...] = ()
-    refuted: tuple[Refuted, ...] = ()
+    refuted: tuple[Rejected, ...] = ()
     lines: tuple[SpectralLine, ...] = ()
     work: SearchCost = field(default_factory=SearchCost)
     repeated: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     saturated: float = math.nan
-    own_causes: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = field(kw_only=True)
     left: tuple[Finding, ...] = ()
     doubts: tuple[str, ...] = ()
@@ -297,17 +265,15 @@ class DiscoveryResults:
         share [1] by which a free-run error on held-out readings falls."""
         import pandas
 
-        rows = [
-            *(
-                (c.cause, c.form, "accepted", c.confidence, c.evidence.evidence, c.held_out.improvement)
-                for c in self.causes
-            ),
-            *(
-                (c.cause, c.form, "refuted", math.nan, c.evidence.evidence, c.held_out.improvement)
-                for c in self.refuted
-            ),
-            *((c.cause, c.form, c.reason, math.nan, c.evidence.evidence, math.nan) for c in self.rejected),
+        judged: list[tuple[CauseFound | Rejected, str, float]] = [
+            *((c, "accepted", c.confidence) for c in self.causes),
+            *((c, c.reason, math.nan) for c in (*self.refuted, *self.rejected)),
         ]
+        rows = [
+            (c.cause, c.form, verdict, sure, c.evidence.evidence,
+             c.held_out.improvement if c.held_out.days else math.nan)
+            for c, verdict, sure in judged
+        ]  # fmt: skip
         columns = ["cause", "form", "verdict", "confidence", "evidence", "improvement"]
         frame = pandas.DataFrame(rows, columns=columns).set_index("cause")
         return with_units(frame, {"confidence": "1", "evidence": "1", "improvement": "1"})
@@ -421,18 +387,9 @@ def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None
     """Residuals from the arrays of `_arrays`; None where there are none."""
     found: dict[str, Any] = {}
     for key, array in arrays.items():
-        head, *path = key.split("/", 2)
-        if head != which:
-            continue
-        if len(path) == 2:
-            found.setdefault(path[0], {})[path[1]] = array
-        elif path[0] == "name":
-            found["name"] = str(array)
-        else:
-            found[path[0]] = array if array.ndim else float(array)
-    if not found:
-        return None
-    if not math.isfinite(found.get("origin_s", math.nan)):
-        raise ValueError(f"no {which}/origin_s")
-    found.setdefault("drivers", {})
-    return Residuals(**found)
+        head, name, *part = key.split("/", 2)
+        if head == which and part:
+            found.setdefault(name, {})[part[0]] = array
+        elif head == which:
+            found[name] = array if array.ndim else float(array)
+    return Residuals(**found) if found else None

@@ -294,11 +294,11 @@ EXCHANGES = (0.5, 3.0, 15.0)
 
 def _windows(parent: Parent, form: Form) -> list[Screened]:
     one = parent.estimate
-    found = openings(one, form, identified=True)
-    if not found.spans:
+    spans, price = openings(one, form, identified=True)
+    if not spans:
         return []
-    spans, sizes, gain = _edged(one, form, found.spans)
-    setting = Setting({"door_open": {"spans": spans}}, price=found.price * len(spans))
+    spans, sizes, gain = _edged(one, form, spans)
+    setting = Setting({"door_open": {"spans": spans}}, price=price * len(spans))
     return [Screened(form, setting, sizes, gain)] if gain > LEAST else []
 
 
@@ -347,18 +347,9 @@ def _edged(
     return spans, chosen, float(sum(gain.max() for gain in at.values()))
 
 
-@dataclass(frozen=True)
-class Openings:
-    """Windows [start, end] [s] in which innovations ask for more exchange; their price in −2 ln L each, and
-    the size that they ask for by quantity, in units of the probe's."""
-
-    spans: list[list[float]]
-    price: float
-    size: Mapping[str, float]
-
-
-def openings(one: Calibration, form: Form, identified: bool) -> Openings:
-    """The windows of the identification period, or of the rest, by a matched filter.
+def openings(one: Calibration, form: Form, identified: bool) -> tuple[list[list[float]], float]:
+    """Windows [start, end] [s] of the identification period, or of the rest, in which innovations ask for
+    more exchange, by a matched filter; their price in −2 ln L each.
 
     The response within a window is taken as that to a lasting effect, cut to the window: a filter forgets
     within hours.  Every quantity must gain.
@@ -401,8 +392,4 @@ def openings(one: Calibration, form: Form, identified: bool) -> Openings:
         [scene.first_s + EVERY_S * first, scene.first_s + EVERY_S * (first + width)]
         for first, width in chosen
     )
-    size = {}
-    for i, q in enumerate(one.quantities):
-        p, square = (sum(s[i, f + w] - s[i, f] for f, w in chosen) for s in sums)
-        size[q] = float(p / square) if chosen and square > 0 else 0.0
-    return Openings(spans, price, size)
+    return spans, price

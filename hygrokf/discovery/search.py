@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import Any
 
 from hygrokf.discovery.candidates import (
     SENSOR,
@@ -42,66 +44,16 @@ CAUSES, SETTINGS, FORMS, ROUNDS = 4, 3, 4, 6
 """Causes of a quantity that are estimated, settings of each at least, forms of each at most, and rounds."""
 NEAR, NEAR_SHARE = 30.0, 0.15
 """Evidence, and share of the leader's, by which a candidate that is finished may stay behind."""
-Chosen = tuple[Form, Setting]
-
-
-@dataclass(frozen=True)
-class Accepted:
-    """A cause that was accepted, what the held-out readings say of it, its rivals of the round, and by how
-    much the best of all others stayed behind, in days."""
-
-    candidate: Candidate
-    judged: HeldOutTest
-    rivals: tuple[Candidate, ...]
-    lead: float
-
-    @property
-    def wet(self) -> bool:
-        """Whether an error of the humidity sensor is told together with water."""
-        return self.candidate.cause == SENSOR and any(rival.cause in WATER for rival in self.rivals)
-
-    @property
-    def chosen(self) -> Chosen:
-        return self.candidate.form, self.candidate.setting
-
-
-@dataclass(frozen=True)
-class SearchEnd:
-    """The end of a search: its base, the model with all accepted causes, what was refuted or left again.
-
-    beside: candidates of the last round; not_judged: causes that the budget left out of it; searched: cause →
-    settings that were tried.
-    """
-
-    base: Calibration
-    final: Calibration
-    accepted: tuple[Accepted, ...] = ()
-    refuted: tuple[tuple[Candidate, HeldOutTest], ...] = ()
-    left: tuple[Candidate, ...] = ()
-    beside: tuple[Candidate, ...] = ()
-    not_judged: tuple[str, ...] = ()
-    searched: Mapping[str, int] = field(default_factory=dict)
-
-
-# -- a round -------------------------------------------------------------------------------------------------
-@dataclass
-class _Known:
-    """What rounds found of forms, valid while the quantities that these act on have the same parent."""
-
-    version: dict[str, int] = field(default_factory=dict)
-    screened: dict[str, tuple[tuple[int, ...], list[Screened]]] = field(default_factory=dict)
-    candidates: dict[str, tuple[tuple[int, ...], Candidate | None]] = field(default_factory=dict)
-    finished: dict[str, tuple[tuple[int, ...], bool]] = field(default_factory=dict)
-
-    def mark(self, forms: Sequence[Form], quantities: Sequence[str]) -> tuple[int, ...]:
-        mine = set().union(*(acts(form, quantities) for form in forms))
-        return tuple(self.version.get(q, 0) for q in quantities if q in mine)
 
 
 class Search:
     """A search for what a base lacks, through the forms of causes.
 
     A round in which the simulations reach the budget names nothing.
+
+    parent: the base with all accepted causes.  left: causes that later ones displaced; beside: candidates of
+    the last round; not_judged: causes that the budget left out of it; searched: cause → settings that are
+    tried.
     """
 
     def __init__(
@@ -117,42 +69,54 @@ class Search:
             self.forms.setdefault(form.cause, []).append(form)
         self.searched = {cause: sum(len(f.grid) for f in one) for cause, one in self.forms.items()}
         self.parent = base
-        self.accepted: list[Accepted] = []
-        self._refuted: list[tuple[Candidate, HeldOutTest]] = []
+        self.accepted: list[Candidate] = []
+        self._refuted: list[Candidate] = []
         self.left: list[Candidate] = []
         self.beside: list[Candidate] = []
         self.not_judged: list[str] = []
         self.visited: set[frozenset[str]] = set()
-        self._known = _Known()
+        self._version: Counter[str] = Counter()
+        self._kept: dict[tuple[str, str], tuple[object, Any]] = {}
         self._columns: Columns = {}
 
     @property
     def names(self) -> frozenset[str]:
-        return frozenset(one.candidate.cause for one in self.accepted)
+        return frozenset(one.cause for one in self.accepted)
 
-    def run(self) -> SearchEnd:
+    def run(self) -> Search:
         for _ in range(ROUNDS):
             self.visited.add(self.names)
             if not self._round():
                 break
             self._judge_again()
-        return SearchEnd(
-            self.base, self.parent, tuple(self.accepted), self.refuted, tuple(self.left),
-            tuple(self.beside), tuple(self.not_judged), self.searched,
-        )  # fmt: skip
+        return self
 
     @property
-    def refuted(self) -> tuple[tuple[Candidate, HeldOutTest], ...]:
+    def refuted(self) -> list[Candidate]:
         """The best refuted form of each cause that has no name in the end."""
-        best: dict[str, tuple[Candidate, HeldOutTest]] = {}
-        for one, verdict in sorted(self._refuted, key=lambda pair: -pair[0].strength):
+        best: dict[str, Candidate] = {}
+        for one in sorted(self._refuted, key=lambda c: -c.strength):
             if one.cause not in self.names:
-                best.setdefault(one.cause, (one, verdict))
-        return tuple(best.values())
+                best.setdefault(one.cause, one)
+        return list(best.values())
 
     @property
     def spent(self) -> bool:
         return self.base.simulator.work.simulations >= self.budget
+
+    def _mark(self, cause: str) -> object:
+        """What the work on a cause depends on: its forms, and the parents of the quantities they act on."""
+        forms, quantities = self.forms[cause], self.parent.quantities
+        mine = set[str]().union(*(acts(form, quantities) for form in forms))
+        return [form.words for form in forms], [self._version[q] for q in quantities if q in mine]
+
+    def _recalled(self, kind: str, cause: str) -> Any:
+        """What was kept of a cause, while it is valid; else None."""
+        mark, found = self._kept.get((kind, cause), (None, None))
+        return found if mark == self._mark(cause) else None
+
+    def _keep(self, kind: str, cause: str, found: Any) -> None:
+        self._kept[kind, cause] = self._mark(cause), found
 
     def _round(self) -> bool:
         """Accept the best cause, then the best of the other quantity; returns whether any was accepted."""
@@ -162,39 +126,34 @@ class Search:
             return False
         before, taken, again = scores(levelled(self.parent)), set[str](), False
         for one in found:
-            mine = acts(one.form, self.parent.quantities)
-            if mine & taken or not self._earns(one) or self.names | {one.cause} in self.visited:
+            if one.acts & taken or not self._earns(one) or self.names | {one.cause} in self.visited:
                 continue
-            child = grafted(self.parent, one) if taken else one.estimate
-            one = replace(one, estimate=child)
-            verdict = self._judged(before, one)
-            if verdict.reason:
+            if taken:
+                one = replace(one, estimate=grafted(self.parent, one))
+            one = replace(one, judged=self._judged(before, one))
+            if one.judged.reason:
                 # another form of the cause may hold what this one does not
-                self._refuted.append((one, verdict))
-                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.code != one.form.code]
-                for known in (self._known.screened, self._known.candidates, self._known.finished):
-                    known.pop(one.cause, None)
+                self._refuted.append(one)
+                self.forms[one.cause] = [f for f in self.forms[one.cause] if f.words != one.form.words]
                 again = True
                 continue
             rivals = tuple(c for c in found if c.cause != one.cause and (alike(one, c) or water(one, c)))
-            self.accepted.append(Accepted(one, verdict, rivals, lead(one, found)))
+            self.accepted.append(replace(one, rivals=rivals, lead=lead(one, found)))
             self.say(f"{one.cause}: evidence {one.evidence:.0f}, in days {one.in_days:.0f}")
-            self.parent = child
-            taken |= mine
+            self.parent = one.estimate
+            taken |= one.acts
         if taken:
             self.parent = renewed(self.parent, taken)
-            for q in taken:
-                self._known.version[q] = self._known.version.get(q, 0) + 1
+            self._version.update(taken)
         return bool(taken) or again
 
     def _earns(self, one: Candidate) -> bool:
-        others = [a for a in self.accepted if a.candidate.cause != one.cause]
+        others = [a for a in self.accepted if a.cause != one.cause]
         return not one.lacking and one.strength >= needed(one, others)
 
     def _judged(self, before: Mapping[str, Scores], one: Candidate) -> HeldOutTest:
-        child = levelled(foreseen(self.parent, one))
-        after, mine = scores(child), acts(one.form, self.parent.quantities)
-        return tested({q: before[q] for q in mine}, {q: after[q] for q in mine}, one, self.accepted)
+        after = scores(levelled(foreseen(self.parent, one)))
+        return tested({q: before[q] for q in one.acts}, {q: after[q] for q in one.acts}, one, self.accepted)
 
     def _judge_again(self) -> None:
         """Leave causes that no longer earn their place beside the others, under the renewed error models."""
@@ -202,15 +161,13 @@ class Search:
             if self.spent:
                 break
             others = [a for a in self.accepted if a is not one]
-            mine = acts(one.candidate.form, self.parent.quantities)
-            without = composed(self.base, [a.chosen for a in others], self.parent, mine)
-            again = candidate(without, self.parent, *one.chosen, self.searched[one.candidate.cause])
+            without = composed(self.base, others, self.parent, one.acts)
+            again = candidate(without, self.parent, one.form, one.setting, one.searched)
             if self._earns(again):
                 continue
             self.left.append(again)
-            self.accepted, self.parent = others, renewed(without, mine)
-            for q in mine:
-                self._known.version[q] += 1
+            self.accepted, self.parent = others, renewed(without, one.acts)
+            self._version.update(one.acts)
 
     def candidates(self) -> list[Candidate]:
         """The causes' best candidates beside the parent, the strongest first."""
@@ -222,24 +179,24 @@ class Search:
             if cause in self.names or not forms:
                 continue
             self.say(f"screening of {cause}")
-            mark = self._known.mark(forms, self.parent.quantities)
-            if self._known.screened.get(cause, (None,))[0] != mark:
+            found = self._recalled("screened", cause)
+            if found is None:
                 if self.spent:
                     self.not_judged.append(cause)
                     continue
                 found = [s for form in forms for s in screened(parent, form)]
-                self._known.screened[cause] = mark, sorted(found, key=lambda s: -s.gain)
-            seen[cause] = self._known.screened[cause][1]
-        made: dict[str, Candidate | None] = {}
+                found.sort(key=lambda s: -s.gain)
+                self._keep("screened", cause, found)
+            seen[cause] = found
+        best: dict[str, Candidate] = {}
         for cause in self._first(seen):
             if self.spent:
                 self.not_judged.append(cause)
                 continue
             self.say(f"estimate of {cause}")
-            made[cause] = self._candidate(cause, seen[cause])
-        best = {cause: one for cause, one in made.items() if one is not None}
+            best[cause] = self._candidate(cause, seen[cause])
         for q in self.parent.quantities:
-            mine = [one for one in best.values() if q in acts(one.form, self.parent.quantities)]
+            mine = [one for one in best.values() if q in one.acts]
             if not mine:
                 continue
             leader = max(mine, key=lambda one: one.evidence)
@@ -259,35 +216,31 @@ class Search:
         # water must not be explained away by an error of its sensor
         return [*first, *(c for c in WATER if SENSOR in first and c not in first and seen.get(c))]
 
-    def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate | None:
-        mark = self._known.mark(self.forms[cause], self.parent.quantities)
-        if self._known.candidates.get(cause, (None,))[0] != mark:
+    def _candidate(self, cause: str, seen: Sequence[Screened]) -> Candidate:
+        found: Candidate | None = self._recalled("candidate", cause)
+        if found is None:
             made = []
             for s in _to_estimate(seen):
                 one = estimated(self.parent, s.form, s.setting, s.values, LIGHT, self._columns)
                 made.append(candidate(self.parent, one, s.form, s.setting, self.searched[cause]))
-            best = max(made, key=lambda one: one.evidence, default=None)
-            if best is not None:
-                near = (c.form.code for c in made if c.form is not best.form and alike(best, c))
-                best = replace(best, alike=tuple(dict.fromkeys(near)))
-            self._known.candidates[cause] = mark, best
-        found = self._known.candidates[cause][1]
-        if found is None or set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
+            best = max(made, key=lambda one: one.evidence)
+            near = (c.form.words for c in made if c.form is not best.form and alike(best, c))
+            found = replace(best, alike=tuple(dict.fromkeys(near)))
+            self._keep("candidate", cause, found)
+        if set(found.estimate.simulator.names) >= set(self.parent.simulator.names):
             return found
         return replace(found, estimate=grafted(self.parent, found))
 
     def _finished(self, one: Candidate, leads: bool) -> Candidate:
         """A candidate at its maximum; the one that leads a quantity jumps."""
-        mark = self._known.mark(self.forms[one.cause], self.parent.quantities)
-        if self._known.finished.get(one.cause) in ((mark, True), (mark, leads)):
+        if self._recalled("finished", one.cause) in (True, leads):
             return one
-        made = fitted(one.estimate, acting(one.estimate, acts(one.form, one.estimate.quantities)), POLISH)
-        again = candidate(self.parent, made, one.form, one.setting, self.searched[one.cause])
-        one = replace(again, alike=one.alike)
+        made = fitted(one.estimate, acting(one.estimate, one.acts), POLISH)
+        one = replace(candidate(self.parent, made, one.form, one.setting, one.searched), alike=one.alike)
         if leads and one.evidence > 0.0:
-            one = jumped(self.parent, one, self.searched[one.cause])
-        self._known.candidates[one.cause] = mark, one
-        self._known.finished[one.cause] = mark, leads
+            one = jumped(self.parent, one)
+        self._keep("candidate", one.cause, one)
+        self._keep("finished", one.cause, leads)
         return one
 
 
@@ -295,19 +248,19 @@ def _to_estimate(seen: Sequence[Screened]) -> list[Screened]:
     """The best setting of each form, then the best of the others: forms differ more than settings."""
     first: dict[str, Screened] = {}
     for s in seen:
-        first.setdefault(s.form.code, s)
-    rest = [s for s in seen if first[s.form.code] is not s]
+        first.setdefault(s.form.words, s)
+    rest = [s for s in seen if first[s.form.words] is not s]
     return [*first.values(), *rest][: max(SETTINGS, min(len(first), FORMS))]
 
 
 def composed(
-    base: Calibration, chosen: Sequence[Chosen], near: Calibration, moved: Collection[str]
+    base: Calibration, causes: Sequence[Candidate], near: Calibration, moved: Collection[str]
 ) -> Calibration:
     """The base with some causes, fitted from a larger model's values under the same error models in the
     quantities that moved."""
     one = base
-    for form, setting in chosen:
-        one = replace(one, simulator=widened(one, form, setting))
+    for cause in causes:
+        one = replace(one, simulator=widened(one, cause.form, cause.setting))
     theta = one.simulator.vector(near.values)
     made = estimate_at(one.simulator, near.errors, theta, near.linear, near.variances)
     return fitted(made, acting(made, moved))
@@ -320,12 +273,12 @@ def foreseen(parent: Calibration, one: Candidate) -> Calibration:
         return one.estimate
     whole = replace(one.form, grid=(Setting({"door_open": {"spans": [[-1e18, 1e18]]}}),))
     known, e = one.setting.features["door_open"]["spans"], one.estimate
-    found = openings(parent, whole, identified=False)
+    spans, price = openings(parent, whole, identified=False)
     kept: list[list[float]] = []
     best = _held_out_deviance(e)
-    for span in found.spans:
+    for span in spans:
         trial = _opened(parent, one, sorted([*known, *kept, span]))
-        if _held_out_deviance(trial) < best - found.price:
+        if _held_out_deviance(trial) < best - price:
             kept.append(span)
             best = _held_out_deviance(trial)
     return _opened(parent, one, sorted([*known, *kept]))
@@ -340,16 +293,14 @@ def _held_out_deviance(one: Calibration) -> float:
     return sum(score.deviance for score in scores(one).values())
 
 
-def needed(one: Candidate, accepted: Sequence[Accepted]) -> float:
+def needed(one: Candidate, accepted: Sequence[Candidate]) -> float:
     """The evidence that a candidate needs: more if a quantity on which it acts has a name already, since what
     is left there is more often that one's misfit than another cause."""
-    quantities = one.estimate.quantities
-    mine = acts(one.form, quantities)
-    return FURTHER if any(mine & acts(a.candidate.form, quantities) for a in accepted) else THRESHOLD
+    return FURTHER if any(one.acts & a.acts for a in accepted) else THRESHOLD
 
 
 def tested(
-    before: Mapping[str, Scores], after: Mapping[str, Scores], one: Candidate, accepted: Sequence[Accepted]
+    before: Mapping[str, Scores], after: Mapping[str, Scores], one: Candidate, accepted: Sequence[Candidate]
 ) -> HeldOutTest:
     """What held-out readings say of a candidate beside earlier names."""
     return judged(before, after, one.in_days - needed(one, accepted), one.factor, one.in_days < FURTHER)

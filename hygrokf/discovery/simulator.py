@@ -85,9 +85,11 @@ class Simulator:
         inputs = {name for one in self.designs for name in one.model.inputs}
         return tuple(name for name in CONTROLLED if name in inputs)
 
+    def _switch(self, name: str) -> Throttle:
+        return Throttle(**next(one.features[name] for one in self.designs if name in one.features))
+
     def _levels(self, name: str) -> tuple[Parameter, Parameter]:
-        settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = Throttle(**settings)
+        switch = self._switch(name)
         warm = switch.reads == TEMPERATURE
         low, high, unit = (200.0, 400.0, "K") if warm else (-0.5, 1.5, "1")
         first, second = (
@@ -102,8 +104,7 @@ class Simulator:
 
     def _steering(self, name: str) -> tuple[float, float]:
         """Whether a controller follows the humidity, and acts at standstill only."""
-        settings = next(one.features[name] for one in self.designs if name in one.features)
-        switch = Throttle(**settings)
+        switch = self._switch(name)
         return float(switch.reads == HUMIDITY), float(switch.idle)
 
     def affects(self, name: str) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ from hygrokf.discovery.results import (
     DiscoveryResults,
     Finding,
     HeldOutTest,
-    Refuted,
     Rejected,
     read_discovery,
     write_discovery,
@@ -31,7 +30,6 @@ from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     FREE_RUN,
-    INNOVATIONS,
     SYNTHETIC_PAGE,
     Block,
     Card,
@@ -55,30 +53,24 @@ from hygrokf.report.discovery_text import (
     EXCLUSIONS,
     MOST_SATURATED,
     SCORED_AS,
-    actions,
     capital,
     formed,
-    headline,
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    named_alone,
     parameter_cells,
     place_of,
     quantity_of,
-    reasons,
-    settings_words,
     signed_percent,
     tried,
     unchanged,
-    warned,
+    verdict_of,
 )
 from hygrokf.report.figures.lead import episodes, errors_over_drivers
 from hygrokf.report.figures.residual_structure import (
     TITLE,
     figure_day_hour,
     figure_error_course,
-    figure_innovations,
 )
 from hygrokf.report.fit_page import write_report
 from hygrokf.report.fit_tables import rmse_table
@@ -91,8 +83,8 @@ def findings_table(found: Sequence[Finding], when: str = "in the identification 
     """Significant and material errors of a simulation, worst first."""
     rows = tuple(
         (
-            capital(one.statement.split(" (", 1)[0]),
-            f"{plain_number(one.size, 2)} {one.unit}".strip(),
+            capital(one.statement),
+            f"{plain_number(one.size, 2)} {quantity_of(one.quantity)[1]}",
             f"{one.n_episodes} of {one.n_possible}",
             percent(one.sensor_share),
             p_value(one.p_adjusted),
@@ -211,10 +203,9 @@ def _change(before: float, after: float) -> str:
 
 def evidence_table(found: DiscoveryResults) -> Table:
     """Every cause that was judged, in order of its evidence; accepted ones are set off."""
-    judged: list[tuple[CauseFound | Refuted | Rejected, str]] = [
+    judged: list[tuple[CauseFound | Rejected, str]] = [
         *((one, _accepted(one)) for one in found.causes),
-        *((one, "held-out readings refute it") for one in found.refuted),
-        *((one, _reason(found, one)) for one in found.rejected),
+        *((one, _reason(found, one)) for one in (*found.refuted, *found.rejected)),
     ]
     judged.sort(key=lambda row: -worth if math.isfinite(worth := row[0].evidence.evidence) else math.inf)
     rows = []
@@ -223,7 +214,7 @@ def evidence_table(found: DiscoveryResults) -> Table:
         paid = (str(known.constants), str(known.searched)) if known.gains else (NONE, NONE)
         gains = (fixed(known.gains.get(q, math.nan), 1) for q in ("temperature", "vapour"))
         worths = (fixed(known.evidence, 1), fixed(known.in_days, 1))
-        rows.append((capital(formed(one.cause, one.form)), *gains, *paid, *worths, outcome))
+        rows.append((capital(formed(one)), *gains, *paid, *worths, outcome))
     return Table(
         "In order of their evidence",
         ("cause (best form)", "temp.", "hum.", "constants", "settings", "net", "in days", "outcome"),
@@ -293,7 +284,7 @@ def discovery_blocks(
     body = (
         *section(
             "What the simulation gets wrong",
-            Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
+            Prose(FREE_RUN, "note"),
             table_or(
                 findings_table(found.findings),
                 "No significant and material error that the accuracy of the sensors does not explain.",
@@ -321,10 +312,11 @@ def discovery_blocks(
         ),
     )
     gains = table_or(gains_table(found), "No errors of a free run are known.")
+    verdict = verdict_of(found)
     card = Card(
-        "Verdict", headline(found), bounds=named_alone(found).removeprefix(", "),
-        lines=tuple(map(sentence, (*reasons(found), *actions(found)))), wide=True, words=True,
-        tone="open" if warned(found) else "plain",
+        "Verdict", verdict.headline, bounds=verdict.confidence,
+        lines=tuple(map(sentence, (*verdict.reasons, *verdict.actions))), wide=True, words=True,
+        tone="open" if verdict.warned else "plain",
     )  # fmt: skip
     return Page(
         "Discovery report",
@@ -351,14 +343,13 @@ def spans_text(before: Residuals | None) -> tuple[str, ...]:
 # --- sections --------------------------------------------------------------------------------
 
 
-def _judged(found: DiscoveryResults, one: CauseFound | Refuted) -> tuple[Block, ...]:
+def _judged(found: DiscoveryResults, one: CauseFound | Rejected) -> tuple[Block, ...]:
     """A cause: settings and parameters of one that was accepted, and the held-out test."""
-    blocks: list[Block | None] = [Heading(capital(formed(one.cause, one.form)), 3)]
+    blocks: list[Block | None] = [Heading(capital(formed(one)), 3)]
     if isinstance(one, CauseFound):
-        settings = settings_words(one.settings)
         without = "The cause has no parameters of its own: it corrects time stamps."
         blocks += [
-            Prose(f"Found by search: {'; '.join(settings)}.") if settings else None,
+            Prose(f"Found by search: {'; '.join(one.chosen)}.") if one.chosen else None,
             table_or(parameters_table(one), without),
         ]
     return present(
@@ -442,7 +433,7 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The errors over drivers, over days and hours, and the innovations."""
+    """The errors over drivers, and over days and hours."""
     figures = [errors_over_drivers(found, before, after)]
     for quantity in QUANTITIES:
         changed = after if _differ(before, after, quantity) else None
@@ -456,15 +447,6 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
                 partial(figure_day_hour, before, quantity, changed),
             )
         )
-    figures.append(
-        Figure(
-            "innovations",
-            "Innovations: periods, and correlation with the drivers",
-            "Curves should stay within the grey bands. A peak shows a period; a correlation at lags above "
-            "zero shows a response to that driver that the one-step prediction lacks.",
-            lambda: figure_innovations(before, after),
-        )
-    )
     return figures
 
 
@@ -474,5 +456,5 @@ def _differ(before: Residuals, after: Residuals | None, quantity: str) -> bool:
         return False
     if len(before.time_h) != len(after.time_h):
         return True
-    apart = np.abs(before.error(quantity) - after.error(quantity))
+    apart = np.abs(before.error[quantity] - after.error[quantity])
     return bool(np.nanmax(apart, initial=0.0) > 0.01 * before.rmse(quantity))

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from datetime import UTC, datetime
-from typing import Any
+from dataclasses import dataclass
 
-from hygrokf.discovery.forms import IN_SUMMER
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, WORSE_GROWTH
 from hygrokf.discovery.repeats import repeated_text
 from hygrokf.discovery.results import (
     CauseFound,
-    CauseParameter,
     DiscoveryResults,
     ErrorGain,
     HeldOutTest,
-    Settings,
+    Rejected,
     SpectralLine,
 )
+from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
@@ -32,55 +30,8 @@ from hygrokf.identification.wording import (
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.fit_tables import unit
 
-FORMS = {
-    "second_mass": "a second mass beside the converter",
-    "roof": "on the roof",
-    "wall": "on a wall",
-    "linear": "in proportion to the wind speed",
-    "square": "in proportion to its square",
-    "thermostat_always": "thermostat, at any time",
-    "thermostat_standstill": "thermostat, at standstill",
-    "humidistat_always": "humidistat, at any time",
-    "humidistat_standstill": "humidistat, at standstill",
-    "stage": "a stage that grows with the temperature",
-    "capacity": "of constant power",
-    "vent": "a vent opened by temperature",
-    "vent_by_humidity": "a vent opened by humidity",
-    "date": "from a date on",
-    "windows": "single openings",
-    "straight": "in proportion to time",
-    "saturating": "from a date on, and less and less",
-    "daily": "every day",
-    "workdays": "on workdays",
-    "smoothed": "a smoothed series",
-    "air_lags": "the air around the cabinet lags the series",
-    "intake_lags": "the intake air lags the series",
-    "offset": "offset of the vapour",
-    "humidity": "offset of the relative humidity",
-    "gain": "gain of the vapour",
-    "thin": "thin material, alike at all temperatures",
-    "thin_activated": "thin material, faster when warm",
-    "slab": "a slab, alike at all temperatures",
-    "slab_activated": "a slab, faster when warm",
-    "cold_surface": "on a cold surface",
-    "night_sky": "on a surface cooled by the night sky",
-    "all_rain": "with all rain",
-    "plate": "a cold plate",
-    "plate_warms": "a cold plate whose heat stays in the cabinet",
-    "desiccant": "a desiccant",
-    "constant": "constant",
-    "wet_surface": "a wet surface",
-    "standstill": "at standstill",
-    "fading": "drying out from a date on",
-    "by_the_clock": "in the same hours of the day",
-    "drift": "an offset that grows",
-    "scale_drifts": "a scale that goes off",
-    "scale": "a scale that is off",
-    "ceiling": "a ceiling of the readings",
-    "as_given": "",
-}
-"""Code of a form → words; that of a clock is its source's name and stays as it is."""
 EXCLUSIONS = {
+    "refuted": "held-out readings refute it",
     "no_effect": "the screening finds no effect",
     "weak": "too little evidence",
     "weak_by_days": "too little evidence in independent days",
@@ -88,16 +39,42 @@ EXCLUSIONS = {
     "left_to_budget": "not judged: the budget ended the search",
     "no_form": "this record cannot show it",
 }
+"""Why a cause was left out."""
+REFUTATIONS = {
+    "no_effect": "in the final set of parameters it has no effect",
+    "no_gain": "held-out readings speak against it more strongly than the others speak for it",
+    "unproven": "its evidence is small, and it lowers no held-out free-run error by {least}",
+    "worse": "with it the errors of the {names} on held-out readings grow",
+}
+"""Why held-out readings refute a cause."""
 ESTIMATORS = {
     "likelihood": "maximise the likelihood of the search",
     "output-error": "minimise the error of the free run (output error)",
 }
-VERDICTS = {
-    "none": "This record shows no missing cause",
-    "unexplained": "Something is missing; the cause is unknown",
+ANSWERS = {
+    "named": "{names}",
+    "ambiguous": "{names}",
+    "unexplained": "something is missing beside {names}",
+    "unexplained, no name": "something is missing; the cause is unknown",
+    "refuted": "held-out readings refute {refuted}",
+    "unproven": "held-out readings do not bear out {refuted}",
+    "none": "this record shows no missing cause",
+    "wrong": "no cause was found, but the model is not right",
 }
-"""The verdict where no cause is named."""
-NOT_RIGHT = "No cause was found, but the model is not right"
+"""The verdict in a few words."""
+MEANINGS = {
+    "none": "has enough evidence; the errors look like the ordinary disturbances of a cabinet",
+    "wrong": "has enough evidence, yet the base model is wrong",
+    "unexplained, no name": "explains it, so no cause is named",
+}
+"""What follows from it of the causes that were judged."""
+RHYTHM = "look for influences with this period that are not logged: tides, routines, duty cycles"
+KEEP = "keep the base model; a cause may be missing that this record does not show"
+ACTIONS = {
+    "unexplained": RHYTHM, "unexplained, no name": RHYTHM, "refuted": KEEP, "unproven": KEEP, "none": KEEP,
+}  # fmt: skip
+"""What to do after a verdict that does not name the whole cause."""
+WARNINGS = ("unexplained", "unexplained, no name", "wrong")
 PERIOD = {"validation": "held-out readings", "identification": "identification readings"}
 SCORED_AS = {
     "temperature": "temperature_K",
@@ -113,8 +90,6 @@ MOST_SATURATED = 0.01
 """Share of readings at the sensor's ceiling from which condensation cannot be excluded."""
 UNCHANGED = 5e-3
 """Relative change of an error that is told as none."""
-MOST_SPANS = 5
-"""Stretches of time of a cause that are told."""
 
 
 # --- words -----------------------------------------------------------------------------------
@@ -136,16 +111,9 @@ def listed(words: Iterable[str], last: str = "and") -> str:
     return f" {last} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
-def form_words(code: str) -> str:
-    """A form in words; of a clock its source."""
-    source, summer, _ = code.partition(IN_SUMMER)
-    return f"{source}, in summer time" if summer else FORMS.get(code, code)
-
-
-def formed(cause: str, form: str) -> str:
+def formed(one: CauseFound | Rejected) -> str:
     """A cause with its form: "unlogged heater (humidistat, at standstill)"."""
-    words = form_words(form)
-    return f"{spoken(cause)} ({words})" if words else spoken(cause)
+    return f"{spoken(one.cause)} ({one.form})" if one.form else spoken(one.cause)
 
 
 def signed_percent(share: float) -> str:
@@ -167,53 +135,84 @@ def unchanged(before: float, after: float) -> bool:
 # --- the verdict -----------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class DiscoveryVerdict:
+    """A discovery's verdict in words.
+
+    headline: the first sentence; confidence: behind the only cause that it names, else "".
+    reasons: doubts, what is left, the causes, and what limits the verdict.
+    actions: what to check in the turbine, and what to do else.
+    warned: whether the model is wrong, or the search did not end.
+    """
+
+    headline: str
+    confidence: str
+    reasons: tuple[str, ...]
+    actions: tuple[str, ...]
+    warned: bool
+
+
+def verdict_of(found: DiscoveryResults) -> DiscoveryVerdict:
+    """The verdict of a discovery in words."""
+    names, refuted = " + ".join(map(class_of, found.causes)), listed(map(formed, found.refuted))
+    constants = inherited(found.baseline.fit).items()
+    wrong = [f"its {n} time constant is {c.words}: {c.why}" for n, c in constants if c.verdict == REJECT]
+    code = _code(found, bool(wrong))
+    headline = answer = capital(ANSWERS[code].format(names=names or "a cause", refuted=refuted))
+    reasons = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
+    actions = [text for one in found.causes for text in _checks(one)]
+    ended = bool(found.work.not_judged)
+    if ended:
+        budget = f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
+        left = listed(map(spoken, found.work.not_judged))
+        headline = f"The budget of {budget} ended the search; not judged: {left}"
+        so_far = "no cause is named" if code == "none" else answer
+        reasons.insert(0, f"so far: {so_far[:1].lower()}{so_far[1:]}")
+    reasons += [line_sentence(one) for one in found.lines]
+    if code in MEANINGS and not (ended and code == "none"):
+        reasons.append(f"none of the {tried(found)} causes that were judged {MEANINGS[code]}")
+    if code == "wrong":
+        reasons += wrong
+    if found.refuted:
+        beside = "" if found.verdict == "refuted" else f"held-out readings refute {refuted}; "
+        why = (f"{spoken(one.cause)}: {refutation(one.held_out)}" for one in found.refuted)
+        reasons.append(beside + "; ".join(why))
+    alone = len(found.causes) == 1 and not ended
+    reasons += [_cause(found, one, alone) for one in found.causes]
+    reasons += [f"the extended model still errs: {one.statement}" for one in found.left[:1]]
+    if found.saturated > MOST_SATURATED:
+        share = percent(found.saturated, 1)
+        ceiling = f"{share} of the humidity readings are at the sensor’s ceiling"
+        reasons.append(f"{ceiling}, so condensation cannot be excluded")
+    if ended:
+        actions.append(f"allow more than {budget} with --budget")
+    elif code in ACTIONS:
+        actions.append(ACTIONS[code])
+    repeated = {
+        name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()
+    }
+    if any(repeated.values()):
+        reasons.append(repeated_text(repeated))
+        actions.append("find out why the logger repeats readings")
+    sure = sure_of(found.causes[0]) if alone and found.verdict in ("named", "ambiguous") else ""
+    return DiscoveryVerdict(
+        headline, sure, tuple(filter(None, reasons)), tuple(actions), ended or code in WARNINGS
+    )
+
+
+def _code(found: DiscoveryResults, wrong: bool) -> str:
+    """The row of `ANSWERS` that a discovery has; wrong: whether a time constant of its base is rejected."""
+    if found.verdict == "unexplained" and not found.causes:
+        return "unexplained, no name"
+    if found.verdict == "refuted" and all(one.held_out.reason == "unproven" for one in found.refuted):
+        return "unproven"
+    return "wrong" if found.verdict == "none" and wrong else found.verdict
+
+
 def tried(found: DiscoveryResults) -> int:
     """How many causes were judged."""
-    judged = {one.cause for one in found.rejected if one.reason not in ("left_to_budget", "no_form")}
-    return len(judged | {one.cause for one in found.causes} | {one.cause for one in found.refuted})
-
-
-def unfinished(found: DiscoveryResults) -> str:
-    """That the budget ended the search, and which causes were not judged; empty where it did not."""
-    if not found.work.not_judged:
-        return ""
-    left = listed(map(spoken, found.work.not_judged))
-    return f"The budget of {_simulations(found)} ended the search; not judged: {left}"
-
-
-def _simulations(found: DiscoveryResults) -> str:
-    """The budget in words."""
-    return f"{found.work.budget:,} simulation{'' if found.work.budget == 1 else 's'}"
-
-
-def headline(found: DiscoveryResults) -> str:
-    """The first sentence of the verdict."""
-    return unfinished(found) or answer(found)
-
-
-def named_alone(found: DiscoveryResults) -> str:
-    """The confidence behind the only cause that the headline names; empty where it names none or several."""
-    alone = found.verdict in ("named", "ambiguous") and len(found.causes) == 1 and not unfinished(found)
-    return sure_of(found.causes[0]) if alone else ""
-
-
-def warned(found: DiscoveryResults) -> bool:
-    """Whether the verdict is a warning: the model is wrong, or the search did not end."""
-    return found.verdict == "unexplained" or answer(found) == NOT_RIGHT or bool(unfinished(found))
-
-
-def answer(found: DiscoveryResults) -> str:
-    """The verdict in a few words: the causes' names, or that none is named."""
-    names = " + ".join(map(class_of, found.causes))
-    if found.verdict in ("named", "ambiguous"):
-        return capital(names or "a cause")
-    if found.verdict == "unexplained" and names:
-        return f"Something is missing beside {names}"
-    if found.verdict == "refuted":
-        mild = all(one.held_out.reason == "unproven" for one in found.refuted)
-        names = listed(formed(one.cause, one.form) for one in found.refuted)
-        return f"Held-out readings {'do not bear out' if mild else 'refute'} {names}"
-    return NOT_RIGHT if found.verdict == "none" and _doubts(found) else VERDICTS[found.verdict]
+    left = {one.cause for one in found.rejected if one.reason not in ("left_to_budget", "no_form")}
+    return len(left | {one.cause for one in found.causes} | {one.cause for one in found.refuted})
 
 
 def class_of(one: CauseFound) -> str:
@@ -221,86 +220,21 @@ def class_of(one: CauseFound) -> str:
     rest = [spoken(rival) for rival in one.ambiguous_with]
     if not one.told_apart:
         return f"not told apart: {', '.join([spoken(one.cause), *rest])}"
-    return listed([formed(one.cause, one.form), *rest], "or")
+    return listed([formed(one), *rest], "or")
 
 
-def _doubts(found: DiscoveryResults) -> list[str]:
-    """The base model's time constants that are rejected, with the reason."""
-    return [
-        f"its {part} time constant is {one.words}: {one.why}"
-        for part, one in inherited(found.baseline.fit).items()
-        if one.verdict == REJECT
-    ]
-
-
-def reasons(found: DiscoveryResults) -> list[str]:
-    """What follows the headline: doubts, what is left, the causes, and what limits the verdict."""
-    said = [f"settle this first, for a wrong reading looks like a cause: {one}" for one in found.doubts]
-    if unfinished(found):
-        known = "no cause is named" if found.verdict == "none" and not _doubts(found) else answer(found)
-        said.insert(0, f"so far: {known[:1].lower()}{known[1:]}")
-    causes = (_cause(found, one) for one in found.causes)
-    return [text for text in (*said, *meaning(found), *causes, *warnings(found)) if text]
-
-
-def _cause(found: DiscoveryResults, one: CauseFound) -> str:
+def _cause(found: DiscoveryResults, one: CauseFound, alone: bool) -> str:
     """A cause: its name where the headline does not state it alone, meaning, mark and rivals."""
-    what = "" if one.ambiguous_with else one.statement
-    if len(found.causes) > 1 or unfinished(found):
-        name = f"{class_of(one)}{sure_of(one)}"
-        what = f"{name}: {what}" if what else name
-    return "; ".join(text for text in (what, marked(found, one.held_out), alike_sentence(one)) if text)
+    name = "" if alone else ", ".join(filter(None, (class_of(one), sure_of(one))))
+    meaning = ": ".join(filter(None, (name, "" if one.ambiguous_with else one.statement)))
+    return "; ".join(filter(None, (meaning, marked(found, one.held_out), alike_sentence(one))))
 
 
-def actions(found: DiscoveryResults) -> list[str]:
-    """What to check in the turbine, and what to do after a verdict that does not name the whole cause."""
-    said = []
-    for one in found.causes:
-        if one.told_apart and one.remedy not in ("", one.separate_by):
-            said.append(f"check in the turbine for {spoken(one.cause)}: {one.remedy}")
-        if one.ambiguous_with and one.separate_by:
-            said.append(f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}")
-    if unfinished(found):
-        said.append(f"allow more than {_simulations(found)} with --budget")
-    elif found.verdict == "unexplained":
-        said.append("look for influences with this period that are not logged: tides, routines, duty cycles")
-    elif found.verdict == "refuted" or (found.verdict == "none" and not _doubts(found)):
-        said.append("keep the base model; a cause may be missing that this record does not show")
-    if found.repeated:
-        said.append("find out why the logger repeats readings")
-    return said
-
-
-def meaning(found: DiscoveryResults) -> list[str]:
-    """What the verdict says of the model and of the errors that are left."""
-    none_of = f"none of the {tried(found)} causes that were judged"
-    if found.verdict == "none" and (doubts := _doubts(found)):
-        return [f"{none_of} has enough evidence, yet the base model is wrong", *doubts]
-    if found.verdict == "none" and unfinished(found):
-        return []
-    if found.verdict == "none":
-        return [f"{none_of} has enough evidence; the errors look like the ordinary disturbances of a cabinet"]
-    left = [line_sentence(one) for one in found.lines]
-    if found.verdict == "unexplained" and not found.causes:
-        left.append(f"{none_of} explains it, so no cause is named")
-    if found.refuted:
-        names = listed(formed(one.cause, one.form) for one in found.refuted)
-        reasons = [f"{spoken(one.cause)}: {refutation(one.held_out)}" for one in found.refuted]
-        beside = "" if found.verdict == "refuted" else f"held-out readings refute {names}; "
-        left.append(beside + "; ".join(reasons))
-    return left
-
-
-def warnings(found: DiscoveryResults) -> list[str]:
-    """The worst error of the extended model, and readings that were saturated or repeated."""
-    said = [f"the extended model still errs: {one.statement}" for one in found.left[:1]]
-    if found.saturated > MOST_SATURATED:
-        said.append(
-            f"{percent(found.saturated, 1)} of the humidity readings are at the sensor’s ceiling, so "
-            "condensation cannot be excluded"
-        )
-    known = {name: [s for s in spans if all(map(math.isfinite, s))] for name, spans in found.repeated.items()}
-    return [*said, repeated_text(known)] if any(known.values()) else said
+def _checks(one: CauseFound) -> Iterable[str]:
+    if one.told_apart and one.remedy not in ("", one.separate_by):
+        yield f"check in the turbine for {spoken(one.cause)}: {one.remedy}"
+    if one.ambiguous_with and one.separate_by:
+        yield f"to tell {spoken(one.cause)} from its rivals: {one.separate_by}"
 
 
 def line_sentence(one: SpectralLine) -> str:
@@ -358,7 +292,7 @@ def sure_of(one: CauseFound) -> str:
         return ""
     share = one.confidence
     known = "> 99 %" if share >= 0.995 else percent(share) if math.isfinite(share) else "not stated"
-    return f", confidence {known}"
+    return f"confidence {known}"
 
 
 def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
@@ -372,17 +306,9 @@ def marked(found: DiscoveryResults, one: HeldOutTest) -> str:
 
 def refutation(one: HeldOutTest) -> str:
     """Why held-out readings refute a cause."""
-    if one.reason == "no_effect":
-        return "in the final set of parameters it has no effect"
-    if one.reason == "no_gain":
-        return "held-out readings speak against it more strongly than the others speak for it"
-    if one.reason == "unproven":
-        return (
-            f"its evidence is small, and it lowers no held-out free-run error by {percent(LEAST_IMPROVEMENT)}"
-        )
     grown = [q for q in one.z if one.growth.get(q, math.nan) > WORSE_GROWTH]
     names = listed(dict.fromkeys(quantity_of(q)[0] for q in grown)) or "cabinet"
-    return f"with it the errors of the {names} on held-out readings grow"
+    return REFUTATIONS[one.reason or "worse"].format(names=names, least=percent(LEAST_IMPROVEMENT))
 
 
 def held_out_sentence(found: DiscoveryResults, one: HeldOutTest) -> str:
@@ -399,14 +325,13 @@ def alike_sentence(cause: CauseFound) -> str:
     """The forms and causes that this record cannot tell apart; empty where there are none."""
     said = []
     if cause.forms_alike:
-        forms = listed((form_words(form) or "as given" for form in cause.forms_alike), "or")
-        said.append(f"in this form or {forms}: this record cannot tell these apart")
+        said.append(f"in this form or {listed(cause.forms_alike, 'or')}: this record cannot tell these apart")
     if cause.ambiguous_with and cause.told_apart:
         said.append(f"this record cannot tell it from {listed(map(spoken, cause.ambiguous_with))}")
     return "; ".join(said)
 
 
-def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
+def parameter_cells(row: ParameterRow) -> tuple[str, str, str]:
     """(value, bounds, unit) of a parameter with the digits that its bounds justify; levels in °C."""
     value, low, high = row.value, row.lower, row.upper
     symbol = unit(row.unit)
@@ -418,56 +343,3 @@ def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
     else:
         shown = [plain_number(value), *(plain_number(v) if math.isfinite(v) else "open" for v in (low, high))]
     return shown[0], f"{shown[1]} … {shown[2]}", symbol
-
-
-TOLD_ELSEWHERE = (
-    "start_s", "end_s", "reads", "idle", "rising", "workdays", "start", "full", "on", "off", "on_K", "off_K",
-    "source", "relative_to",
-)  # fmt: skip
-"""Settings that the form, the record or the parameters (levels of controllers) tell."""
-_UNITS = {"_K": "K", "_h": "h", "_deg": "°", "_min": "min", "_mm": "mm"}
-
-
-def settings_words(settings: Settings) -> list[str]:
-    """Settings that were found on a grid: dates, hours, clock errors, each in its own words."""
-    return [
-        words
-        for key, value in settings.items()
-        if key not in TOLD_ELSEWHERE
-        for words in _setting_words(key, value, settings)
-    ]
-
-
-def _setting_words(key: str, value: Any, settings: Settings) -> list[str]:
-    if isinstance(value, list | tuple):
-        spans = [one for one in value if isinstance(one, list | tuple) and len(one) == 2]
-        rest = len(spans) - MOST_SPANS
-        said = [f"from {date_words(a)} to {date_words(b)}" for a, b in spans[:MOST_SPANS]]
-        return [*said, f"and {rest} more"] if rest > 0 else said
-    if isinstance(value, bool) or value is None:
-        return []
-    if not isinstance(value, int | float):
-        return [f"{spoken(key)} {value}"]
-    if key == "date_s":
-        return [f"date {date_words(value)}"]
-    if key == "shift_s":
-        source = settings.get("source", "the source")
-        other = f" against {settings['relative_to']}" if "relative_to" in settings else ""
-        when = " in summer time" if settings.get("summer") else ""
-        return [f"stamps of {source} moved by {fixed(value / 60.0, 1)} min{when}{other}"]
-    if key == "days":
-        return [f"over {plain_number(value)} days"] if value else []
-    if key == "start_h":
-        return [f"from {value:g} h UTC"]
-    if key == "hours":
-        return [f"for {value:g} h"]
-    ending = next((end for end in _UNITS if key.endswith(end)), "")
-    return [f"{spoken(key.removesuffix(ending))} {plain_number(value)} {_UNITS.get(ending, '')}".strip()]
-
-
-def date_words(instant_s: float) -> str:
-    """An instant [s] since 1970 as date and time in UTC."""
-    try:
-        return f"{datetime.fromtimestamp(float(instant_s), UTC):%-d %B %Y %H:%M} UTC"
-    except (TypeError, ValueError, OverflowError, OSError):
-        return "unknown date"

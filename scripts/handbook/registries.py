@@ -16,7 +16,6 @@ from hygrokf.fleet.tasks import SHARED, TASKS
 from hygrokf.physics.mechanisms import BASE, FURTHER, LIBRARY, LOGGED, WANDERING, Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
-from hygrokf.report.discovery_text import form_words
 
 GROUPS: dict[str, tuple[str, str, tuple[Factory, ...]]] = {
     "base": ("Base models", "The two networks of the paper, their disturbances and the sensors.", BASE),
@@ -99,12 +98,11 @@ def cause_section(cause: Cause) -> str:
     names = mechanisms_of(cause)
     lines = [f".. _cause-{cause.name}:", "", heading(cause.name, "-")]
     lines += [f"{rst(cause.meaning[:1].upper() + cause.meaning[1:])}.", ""]
-    forms = cause.forms(_ground())
-    codes = {"the source's name" if form.clock else f"``{form.code}``": form for form in forms}
-    words = ("stamps of one source moved" if form.clock else form_words(form.code) for form in forms)
+    forms = {
+        "stamps of one source moved" if form.clock else form.words: form for form in cause.forms(_ground())
+    }
     facts = {
-        "Forms": rst("; ".join(dict.fromkeys(words))),
-        "Codes (settings)": ", ".join(f"{code} ({len(form.grid)})" for code, form in codes.items()),
+        "Forms (settings)": rst("; ".join(f"{words} ({len(form.grid)})" for words, form in forms.items())),
         "Needs": rst(cause.needs),
         "To check": rst(cause.remedy),
         "Told apart by": rst(cause.separate_by),

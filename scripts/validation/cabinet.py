@@ -82,7 +82,7 @@ def table(lines: Sequence[Mapping]) -> str:
 def courses(before) -> dict[str, dict[str, np.ndarray]]:
     """What the pictures show: readings and free run over the first two weeks of the held-out period, and mean
     errors by outside temperature [°C] and state."""
-    held = before.validation & np.isfinite(before.temperature_error)
+    held = before.validation & np.isfinite(before.error["temperature"])
     first = np.flatnonzero(held)[0]
     weeks = held & (before.time_s < before.time_s[first] + 14 * 86400.0)
     simulated = before.simulated["temperature"] - 273.15
@@ -98,8 +98,8 @@ def courses(before) -> dict[str, dict[str, np.ndarray]]:
     outside = before.drivers["ambient_temperature"] - 273.15
     edges = np.arange(-6.0, 16.0, 2.0)
     for name, state in (("in operation", before.operating), ("at standstill", ~before.operating)):
-        chosen = state & np.isfinite(before.temperature_error)
-        bins = [before.temperature_error[chosen & (outside >= a) & (outside < a + 2.0)] for a in edges]
+        chosen = state & np.isfinite(before.error["temperature"])
+        bins = [before.error["temperature"][chosen & (outside >= a) & (outside < a + 2.0)] for a in edges]
         kept = [(a + 1.0, b.mean()) for a, b in zip(edges, bins, strict=True) if len(b) >= FEWEST]
         found[name] = dict(zip(("outside", "error"), np.array(kept).T, strict=True))
     return found

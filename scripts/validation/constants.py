@@ -91,7 +91,7 @@ def varied(one: Variant) -> Iterator[None]:
 def told(case: dict, ended: Conclusion) -> dict:
     """What is told of a case under a variant: whether its cause is first, false names, the verdict."""
     names = [
-        {"cause": name.candidate.cause, "rivals": sorted({rival.cause for rival in name.rivals})}
+        {"cause": name.cause, "rivals": sorted({rival.cause for rival in name.rivals})}
         for name in ended.accepted
     ]
     line = {**case, "names": names}

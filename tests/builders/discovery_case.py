@@ -38,10 +38,7 @@ def residuals_case(sun: float = 1.5, seed: int = 0) -> Residuals:
     return Residuals(
         time_h=time,
         origin_s=ORIGIN_S,
-        temperature_error=error["temperature"],
-        humidity_error=error["humidity"],
-        temperature_innovation=random.standard_normal(HOURS),
-        humidity_innovation=random.standard_normal(HOURS),
+        error=error,
         drivers={
             "ambient_temperature": ambient,
             "power": power,
@@ -55,7 +52,6 @@ def residuals_case(sun: float = 1.5, seed: int = 0) -> Residuals:
         measured={name: simulated[name] + error[name] for name in error},
         simulated=simulated,
         sd={"temperature": np.full(HOURS, 1.0), "humidity": np.full(HOURS, 0.3)},
-        name="tower 7",
     )
 
 
@@ -96,8 +92,6 @@ def _scores(kelvin: float, grams: float, thermal: float) -> dict:
             for p in periods
         },
         "time_constants": {"thermal": _constant(thermal, 0.05), "hygric": _constant(0.3, 0.02)},
-        "loglik": 1234.5,
-        "n_obs": 1800,
     }
 
 
@@ -124,12 +118,12 @@ def _held_out(before: float, after: float, reason: str = "") -> dict:
     }
 
 
-def cause(name: str = "solar_gain", form: str = "roof", **changes: object) -> dict:
+def cause(name: str = "solar_gain", form: str = "on the roof", **changes: object) -> dict:
     """The plain data of an accepted cause."""
     return {
         "cause": name,
         "form": form,
-        "forms_alike": ["wall"],
+        "forms_alike": ["on a wall"],
         "confidence": 0.87,
         "statement": "the sun heats the cabinet or the tower around it",
         "parameters": {
@@ -141,6 +135,7 @@ def cause(name: str = "solar_gain", form: str = "roof", **changes: object) -> di
                 "meaning": "lag"},
         },
         "settings": {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0},
+        "chosen": ["azimuth 135°"],
         "evidence": _evidence(296.4, 0.2, 2, 274.6, 81.5) | {"lead": 33.3},
         "held_out": _held_out(1.79, 1.57),
         "ambiguous_with": [],
@@ -159,11 +154,9 @@ def _gain(quantity: str, before: float, after: float, lower: float, upper: float
 def _misfit() -> dict:
     start = ORIGIN_S + 10 * 3600.0
     return {
-        "quantity": "temperature", "where": "", "when": "from 10 to 15 h UTC", "size": 1.4, "unit": "K",
-        "direction": "too low", "duration_h": 5.0, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02,
-        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the "
-                     "sensors explain 0.2 K)",
-        "p": 1e-9, "p_adjusted": 1e-7, "driver": "global_horizontal_irradiance", "kind": "hour", "curve": {},
+        "quantity": "temperature", "kind": "hour", "driver": "global_horizontal_irradiance",
+        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low",
+        "size": 1.4, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02, "p_adjusted": 1e-7,
         "spans": [[start + 86400.0 * day, start + 86400.0 * day + 18000.0] for day in (12, 5, 20, 1, 2)],
     }  # fmt: skip
 
@@ -187,11 +180,11 @@ def discovery_case() -> dict:
             "causes": [cause()],
             "rejected": [
                 {
-                    "cause": "door_opening", "form": "windows", "evidence": {}, "reason": "no_effect",
+                    "cause": "door_opening", "form": "single openings", "evidence": {}, "reason": "no_effect",
                 },
                 {
                     "cause": "wall_thermal_mass",
-                    "form": "second_mass",
+                    "form": "a second mass beside the converter",
                     "evidence": _evidence(17.7, 0.0, 3, -5.5, -5.5),
                     "reason": "weak",
                 },
@@ -211,7 +204,7 @@ def discovery_case() -> dict:
 def two_causes_case() -> dict:
     """The plain data of a discovery that names two causes, the second without use on held-out readings."""
     second = cause(
-        "exchange_step", "date", statement="the exchange of air changed at a date", forms_alike=[],
+        "exchange_step", "from a date on", statement="the exchange of air changed at a date", forms_alike=[],
         remedy="ask what was done on that date", held_out=_held_out(1.57, 1.56), confidence=0.61,
     )  # fmt: skip
     return discovery_case() | {"causes": [cause(), second]}
@@ -221,8 +214,9 @@ def ambiguous_case() -> dict:
     """The plain data of a discovery that cannot tell an error of the humidity sensor from water."""
     check = "compare the humidity sensor with a second one, before anything rests on either"
     wet = cause(
-        "humidity_sensor_drift", "drift", statement="the humidity sensor drifts, or its scale is off",
-        forms_alike=["scale_drifts"], ambiguous_with=["internal_moisture_source", "moisture_sorption"],
+        "humidity_sensor_drift", "an offset that grows", forms_alike=["a scale that goes off"],
+        statement="the humidity sensor drifts, or its scale is off",
+        ambiguous_with=["internal_moisture_source", "moisture_sorption"],
         separate_by=check, remedy=check, confidence=0.48, settings={},
         evidence=_evidence(0.0, 88.0, 1, 79.5, 40.1) | {"lead": 20.0},
     )  # fmt: skip
@@ -260,7 +254,8 @@ def unexplained_case() -> dict:
 def refuted_case() -> dict:
     """The plain data of a discovery whose cause held-out readings refute."""
     one = {
-        "cause": "unlogged_heater", "form": "humidistat_standstill", "evidence": cause()["evidence"],
+        "cause": "unlogged_heater", "form": "humidistat, at standstill", "evidence": cause()["evidence"],
+        "reason": "refuted",
         "held_out": _held_out(1.85, 2.4, "worse")
         | {"z": {"temperature": 4.4}, "growth": {"temperature": 0.52}},
     }  # fmt: skip

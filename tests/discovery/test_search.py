@@ -17,11 +17,11 @@ from hygrokf.discovery.final_set import FinalSet, final_estimator, final_set, fi
 from hygrokf.discovery.forms import ground_of
 from hygrokf.discovery.judgement import LEAST_IMPROVEMENT, Scores, judged, levelled, scores
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.search import Search, SearchEnd, composed
+from hygrokf.discovery.search import Search, composed
 from hygrokf.discovery.starting_model import base_estimate, free_run_error, renewed
 
 DAYS = 90.0
-Run = tuple[object, SearchEnd, int]
+Run = tuple[object, Search, int]
 
 
 def found(cause: str, seed: int) -> Run:
@@ -32,7 +32,7 @@ def found(cause: str, seed: int) -> Run:
     base = base_estimate(record)
     ground = ground_of(record, base.simulator.heat, base.simulator.vapour)
     ended = Search(base, [form for one in LIBRARY for form in one.forms(ground)]).run()
-    return made, ended, ended.final.simulator.work.simulations
+    return made, ended, ended.parent.simulator.work.simulations
 
 
 @pytest.fixture(scope="module")
@@ -47,19 +47,19 @@ def nothing() -> Run:
 
 @pytest.fixture(scope="module")
 def final(sunny: Run) -> FinalSet:
-    one = sunny[1].final
+    one = sunny[1].parent
     return final_set(one, final_estimator(one))
 
 
 def test_a_hidden_sun_is_named_first_and_lowers_the_held_out_error(sunny: Run) -> None:
     first = sunny[1].accepted[0]
-    assert first.candidate.cause == "solar_gain" and not first.judged.reason
+    assert first.cause == "solar_gain" and not first.judged.reason
     assert first.judged.after["temperature"] < 0.9 * first.judged.before["temperature"]
-    assert first.candidate.strength > 25.0
+    assert first.strength > 25.0
 
 
 def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
-    base, final = sunny[1].base, sunny[1].final
+    base, final = sunny[1].base, sunny[1].parent
     whole = composed(base, [], final, final.quantities)
     for one in (composed(base, [], final, {"temperature"}), renewed(final, {"temperature"})):
         assert one.variances["vapour"].tobytes() == final.variances["vapour"].tobytes()
@@ -72,12 +72,12 @@ def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
 
 
 def test_a_plant_that_hides_nothing_has_no_name_and_no_line(nothing: Run) -> None:
-    assert nothing[1].accepted == () and lines(nothing[1].final, {}) == []
+    assert nothing[1].accepted == [] and lines(nothing[1].parent, {}) == []
 
 
 def test_the_same_search_gives_the_same_numbers(nothing: Run) -> None:
     _, again, count = found("none", 9102)
-    assert again.final.theta.tobytes() == nothing[1].final.theta.tobytes()
+    assert again.parent.theta.tobytes() == nothing[1].parent.theta.tobytes()
     assert count == nothing[2]
 
 
@@ -146,7 +146,7 @@ def test_little_evidence_needs_held_out_readings_that_bear_it_out(
     sunny: Run, nothing: Run
 ) -> None:
     base = scores(levelled(sunny[1].base))
-    borne_out = judged(base, scores(levelled(sunny[1].final)), spare=1e4, weak=True)
+    borne_out = judged(base, scores(levelled(sunny[1].parent)), spare=1e4, weak=True)
     assert borne_out.reason == "" and borne_out.improvement > LEAST_IMPROVEMENT
     assert judged(base, base, weak=True).reason == "unproven"
     # nothing was held out

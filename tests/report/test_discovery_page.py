@@ -35,9 +35,16 @@ from hygrokf.commands.main import main
 from hygrokf.data.clocks import sources
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain
-from hygrokf.discovery.forms import Ground
+from hygrokf.discovery.forms import Form, Ground, Setting
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.results import Discovery, DiscoveryResults, read_discovery, write_discovery
+from hygrokf.discovery.procedure import chosen as told
+from hygrokf.discovery.results import (
+    Discovery,
+    DiscoveryResults,
+    Rejected,
+    read_discovery,
+    write_discovery,
+)
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
@@ -51,14 +58,12 @@ from hygrokf.report.discovery_page import (
     write_discovery_report,
 )
 from hygrokf.report.discovery_text import (
-    FORMS,
     formed,
     held_out_sentence,
     held_out_sentences,
     line_sentence,
-    reasons,
-    settings_words,
     signed_percent,
+    verdict_of,
 )
 from hygrokf.report.figures.drawing import NothingToShow
 from hygrokf.report.figures.residual_structure import figure_error_course, telling_drivers
@@ -96,7 +101,7 @@ def test_the_page_needs_nothing_else(whole: str) -> None:
     page = expect_alone(whole)
     assert [attributes["href"] for tag, attributes in page.tags if tag == "a"] == ["fit_report.html"]
     drawn = [attributes for tag, attributes in page.tags if tag == "svg"]
-    assert len(drawn) == 6 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
+    assert len(drawn) == 5 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
 
 
 def test_the_verdict_and_its_picture_come_first_and_what_was_tried_last(whole: str) -> None:
@@ -187,7 +192,7 @@ def test_what_the_extension_leaves_alone_is_drawn_once(whole: str) -> None:
 def test_an_event_is_shown_where_it_was_found() -> None:
     found = discovery_case() | {"findings": []}
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
-    found["causes"][0] |= {"cause": "door_opening", "form": "windows", "settings": {"spans": [span]}}
+    found["causes"][0] |= {"cause": "door_opening", "form": "single openings", "settings": {"spans": [span]}}
     page = discovery_blocks(typed(found), residuals_case(), residuals_case(0.2))
     assert page.lead[-2].name == "episodes-1" and page.lead[-2].heading.startswith("The sun heats")
     text = page_html(discovery_blocks(typed(found), residuals_case(), residuals_case(0.2)))
@@ -345,7 +350,7 @@ def test_the_course_of_the_error_shows_each_day_of_both_models() -> None:
         edges, values = _steps(one)
         late = residuals.validation
         expected = [
-            np.sqrt(np.nanmean(residuals.temperature_error[late & (residuals.time_h // 24 == day)] ** 2))
+            np.sqrt(np.nanmean(residuals.error["temperature"][late & (residuals.time_h // 24 == day)] ** 2))
             for day in range(30, 40)
         ]
         np.testing.assert_allclose(values, expected, rtol=1e-12)
@@ -355,9 +360,10 @@ def test_the_course_of_the_error_shows_each_day_of_both_models() -> None:
 
 def test_days_without_readings_are_gaps_and_no_held_out_part_is_told() -> None:
     before, after = residuals_case(), residuals_case(0.2)
-    error = before.temperature_error.copy()
+    error = before.error["temperature"].copy()
     error[24 * 33 : 24 * 34] = np.nan
-    warm, _ = figure_error_course(replace(before, temperature_error=error), after).figure().axes
+    holed = replace(before, error={**before.error, "temperature": error})
+    warm, _ = figure_error_course(holed, after).figure().axes
     _, values = _steps(warm.get_lines()[0])
     assert np.flatnonzero(np.isnan(values)).tolist() == [3]
     nothing = np.zeros(len(error), bool)
@@ -379,37 +385,37 @@ def test_every_form_of_the_library_has_words() -> None:
     ground = Ground(record, frozenset(), True, 1, True)
     made = [form for cause in LIBRARY for form in cause.forms(ground)]
     assert {form.cause for form in made} == {cause.name for cause in LIBRARY}
-    codes = {form.code for form in made if form.cause != "clock_shift"}
-    assert codes <= set(FORMS), codes - set(FORMS)
-    assert set(FORMS) - codes == {"as_given"}
-    assert {form.code for form in made if form.cause == "clock_shift"} <= set(sources(record))
+    assert all(form.words for form in made)
+    clocks = {form.words for form in made if form.cause == "clock_shift"}
+    assert clocks and clocks <= set(sources(record))
 
 
 def test_a_form_is_told_with_its_cause() -> None:
-    assert formed("unlogged_heater", "humidistat_standstill") == "unlogged heater (humidistat, at standstill)"
-    assert formed("clock_shift", "cabinet_log.csv") == "clock shift (cabinet_log.csv)"
-    assert formed("oven", "as_given") == formed("oven", "") == "oven"
+    assert formed(Rejected("unlogged_heater", "humidistat")) == "unlogged heater (humidistat)"
+    assert formed(Rejected("clock_shift", "cabinet_log.csv")) == "clock shift (cabinet_log.csv)"
+    assert formed(Rejected("oven")) == "oven"
 
 
-def test_settings_are_told_in_their_own_words() -> None:
-    settings = {
-        "date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start": 303.15, "full": 308.15, "idle": True,
-        "reads": "cabinet_temperature", "start_h": 6, "hours": 8.0, "workdays": True, "days": 8.0,
-        "shift_s": -3600.0, "source": "a.csv", "relative_to": "b.csv", "half_life_h": 3.0,
-    }  # fmt: skip
-    assert settings_words(settings) == [
-        "date 16 July 2020 00:00 UTC",
-        "azimuth 135 °",
-        "from 6 h UTC",
-        "for 8 h",
-        "over 8.00 days",
-        "stamps of a.csv moved by −60.0 min against b.csv",
-        "half life 3.00 h",
-    ]
-    spans = {"spans": [[ORIGIN_S + 7200.0 * i, ORIGIN_S + 7200.0 * i + 3600.0] for i in range(8)]}
-    first, *_, last = settings_words(spans)
-    assert first == "from 15 July 2020 00:00 UTC to 15 July 2020 01:00 UTC" and last == "and 3 more"
-    assert settings_words({}) == [] and settings_words({"date_s": 1e300}) == ["date unknown date"]
+def test_what_the_search_chose_is_told_in_words() -> None:
+    chosen = {"date_s": ORIGIN_S + 86400.0, "azimuth_deg": 135.0, "start_h": 6, "hours": 8.0, "days": 8.0,
+              "half_life_h": 3.0}  # fmt: skip
+    spans = [[ORIGIN_S, ORIGIN_S + 3600.0]]
+    grid = tuple(Setting({"own": {**chosen, "given": 1, key: 0.0}}) for key in chosen)
+    form = Form("own", "", grid=grid)
+    assert list(told(form, Setting({"own": {**chosen, "given": 1}}), {})) == [
+        "date 2020-07-16T00:00Z", "azimuth 135°", "from 6 h UTC", "for 8 h", "over 8 days",
+        "half_life_h = 3.0",
+    ]  # fmt: skip
+    # one point was given, levels of controllers are parameters
+    assert list(told(replace(form, grid=(Setting({"own": chosen}),)), Setting({"own": chosen}), {})) == []
+    level = Form("own", "", grid=(Setting({"venting": {"start": 1.0}}),))
+    assert list(told(level, Setting({"venting": {"start": 2.0}}), {})) == []
+    door = Form("door", "", grid=(Setting({"door_open": {"spans": []}}),))
+    (said,) = told(door, Setting({"door_open": {"spans": spans}}), {})
+    assert said == "2020-07-15T00:00Z to 2020-07-15T01:00Z"
+    clock = Form("clock_shift", "a.csv", clock="a.csv")
+    (said,) = told(clock, Setting(shift_s=-3600.0), {"relative_to": "b.csv"})
+    assert said == "stamps moved by −60.0 min against b.csv"
 
 
 def test_levels_of_controllers_are_told_in_degrees() -> None:
@@ -447,11 +453,11 @@ def test_what_was_judged_stands_in_order_of_its_evidence_with_its_outcome() -> N
 
 def test_what_is_left_is_told_of_the_extended_model() -> None:
     assert "The errors of the extended model show no structure" in words(discovery_case())
-    statement = "when it rains, simulated humidity is too low (9 h)"
+    statement = "when it rains, simulated humidity is too low"
     left = discovery_case()["findings"][0] | {"statement": statement}
     found = discovery_case() | {"left": [left]}
     text = words(found).split("What is left")[1]
-    assert "When it rains, simulated humidity is too low" in text and "(9 h)" not in text
+    assert "When it rains, simulated humidity is too low" in text
     assert verdict(found).lines[-2] == f"The extended model still errs: {statement}."
     line = {"quantity": "vapour", "period_h": 12.42, "p": 1e-9}
     assert "12.4 h" in line_sentence(typed(discovery_case() | {"lines": [line]}).lines[0])
@@ -470,7 +476,8 @@ def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
 def test_a_doubt_about_the_record_comes_before_any_cause() -> None:
     doubt = "the clock of a.csv seems 2 h fast: if so, state it"
     found = typed(discovery_case() | {"doubts": [doubt]})
-    assert doubt in reasons(found)[0] and len(reasons(found)) > 1
+    reasons = verdict_of(found).reasons
+    assert doubt in reasons[0] and len(reasons) > 1
     assert doubt in " ".join(page_text(discovery_blocks(found)).split())
     assert doubt in Page(page_html(discovery_blocks(found))).text
 
@@ -554,7 +561,8 @@ def test_a_discovery_of_nothing_gives_a_page_that_says_so() -> None:
 
 def test_a_record_without_humidity_leaves_its_pictures_out() -> None:
     nothing = np.full(len(residuals_case().time_h), np.nan)
-    before = replace(residuals_case(), humidity_error=nothing, humidity_innovation=nothing)
+    before = residuals_case()
+    before = replace(before, error={**before.error, "humidity": nothing})
     found = discovery_case()
     for which in ("baseline", "extended"):
         del found[which]["time_constants"]["hygric"]
@@ -592,12 +600,13 @@ def test_residuals_come_back_as_they_were(written: Path) -> None:
     assert plain(read.results) == plain(typed(discovery_case()))
     assert read.before is not None and read.after is not None
     made = residuals_case()
-    for name in ("time_h", "temperature_error", "humidity_innovation", "validation"):
+    for name in ("time_h", "validation"):
         np.testing.assert_array_equal(getattr(read.before, name), getattr(made, name))
-    assert read.before.name == made.name and read.before.origin_s == made.origin_s
-    for name in ("drivers", "measured", "simulated", "sd", "sensor_error"):
+    assert read.before.origin_s == made.origin_s
+    for name in ("drivers", "error", "measured", "simulated", "sd", "sensor_error"):
         assert set(getattr(read.before, name)) == set(getattr(made, name))
     np.testing.assert_array_equal(read.before.drivers["power"], made.drivers["power"])
+    np.testing.assert_array_equal(read.before.error["humidity"], made.error["humidity"])
 
 
 def test_report_makes_both_pages_again(written: Path, whole: str, capsys: pytest.CaptureFixture) -> None:

@@ -5,13 +5,14 @@ The residuals of an extended model, given as `after`, are laid over those of the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.residuals import HUMIDITY, QUANTITIES, TEMPERATURE, UNITS, Residuals, binned
+from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, binned
 from hygrokf.discovery.results import LASTING_KINDS, DiscoveryResults, Finding
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import AMBIENT, INK, MEASURED, SIMULATED, NothingToShow
@@ -31,8 +32,8 @@ from hygrokf.report.figures.panels import (
 from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label, held_out
 
 CONDITION = "#f3e3c0"
-COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
-AMBIENT_NAME = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
+COURSE_LABEL: Mapping[str, str] = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
+AMBIENT_NAME: Mapping[str, str] = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
 """[h] shown on either side of an episode: at least, at most; in between half of the episode."""
@@ -47,7 +48,7 @@ Span: TypeAlias = tuple[float, float]
 
 def drawable(found: DiscoveryResults) -> list[Finding]:
     """The findings whose episodes can be drawn, worst first."""
-    return [one for one in found.findings if one.spans and one.quantity in QUANTITIES and one.statement]
+    return [one for one in found.findings if one.spans]
 
 
 def events(found: DiscoveryResults) -> list[Finding]:
@@ -60,11 +61,7 @@ def events(found: DiscoveryResults) -> list[Finding]:
         if spans and gains and statement:
             most = max(gains, key=lambda name: gains[name])
             quantity = TEMPERATURE if most == TEMPERATURE else HUMIDITY
-            event = Finding(
-                quantity, "", "", 0.0, UNITS[quantity], "", float("nan"), len(spans), len(spans), 0.0,
-                statement, 0.0, 0.0, None, "episode", spans=spans,
-            )  # fmt: skip
-            result.append(event)
+            result.append(Finding(quantity, "episode", "", statement, spans=spans))
     return result
 
 
@@ -75,7 +72,7 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
     """The episodes in which a finding is largest, with the free run's 95 % band and below it the error; of a
     lasting finding the daily means over the whole record."""
     quantity = finding.quantity
-    if quantity not in residuals.measured or not np.isfinite(residuals.error(quantity)).any():
+    if quantity not in residuals.measured or not np.isfinite(residuals.error[quantity]).any():
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
     if finding.kind in LASTING_KINDS:
         return Picture((_lasting(residuals, finding, after),), height_in=2.5)
@@ -92,7 +89,7 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
         ]
         marks, limits = _course(residuals, quantity, span, after)
         errors = [
-            course(one.time_s, -one.error(quantity), span, colour, 1.0, bins=NARROW)
+            course(one.time_s, -one.error[quantity], span, colour, 1.0, bins=NARROW)
             for one, colour, _ in models
         ]
         above.append(Panel((*marks, *where), x, Axis(COURSE_LABEL[quantity], limits)))
@@ -106,7 +103,7 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
 
 def _largest(residuals: Residuals, quantity: str, start_s: float, end_s: float) -> float:
     inside = (residuals.time_s >= start_s) & (residuals.time_s <= end_s)
-    return float(np.nanmax(np.abs(residuals.error(quantity)[inside]), initial=0.0)) or 1.0
+    return float(np.nanmax(np.abs(residuals.error[quantity][inside]), initial=0.0)) or 1.0
 
 
 def _before_after(residuals: Residuals, after: Residuals | None) -> list[tuple[Residuals, str, str]]:
@@ -161,7 +158,7 @@ def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) ->
         marks.append(Curve(day, mean, colour, 1.0, f"daily mean{end}"))
         if one is residuals:
             marks.append(Band(day, low, high, colour, 0.13, "middle 80 % of the day"))
-    inside = np.zeros(len(hours), dtype=bool)
+    inside = np.zeros(len(hours.time_h), dtype=bool)
     for first, last in finding.spans:
         marks.append(Shade(first, last, CONDITION, 0.6, "where the finding is"))
         inside |= (hours.time_s >= first) & (hours.time_s <= last)
@@ -177,7 +174,7 @@ def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) ->
 
 def _daily(residuals: Residuals, quantity: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Day's noon [s], mean and 10th and 90th percentile of simulation − reading."""
-    error = -residuals.error(quantity)
+    error = -residuals.error[quantity]
     there = np.isfinite(error)
     number = np.floor(residuals.time_s[there] / DAY_S).astype(int)
     starts = np.flatnonzero(np.append(True, np.diff(number) > 0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from statistics import NormalDist
 
 import numpy as np
@@ -38,8 +38,6 @@ QUANTILES = 160
 INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
 LEVEL = 0.95
-WHITE, TOGETHER = "95 % if white", "95 %, all lags together"
-"""Limits of a correlation."""
 
 
 def figure_innovations(
@@ -60,17 +58,17 @@ def figure_innovations(
         why = found.statements[0] if found.statements else "too few readings"
         raise NothingToShow(f"No diagnosis: {why}.")
     cross = _shown_inputs(found)
-    reach = max((correlation_reach(one) for _, one in cross), default=0.0)
+    reach = max((_reach(one) for _, one in cross), default=0.0)
     e = value[known]
     panels = (
-        _autocorrelation(found.autocorrelation),
+        _correlation(found.autocorrelation, _reach(found.autocorrelation), "Autocorrelation"),
         _cumulative(found.cumulative_periodogram or CumulativePeriodogram()),
-        periodogram([found.periodogram], [MEASURED], "Periodogram (white = 1)"),
+        _periodogram(found.periodogram or Periodogram()),
         _histogram(e),
         _quantiles(e),
         _course(time[known], e),
         *(
-            correlation([one], [MEASURED], reach, f"Correlation with {one_line(name).replace('_', ' ')}")
+            _correlation(one, reach, f"Correlation with {one_line(name).replace('_', ' ')}")
             for name, one in cross
         ),
         *([] if cross else [Panel(title="no input varies, or none is known: no cross-correlation")]),
@@ -86,18 +84,6 @@ def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
     return list(rows[:, np.isfinite(rows).all(axis=0)])
 
 
-def _limits(data: Autocorrelation | CrossCorrelation, label: bool = False) -> tuple[list[Mark], float]:
-    """Both confidence limits of a correlation, and the wider one."""
-    single, together = data.limit, data.limit_all
-    marks: list[Mark] = [CrossLine(0.0, "y")]
-    if math.isfinite(single):
-        marks.append(Shade(-single, single, QUIET, 0.16, WHITE * label, "y"))
-    if not math.isfinite(together):
-        return marks, 0.0
-    marks += [CrossLine(sign * together, "y", INK, 0.7, True, TOGETHER * label) for sign in (-1.0, 1.0)]
-    return marks, together
-
-
 def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
     beyond = np.abs(value) > limit
     return [
@@ -106,23 +92,31 @@ def _stems(lag: np.ndarray, value: np.ndarray, limit: float) -> list[Mark]:
     ]
 
 
-def _reach(limit: float, *values: np.ndarray) -> float:
-    largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in values), default=0.0)
+def _reach(data: Autocorrelation | CrossCorrelation) -> float:
+    """Height [1] at which a correlation and its limits can be seen."""
+    largest = float(np.abs(_columns(data.lag_h, data.value)[1]).max(initial=0.0))
+    limit = data.limit_all if data.limit_all > 0 else 0.0
     return min(max(1.9 * limit, 1.15 * largest, 0.02), 1.02)
 
 
-def _autocorrelation(data: Autocorrelation) -> Panel:
+def _correlation(data: Autocorrelation | CrossCorrelation, reach: float, title: str) -> Panel:
+    """A correlation over the lag, with both of its confidence limits."""
     lag, value = _columns(data.lag_h, data.value)
+    crossed = isinstance(data, CrossCorrelation)
     if len(lag) < 2 or not lag[-1] > 0:
         return Panel(title="no autocorrelation in fit.json")
-    marks, limit = _limits(data)
-    reach = _reach(limit, value)
-    return Panel(
-        (*marks, *_stems(lag, value, limit)),
-        _hours("lag [h]", 0.0, float(lag[-1])),
-        Axis(limits=(-reach, reach), most=5),
-        "Autocorrelation",
-    )
+    marks: list[Mark] = [CrossLine(0.0, "y")]
+    if math.isfinite(data.limit):
+        marks.append(Shade(-data.limit, data.limit, QUIET, 0.16, "", "y"))
+    wide = data.limit_all if math.isfinite(data.limit_all) else 0.0
+    marks += [CrossLine(sign * wide, "y", INK, 0.7, True) for sign in (-1.0, 1.0) if wide]
+    if crossed:
+        marks.append(CrossLine(0.0, "x"))
+        x = _hours("lag [h], > 0: later", float(lag[0]), float(lag[-1]), 5.0)
+    else:
+        x = _hours("lag [h]", 0.0, float(lag[-1]))
+    y = Axis(limits=(-reach, reach), most=5)
+    return Panel((*marks, *_stems(lag, value, wide)), x, y, title, plain=crossed)
 
 
 def _hours(label: str, low: float, high: float, ticks: float = 8.5) -> Axis:
@@ -151,37 +145,24 @@ def _cumulative(data: CumulativePeriodogram) -> Panel:
     return Panel(marks, Axis("frequency [1/h]", limits), Axis(limits=(0.0, 1.0)), "Cumulative periodogram")
 
 
-def periodogram(
-    shown: Sequence[Periodogram | None], colours: Sequence[str], title: str, label: str = ""
-) -> Panel:
-    """Power over the period, of white innovations 1, with the 95 % band of the first one."""
-    every = [
-        (_columns(one.frequency_per_h, one.power, one.lower, one.upper), colour)
-        for one, colour in zip(shown, colours, strict=True)
-        if one is not None
-    ]
-    every = [
-        (rows, colour)
-        for rows, colour in every
-        if len(rows[0]) > 1 and rows[0][0] > 0 and np.all(np.diff(rows[0]) > 0)
-    ]
-    if not every:
+def _periodogram(data: Periodogram) -> Panel:
+    """Power over the period, of white innovations 1, with the 95 % band."""
+    frequency, power, lower, upper = _columns(data.frequency_per_h, data.power, data.lower, data.upper)
+    if len(frequency) < 2 or frequency[0] <= 0 or np.any(np.diff(frequency) <= 0):
         return Panel(title="no periodogram in fit.json")
-    frequency, _, lower, upper = every[0][0]
     period = 1.0 / frequency
-    powers = np.concatenate([rows[1] for rows, _ in every])
-    limits = (max(0.02, 0.7 * float(powers.min())), 1.4 * max(float(powers.max()), 4.0))
+    limits = (max(0.02, 0.7 * float(power.min())), 1.4 * max(float(power.max()), 4.0))
     high, low = min(float(period[0]), 2000.0), float(period[-1])
     ticks = [p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if low <= p <= high]
     return Panel(
         (
             Band(period, np.maximum(lower, 1e-3), upper, QUIET),
             CrossLine(1.0, "y"),
-            *(Curve(1.0 / rows[0], np.maximum(rows[1], 1e-3), colour) for rows, colour in every),
+            Curve(period, np.maximum(power, 1e-3), MEASURED),
         ),
         Axis("period [h]", (high, low), "logarithmic", ticks, [f"{p:g}" for p in ticks]),
-        Axis(label, limits, "logarithmic"),
-        title,
+        Axis("", limits, "logarithmic"),
+        "Periodogram (white = 1)",
     )
 
 
@@ -193,34 +174,6 @@ def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
     ]
     first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:INPUTS]
     return [row for row in rows if row in first]
-
-
-def correlation_reach(one: CrossCorrelation) -> float:
-    """Height [1] at which a correlation and its limits can be seen."""
-    return _reach(one.limit_all if one.limit_all > 0 else 0.0, _columns(one.lag_h, one.value)[1])
-
-
-def correlation(
-    shown: Sequence[CrossCorrelation | None], colours: Sequence[str], reach: float, title: str
-) -> Panel:
-    """Correlations with an input over the lag, those of several models as lines, within the limits of the
-    first one."""
-    pairs = zip(shown, colours, strict=True)
-    every = [(one, colour) for one, colour in pairs if one is not None and one.lag_h]
-    several = len(colours) > 1
-    marks, limit = _limits(every[0][0], several)
-    marks.append(CrossLine(0.0, "x"))
-    for one, colour in every:
-        lag, value = _columns(one.lag_h, one.value)
-        marks += [Curve(lag, value, colour)] if several else _stems(lag, value, limit)
-    lag, _ = _columns(every[0][0].lag_h, every[0][0].value)
-    return Panel(
-        tuple(marks),
-        _hours("lag [h], > 0: later", float(lag[0]), float(lag[-1]), 5.0),
-        Axis(limits=(-reach, reach), most=5),
-        title,
-        plain=True,
-    )
 
 
 def _histogram(e: np.ndarray) -> Panel:

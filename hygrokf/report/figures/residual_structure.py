@@ -1,4 +1,4 @@
-"""Figures of residuals over drivers and by day and hour, and of the innovations' spectrum and correlations.
+"""Figures of residuals over drivers, by day, and by day and hour.
 
 Functions take `Residuals`, and those of an extended model as `after` for an overlay, and return a figure.
 They raise `drawing.NothingToShow` with one sentence where their data are missing.
@@ -18,15 +18,13 @@ from hygrokf.discovery.residuals import (
     QUANTITIES,
     TEMPERATURE,
     UNITS,
+    Quantity,
     Residuals,
     binned,
     displayed,
     words,
 )
-from hygrokf.evaluation.diagnosis import OutputDiagnosis
-from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.report.figures.drawing import INK, SIMULATED, NothingToShow, means
-from hygrokf.report.figures.innovations import correlation, correlation_reach, periodogram
 from hygrokf.report.figures.panels import (
     Axis,
     Band,
@@ -42,16 +40,12 @@ from hygrokf.report.figures.panels import (
 
 AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
-COLOURS = (SIMULATED, AFTER)
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
-TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
+TITLE: Mapping[str, str] = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
 FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
 FEWEST_READINGS = 100
 DRIVERS = 4
-INPUTS = 3
-"""Drivers with which innovations are correlated."""
-LONGEST_LAG_H = 24.0
 
 
 def error_label(quantity: str) -> str:
@@ -59,10 +53,9 @@ def error_label(quantity: str) -> str:
     return f"simulation − reading [{UNITS[quantity]}]"
 
 
-def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
-    take = residuals.innovation if innovations else residuals.error
+def _known(residuals: Residuals) -> list[Quantity]:
     early = ~residuals.validation
-    found = [q for q in QUANTITIES if np.isfinite(take(q)[early]).sum() >= FEWEST_READINGS]
+    found = [q for q in QUANTITIES if np.isfinite(residuals.error[q][early]).sum() >= FEWEST_READINGS]
     if not found:
         raise NothingToShow(f"Fewer than {FEWEST_READINGS} readings can be compared with the simulation.")
     return found
@@ -196,7 +189,7 @@ def figure_error_course(before: Residuals, after: Residuals) -> Picture:
 
 def _daily_rms(residuals: Residuals, quantity: str, days: np.ndarray) -> np.ndarray:
     """Root mean square (n,) of the error on held-out days (n,) since 1970; NaN on those without a reading."""
-    error = residuals.error(quantity)
+    error = residuals.error[quantity]
     chosen = residuals.validation & np.isfinite(error)
     place = (np.floor(residuals.time_s[chosen] / DAY_S) - days[0]).astype(int)
     return np.sqrt(means(place, error[chosen] ** 2, len(days)))
@@ -240,51 +233,9 @@ def held_out(residuals: Residuals, span: tuple[float, float]) -> tuple[Mark, ...
 
 def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
     """Number of the first day since 1970 and mean errors (days, 24), NaN without a reading."""
-    error = -residuals.error(quantity)
+    error = -residuals.error[quantity]
     there = np.isfinite(error)
     hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
     first = int(np.floor(residuals.time_s[0] / DAY_S))
     count = int(np.floor(residuals.time_s[-1] / DAY_S)) - first + 1
     return first, means(hour - 24 * first, error[there], 24 * count).reshape(count, 24)
-
-
-# --- innovations -----------------------------------------------------------------------------
-
-
-def figure_innovations(residuals: Residuals, after: Residuals | None = None) -> Picture:
-    """Periodogram of the standardised innovations and, by quantity, their largest cross-correlations with
-    drivers."""
-    quantities = _known(residuals, innovations=True)
-    found = _diagnosed(residuals)
-    later = _diagnosed(after) if after is not None else {}
-    panels = []
-    for quantity in quantities:
-        base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
-        rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
-        best = sorted(rows, key=lambda name: rows[name].p)[:INPUTS]
-        reach = max((correlation_reach(rows[name]) for name in best), default=0.1)
-        spectra = (base.periodogram, wider.periodogram)
-        panels.append(periodogram(spectra, COLOURS, TITLE[quantity], "power (white = 1)"))
-        for name in best:
-            shown = (rows[name], wider.cross_correlation.get(name))
-            title = textwrap.fill(f"with {words(name)}", 26)
-            panels.append(correlation(shown, COLOURS, reach, title))
-        panels += [Panel()] * (INPUTS - len(best))
-    before = "innovations" if after is None else "innovations, before"
-    key = [Curve((), (), SIMULATED, 1.4, before)]
-    if after is not None:
-        key.append(Curve((), (), AFTER, 1.4, "after"))
-    height = 0.75 + 1.65 * len(quantities)
-    return Picture(tuple(panels), height, columns=1 + INPUTS, key=tuple(key))
-
-
-def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
-    """`diagnose` of the identification period's innovations, by quantity."""
-    early = ~residuals.validation
-    innovations = {q: residuals.innovation(q)[early] for q in QUANTITIES}
-    inputs = {name: value[early] for name, value in residuals.drivers.items()}
-    known, varying = (
-        {name: value for name, value in one.items() if np.isfinite(value).any()}
-        for one in (innovations, inputs)
-    )
-    return diagnose(residuals.time_h[early], known, varying, longest_h=LONGEST_LAG_H).outputs

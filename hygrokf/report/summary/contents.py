@@ -54,7 +54,7 @@ from hygrokf.report.climate_tables import (
     value_and_bounds,
 )
 from hygrokf.report.discovery_page import gains_table, spans_text
-from hygrokf.report.discovery_text import actions, headline, listed, named_alone, reasons, warned
+from hygrokf.report.discovery_text import listed, verdict_of
 from hygrokf.report.figures.climate import short_words
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
@@ -326,22 +326,23 @@ def summary_of_discovery(
 
     before, after: residuals of the base and of the extended model.
     """
+    verdict = verdict_of(found)
     return Summary(
         "Summary of a discovery",
         named(found.name),
         "What does the model of this cabinet lack?",
-        f"{headline(found)}{named_alone(found)}.",
+        f"{', '.join(filter(None, (verdict.headline, verdict.confidence)))}.",
         "",
-        tuple(map(sentence, reasons(found))),
+        tuple(map(sentence, verdict.reasons)),
         gains_table(found),
         drawable(lambda: lead_of_discovery(found, before, after)),
-        tuple(map(sentence, actions(found) or _otherwise(found))),
+        tuple(map(sentence, verdict.actions or _otherwise(found))),
         (
             ("Record", named(found.name)),
             *known("Period", " ".join(spans_text(before))),
             made_by(found.version),
         ),
-        "open" if warned(found) else "plain",
+        "open" if verdict.warned else "plain",
         SYNTHETIC_PAGE if found.synthetic else "",
     )
 

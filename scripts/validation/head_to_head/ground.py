@@ -57,12 +57,12 @@ class Ground:
         return {
             quantity: (self.residuals.time_s[there], self.residuals.measured[OF_RESIDUALS[quantity]][there])
             for quantity in self.quantities
-            for there in [np.isfinite(self.residuals.error(OF_RESIDUALS[quantity]))]
+            for there in [np.isfinite(self.residuals.error[OF_RESIDUALS[quantity]])]
         }
 
     def errors(self, quantity: str, held_out: bool) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and errors of the base model's free run, on held-out readings or those before."""
-        error = self.residuals.error(OF_RESIDUALS[quantity])
+        error = self.residuals.error[OF_RESIDUALS[quantity]]
         there = np.isfinite(error) & (self.residuals.validation == held_out)
         return self.residuals.time_s[there], error[there]
 
@@ -70,7 +70,7 @@ class Ground:
         """Errors of the free run [K], [g/m³] on held-out readings, of the base or of another model."""
         of = self.residuals if one is None else free_run(self.record, one)
         return {
-            quantity: root_mean_square(of.error(OF_RESIDUALS[quantity])[of.validation])
+            quantity: root_mean_square(of.error[OF_RESIDUALS[quantity]][of.validation])
             for quantity in self.quantities
         }
 
