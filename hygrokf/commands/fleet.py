@@ -11,7 +11,7 @@ from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FLEET, REPORT
 
 if TYPE_CHECKING:
-    from hygrokf.fleet.job import Outcome
+    from hygrokf.fleet.job import Row
 
 
 def _arguments(parser: ArgumentParser) -> None:
@@ -38,9 +38,9 @@ def _run(options: Namespace) -> int:
     plan = read_plan(options.fleet)
     with Progress(len(plan.turbines)) as progress:
 
-        def say(found: Outcome, known: bool) -> None:
-            progress.tell(outcome_text(found, known))
-            progress(found.turbine)
+        def say(row: Row, known: bool) -> None:
+            progress.tell(outcome_text(row, known))
+            progress(str(row["turbine"]))
 
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
     data = {"rows": [dict(row) for row in found.rows]}
