@@ -30,11 +30,10 @@ from hygrokf.report.blocks import (
 )
 from hygrokf.report.climate_tables import (
     class_text,
-    excursions_table,
+    events_table,
     hours_text,
     limits_table,
     profile_table,
-    rates_table,
     regimes_table,
     regions_table,
     share_held,
@@ -197,11 +196,7 @@ def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ..
             year_figure(region, place) if several else None,
             year_table(region),
             table_or(regimes_table(region), one_kind),
-            Details(
-                "Excursions, rates of change and cycles",
-                (excursions_table(region), rates_table(region)),
-                printed=True,
-            ),
+            Details("Excursions, rates of change and cycles", (events_table(region),), printed=True),
             duration_figure(region, place) if region.joint is not None else None,
         ),
         *section(_heading(title, "test profile"), *_profile(region, place)),
@@ -240,9 +235,9 @@ def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
 def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
     said = (
-        f"{len(profile.hour)} hours in the chamber cause the same ageing as {plain_number(aged.years)} "
-        "years at the "
-        f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration "
+        f"{len(profile.temperature_degC)} hours in the chamber cause the same ageing as "
+        f"{plain_number(aged.years)} years at the site ({plain_number(aged.years_lower)} … "
+        f"{plain_number(aged.years_upper)}). The acceleration "
         f"factor is {plain_number(profile.acceleration)} before the chamber's limits apply; "
         f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
     )
