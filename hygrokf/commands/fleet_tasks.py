@@ -17,7 +17,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.fleet.job import Job, Outcome, Row, Work
+from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
@@ -44,7 +44,7 @@ def run_fleet(
     *,
     workers: int | None = None,
     cluster: str | None = None,
-    say: Callable[[Outcome, bool], None] = lambda found, known: None,
+    say: Callable[[Row, bool], None] = lambda found, known: None,
 ) -> FleetResults:
     """Do what a plan states for every turbine.
 
@@ -53,7 +53,7 @@ def run_fleet(
         `turbines/NAME`.
     workers: processes on this machine, by default one per core.
     cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
-    say: is called with each outcome as it comes, and whether it was on disk already.
+    say: is called with each row as it comes, and whether it was on disk already.
 
     Work with the same files, options and version is not repeated; failures are tried again.
 
@@ -213,8 +213,7 @@ def _transfer(job: Job) -> Row:
         for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
             error = results.rmse.get(quantity, {}).get(which)
             columns[name] = error.total if error is not None else math.nan
-        gains = results.gains.get(quantity, {}).get("re_estimated")
-        gain = gains.over_as_is if gains is not None else None
+        gain = results.gains.get(quantity, {}).get("re_estimated", {}).get("over_as_is")
         for part, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
             columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, part, math.nan)
     return columns
