@@ -5,12 +5,11 @@ docs/how_to/climate_test.toml is an example of the file.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.data.toml_form import read_toml_form, setting
+from hygrokf.data.toml_form import setting
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 BOLTZMANN_EV = 8.617333262e-5
@@ -84,8 +83,3 @@ class ProfilePlan:
     test: ProfileLength = setting(ProfileLength, "length of the test, and of the service that it represents")
     law: Acceleration = setting(Acceleration, "of ageing")
     chamber: Chamber = setting(Chamber, "limits of the chamber")
-
-
-def read_test_plan(path: str | os.PathLike[str]) -> ProfilePlan:
-    """A test from a TOML file, with defaults for missing keys; raises FormFault with all faults."""
-    return read_toml_form(ProfilePlan, path)

@@ -201,7 +201,6 @@ def ordered(days: Days) -> np.ndarray:
 
 
 def _length(jump: np.ndarray, days: Sequence[int]) -> float:
-    """Sum of the jumps from each of some days to the next."""
     return float(sum(jump[a, b] for a, b in itertools.pairwise(days)))
 
 

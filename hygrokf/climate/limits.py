@@ -95,7 +95,7 @@ class LimitsForm:
     def names(self) -> list[str]:
         if not self.limit:
             return ["expected at least one [[limit]], found none; see docs/how_to/climate.md"]
-        return _doubled([one.named() for one in self.limit])
+        return doubled([one.named() for one in self.limit])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +111,6 @@ class Exceedance(ClimateLimit):
     longest_h: BoundedMean
     verdict: Literal["pass", "undecided", "fail"]
     why: str = ""
-
-
-def read_limits(path: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
-    """Limits from a TOML file; raises FormFault with everything that is wrong."""
-    return tuple(one.named() for one in read_toml_form(LimitsForm, path).limit)
 
 
 class ClassFault(HygrokfError):
@@ -148,7 +143,7 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     """
     path = Path(given)
     if path.suffix == ".toml" or path.exists():
-        return read_limits(path)
+        return tuple(one.named() for one in read_toml_form(LimitsForm, path).limit)
     for name, limits in CLASSES.items():
         standard, _, letters = name.removeprefix("IEC ").rpartition(" ")
         pattern = rf"(((DIN|EN|IEC|BS|ISO)\s+)*{re.escape(standard)}\s+(class\s+)?)?{letters}"
@@ -161,17 +156,12 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     )
 
 
-def _doubled(limits: Sequence[ClimateLimit]) -> list[str]:
+def doubled(limits: Sequence[ClimateLimit]) -> list[str]:
+    """The names that several limits have, maybe of several files."""
     names = [one.name for one in limits]
     return [
         f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
     ]
-
-
-def expect_names(limits: Sequence[ClimateLimit]) -> None:
-    """Refuse limits of one name, maybe of several files; raises ValueError."""
-    if faults := _doubled(limits):
-        raise ValueError("; ".join(faults))
 
 
 def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:

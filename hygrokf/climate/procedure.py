@@ -26,7 +26,7 @@ from hygrokf.climate.ensemble import (
     shots_of,
     simulate_years,
 )
-from hygrokf.climate.limits import ClimateLimit, exceeded, expect_names, judge_limit
+from hygrokf.climate.limits import ClimateLimit, doubled, exceeded, judge_limit
 from hygrokf.climate.region import PowerCurve, Region, driven
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars, wetness_class
 from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimate, Study, YearSpan
@@ -208,7 +208,8 @@ def climate_profile(
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
     limits = [one.named() for one in limits]
-    expect_names(limits)
+    if faults := doubled(limits):
+        raise ValueError("; ".join(faults))
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
     found = []
@@ -279,8 +280,7 @@ def _region(
         *extrapolation_words(fit, record),
         *region.weather.warnings,
         *interval_words(region.weather),
-        *weather_words(gathered, count),
-        *member_words(members, len(gathered.spans)),
+        *weather_words(gathered, count, members),
         *limit_words(limits, gathered),
         *saturation_words(scopes["all"]),
     ]
@@ -376,18 +376,6 @@ def operating_words(gathered: Gathered, by_curve: bool) -> list[str]:
     return [f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"]
 
 
-def member_words(members: int, years: int) -> list[str]:
-    """A statement where there are too few members for the stated bounds."""
-    share = held(members * years)
-    if share >= LEVEL:
-        return []
-    return [
-        f"{members} members are too few: the bounds are the smallest and the largest member, which hold a "
-        f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
-        f"{FEWEST_MEMBERS} or more (--members)"
-    ]
-
-
 def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]:
     """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
     said = []
@@ -404,10 +392,11 @@ def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]
     return said
 
 
-def weather_words(gathered: Gathered, found: int) -> list[str]:
-    """Statements on the years used, out of `found` years."""
+def weather_words(gathered: Gathered, found: int, members: int) -> list[str]:
+    """Statements on the years used, out of `found` years, and on too few members for the stated bounds."""
     hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
     length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
+    share = held(members * count)
     said = {
         f"{found - count} of {found} years are left out: less than {100.0 * WHOLE:.0f} % of their "
         "weather and power is known": count < found,
@@ -421,6 +410,9 @@ def weather_words(gathered: Gathered, found: int) -> list[str]:
         "is kept here is undecided, one that is exceeded fails": bool(part),
         f"weather or power is unknown for {100.0 * (1.0 - hours / length):.1f} % of the time, which is "
         "left out": hours < 0.98 * length,
+        f"{members} members are too few: the bounds are the smallest and the largest member, which hold a "
+        f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
+        f"{FEWEST_MEMBERS} or more (--members)": share < LEVEL,
     }
     return [text for text, holds in said.items() if holds]
 

@@ -27,7 +27,6 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
-    """Run the fleet; the exit status is 1 where any turbine has no result."""
     from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text

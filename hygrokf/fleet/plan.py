@@ -98,7 +98,6 @@ def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
 
 
 def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[FleetTurbine]:
-    """The turbines of `cases`, then those of the `[[turbine]]` tables."""
     if form.fit and not task.uses_fit:
         faults.append(f'fit: the task "{form.task}" uses no fitted model; leave it out')
     found = [(f"cases, {case}", FleetTurbine(case)) for case in _matched(form.cases, folder, faults)]
@@ -127,7 +126,6 @@ def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> l
 
 
 def _matched(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[str]:
-    """Case files that match the patterns, sorted within each, every file once."""
     found: dict[str, None] = {}
     for pattern in patterns:
         there = sorted(glob.glob(pattern, root_dir=folder, recursive=True))

@@ -96,7 +96,6 @@ def run_jobs(
 
 
 def _written(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> FleetResults:
-    """Write the table as CSV, Parquet and JSON; returns it."""
     write_text_whole(out / CSV, table_csv(plan.task, rows))
     binary = table_parquet(plan.task, rows)
     if binary is None:
@@ -258,7 +257,6 @@ def _checked(client: Any, address: str) -> int:
 
 
 def _described() -> JsonObject:
-    """The version of hygrokf on a worker, and its threads for linear algebra."""
     return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}
 
 
@@ -345,7 +343,6 @@ class _Worker:
         return None
 
     def _reap(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for a process to end; returns its exit status."""
         status = process.wait()
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):  # unwritten text is lost
@@ -375,13 +372,11 @@ class _Worker:
             return self._process
 
     def _last_words(self) -> str:
-        """The last line that the process wrote to its standard error."""
         self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - 4000))
         lines = self._said.read().decode(errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def dismiss(self) -> None:
-        """Kill the process."""
         with self._lock:
             self.dismissed = True
             if self._process is not None:
@@ -396,7 +391,6 @@ class _Worker:
 
 
 def _epitaph(status: int, last_words: str) -> str:
-    """Why a process died, and what to do."""
     names = {-one.value: one.name for one in signal.Signals}
     end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
     reason = f"its process {end}, {ATTEMPTS} times in a row"

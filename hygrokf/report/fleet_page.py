@@ -129,7 +129,6 @@ def _cards(fleet: FleetResults, found: Sequence[Scatter]) -> list[Card]:
 
 
 def _spread_card(one: Scatter) -> Card:
-    """Median and range of a quantity over the turbines, and whether their bounds explain the range."""
     middle, low, high = (math.exp(v) for v in (one.center, one.x.min(), one.x.max()))
     unit = one.compared.unit
     decimals = min(decimals_for(high - low) + 1, 3) if high > low else 2
@@ -152,7 +151,6 @@ def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
 
 
 def _pictures(found: Sequence[Scatter]) -> list[Figure]:
-    """The spread of the bounded quantities, and that of the errors."""
     constants = [one for one in found if one.compared.lower]
     errors = [one for one in found if not one.compared.lower]
     pictures = []
@@ -210,7 +208,6 @@ def _outliers(found: Sequence[Scatter]) -> Block | None:
 
 
 def _tally(one: Tally, done: Sequence[Row]) -> Table:
-    """The values of a column, those of most turbines first, each with its turbines."""
     having: dict[str, list[str]] = {}
     for row in done:
         text = text_of(row, one.column)
@@ -235,7 +232,6 @@ def _some(turbines: Sequence[str]) -> str:
 
 
 def _set_aside(found: Sequence[Scatter]) -> list[Prose]:
-    """The turbines that are not compared, and why."""
     notes = []
     for one in found:
         for names, why in (
@@ -272,7 +268,6 @@ def _ranking(task: Task, done: Sequence[Row], found: Sequence[Scatter]) -> Table
 
 
 def _value(row: Row, one: Compared) -> str:
-    """A value with its bounds, or a text, as a cell."""
     value = number(row, one.column)
     if not math.isfinite(value):
         return text_of(row, one.column) or NONE

@@ -156,7 +156,6 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
 def _results(
     baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
 ) -> TransferResult:
-    """Everything that a transfer finds; not yet judged."""
     masks = period_masks(baseline.run, baseline.record.until_s)
     held_out = (masks["validation"] & baseline.run.scored).any()
     period: Literal["identification", "validation"] = "validation" if held_out else "identification"

@@ -247,7 +247,6 @@ def _worse_than_before(found: TransferResult) -> list[str]:
 
 
 def _errors_before_and_after(found: TransferResult) -> list[str]:
-    """The error of each quantity with the original values and with the re-estimated ones."""
     reasons = []
     where = "held-out error" if found.period == "validation" else "error"
     what = "re-estimating" if found.re_estimate else "own offsets"
@@ -266,7 +265,6 @@ def _errors_before_and_after(found: TransferResult) -> list[str]:
 def _gains(
     found: TransferResult, over: Literal["over_as_is", "over_rule"]
 ) -> Iterator[tuple[str, tuple[str, str], Reduction]]:
-    """Quantity, its name and unit, and the gain of the re-estimated set."""
     for quantity, rows in found.gains.items():
         gain = rows.get("re_estimated", {}).get(over)
         if gain is not None:

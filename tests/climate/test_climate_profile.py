@@ -17,7 +17,6 @@ from hygrokf.climate.chamber import (
     Chamber,
     ProfileLength,
     ProfilePlan,
-    read_test_plan,
 )
 from hygrokf.climate.chamber_profile import (
     ChamberProfile,
@@ -29,7 +28,7 @@ from hygrokf.climate.chamber_profile import (
     set_points,
     shares,
 )
-from hygrokf.data.toml_form import FormFault
+from hygrokf.data.toml_form import FormFault, read_toml_form
 
 
 def many_days(count: int = 400, seed: int = 6) -> Days:
@@ -148,7 +147,7 @@ def test_plans_are_read_and_all_faults_told(tmp_path: Path) -> None:
     file.write_text(
         "[test]\nlength_h = 500\n[law]\nhumidity_exponent = 0\n[chamber]\ntemperature_degC = [-40, 95]\n"
     )
-    made = read_test_plan(file)
+    made = read_toml_form(ProfilePlan, file)
     assert (made.test.length_h, made.test.service_years, made.law.humid) == (500.0, 20.0, False)
     assert made.chamber.temperature_degC == (-40.0, 95.0)
     file.write_text(
@@ -156,5 +155,5 @@ def test_plans_are_read_and_all_faults_told(tmp_path: Path) -> None:
         "[90, 20]\n"
     )
     with pytest.raises(FormFault) as told:
-        read_test_plan(file)
+        read_toml_form(ProfilePlan, file)
     assert len(told.value.faults) == 4 and "length_h" in str(told.value) and "rising" in str(told.value)
