@@ -8,6 +8,7 @@ year of weather both are the same, and say nothing about other years.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,19 +40,6 @@ class BoundedMean:
         return BoundedMean(*rounded(np.array(list(vars(self).values()))).tolist())
 
 
-@dataclass(frozen=True, eq=False)
-class BoundedArray:
-    """Numbers of one kind with their bounds: arrays of one shape, with the meaning that they have in
-    `BoundedMean`."""
-
-    value: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    mean_lower: np.ndarray
-    mean_upper: np.ndarray
-    between_years: np.ndarray
-
-
 def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
     """The bounds of a number from its values (years, N).
 
@@ -64,7 +52,7 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
     if not known.any():
         return BoundedMean(*[np.nan] * 6)
     if known.all():
-        return BoundedMean(*(float(one) for one in vars(bounded_array(values, level)).values()))
+        return BoundedMean(**{name: float(one) for name, one in bounded_array(values, level).items()})
     means, by_year = (
         np.array([row[there].mean() for row, there in zip(rows, knowns, strict=True) if there.any()])
         for rows, knowns in ((values.T, known.T), (values, known))
@@ -74,17 +62,19 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> BoundedMean:
     return BoundedMean(all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, between)
 
 
-def bounded_array(values: np.ndarray, level: float = LEVEL) -> BoundedArray:
-    """The bounds of each of many numbers, from their values (years, N, …) without gaps; see `bounded`."""
+def bounded_array(values: np.ndarray, level: float = LEVEL) -> dict[str, np.ndarray]:
+    """What `BoundedMean` has, of each of many numbers, from their values (years, N, …) without gaps."""
     values = np.asarray(values, dtype=float)
     ends = np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level])
     pooled = values.reshape(-1, *values.shape[2:])
-    means = values.mean(axis=0)
     lower, upper = np.quantile(pooled, ends, axis=0, method="weibull")
-    mean_lower, mean_upper = np.quantile(means, ends, axis=0, method="weibull")
+    mean_lower, mean_upper = np.quantile(values.mean(axis=0), ends, axis=0, method="weibull")
     by_year = values.mean(axis=1)
     between = by_year.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[2:])
-    return BoundedArray(pooled.mean(axis=0), lower, upper, mean_lower, mean_upper, between)
+    return {
+        "value": pooled.mean(axis=0), "lower": lower, "upper": upper, "mean_lower": mean_lower,
+        "mean_upper": mean_upper, "between_years": between,
+    }  # fmt: skip
 
 
 def held(draws: float, level: float = LEVEL) -> float:
@@ -99,3 +89,9 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(values == 0.0, 1.0, 10.0 ** (digits - 1 - np.floor(np.log10(np.abs(values)))))
         return np.where(np.isfinite(values), np.round(values * scale) / scale, np.nan)
+
+
+def expect_shape(shape: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises ValueError with the arrays of another shape."""
+    if wrong := [f"{name} {one.shape}" for name, one in arrays.items() if one.shape != shape]:
+        raise ValueError(f"expected arrays of shape {shape}, found {', '.join(wrong)}")

@@ -5,12 +5,11 @@ docs/how_to/climate_test.toml is an example of the file.
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.data.toml_form import read_toml_form, setting
+from hygrokf.data.toml_form import setting
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 BOLTZMANN_EV = 8.617333262e-5
@@ -77,23 +76,10 @@ class ProfileLength:
 
 
 @dataclass(frozen=True)
-class ProfilePlan(ProfileLength):
-    """A test: its length, the years of service whose ageing it should reach, the law and the chamber."""
-
-    law: Acceleration = field(default_factory=Acceleration)
-    chamber: Chamber = field(default_factory=Chamber)
-
-
-@dataclass(frozen=True)
-class ProfileForm:
-    """A file of a test."""
+class ProfilePlan:
+    """A test, and a file of it: its length, the years of service whose ageing it should reach, the law and
+    the chamber."""
 
     test: ProfileLength = setting(ProfileLength, "length of the test, and of the service that it represents")
     law: Acceleration = setting(Acceleration, "of ageing")
     chamber: Chamber = setting(Chamber, "limits of the chamber")
-
-
-def read_test_plan(path: str | os.PathLike[str]) -> ProfilePlan:
-    """A test from a TOML file, with defaults for missing keys; raises FormFault with all faults."""
-    form = read_toml_form(ProfileForm, path)
-    return ProfilePlan(**vars(form.test), law=form.law, chamber=form.chamber)

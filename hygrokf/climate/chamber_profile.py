@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.bounds import BoundedMean
+from hygrokf.climate.bounds import BoundedMean, expect_shape
 from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
@@ -147,7 +147,7 @@ def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
     column = np.zeros(bins, dtype=int)
     column[used] = np.arange(len(used))
     flat = (np.arange(len(days))[:, None] * len(used) + column[place]).ravel()
-    rate = law.rate(celsius + ZERO_CELSIUS_K, percent / 100.0)
+    rate = _rate(law, celsius, percent)
     rate = rate / rate.mean()
     size = len(days) * len(used)
     joint = np.bincount(flat, minlength=size).reshape(len(days), -1) / DAY_H
@@ -201,7 +201,6 @@ def ordered(days: Days) -> np.ndarray:
 
 
 def _length(jump: np.ndarray, days: Sequence[int]) -> float:
-    """Sum of the jumps from each of some days to the next."""
     return float(sum(jump[a, b] for a, b in itertools.pairwise(days)))
 
 
@@ -220,33 +219,6 @@ NOT_REPRODUCED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ChamberSequence:
-    """A sequence of a chamber, hour by hour.
-
-    `hour` of the test; temperature [°C] and relative humidity [%] of the chamber, and of the site in the same
-    hours; `day` when each day began, UTC.  `shift_per_K` δ; `acceleration` exp(E_a δ/k_B) [1] before the
-    chamber's limits; `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the
-    years of service.
-    """
-
-    hour: tuple[int, ...]
-    temperature_degC: np.ndarray
-    relative_humidity_percent: np.ndarray
-    site_temperature_degC: np.ndarray
-    site_humidity_percent: np.ndarray
-    day: tuple[str, ...]
-    shift_per_K: float
-    acceleration: float
-    share_at_chamber_limit: float
-    reached: bool
-
-    @property
-    def courses(self) -> dict[str, np.ndarray]:
-        """The temperatures and humidities by name."""
-        return {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)}
-
-
 @dataclass(frozen=True)
 class Ageing:
     """Ageing [h at the reference condition] of the test and of the years of service, and the years [a] at the
@@ -260,23 +232,12 @@ class Ageing:
 
 
 @dataclass(frozen=True)
-class SiteAndTest:
-    """A number of the site beside the same of the test."""
+class Reproduced:
+    """A number in words, of the site beside that of the test."""
 
+    words: str
     site: float
     test: float
-
-
-@dataclass(frozen=True)
-class CycleCount:
-    """Temperature cycles of at least `from_K` [K]: per year at the site, per year in the chosen days before
-    warming, in the test, and in the years of service."""
-
-    from_K: float
-    site_a_year: float
-    days_a_year: float
-    test: float
-    service: float
 
 
 @dataclass(frozen=True)
@@ -284,72 +245,82 @@ class Closeness:
     """What a test profile reproduces of the site, and how closely.
 
     Distances [1] are total variations between distributions: of temperature before warming and humidity, and
-    of the ageing over these.  Shares [1] are of the hours, and of the ageing, above 80 %.
+    of the ageing over these.
     """
 
     ageing: Ageing
     joint_distance: float
     ageing_distance: float
-    wet_share: SiteAndTest
-    wet_ageing_share: SiteAndTest
-    mean_humidity_percent: SiteAndTest
-    cycles: tuple[CycleCount, ...]
-    not_reproduced: tuple[str, ...]
+    numbers: tuple[Reproduced, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class ChamberProfile(ChamberSequence):
-    """The test profile of a region, and what it reproduces of the site."""
+class ChamberProfile:
+    """A sequence of a chamber, hour by hour, and what it reproduces of the site.
 
+    Temperature [°C] and relative humidity [%] of the chamber, and of the site in the same hours; `day` when
+    each day began, UTC.  `shift_per_K` δ; `acceleration` exp(E_a δ/k_B) [1] before the chamber's limits;
+    `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the years of service.
+    """
+
+    temperature_degC: np.ndarray
+    relative_humidity_percent: np.ndarray
+    site_temperature_degC: np.ndarray
+    site_humidity_percent: np.ndarray
+    day: tuple[str, ...]
+    shift_per_K: float
+    acceleration: float
+    share_at_chamber_limit: float
+    reached: bool
     closeness: Closeness
 
     def __post_init__(self) -> None:
-        if found := [one.shape for one in self.courses.values() if one.shape != (len(self.hour),)]:
-            raise ValueError(f"expected a value for each of {len(self.hour)} hours, found {found[0]}")
+        expect_shape(
+            self.temperature_degC.shape,
+            {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)},
+        )
 
 
 def build_profile(
     days: Days, plan: ProfilePlan, ageing: BoundedMean, service_cycles: np.ndarray
 ) -> ChamberProfile:
-    """The test profile from all days of a climate; arguments as for `chamber_sequence` and `closeness`."""
-    made = chamber_sequence(days, ageing.value, plan)
-    shown = {name: np.round(one, 2) for name, one in made.courses.items()}
-    return ChamberProfile(
-        **{**vars(made), **shown}, closeness=closeness(made, days, plan, ageing, service_cycles)
-    )
+    """A test profile from all days of a climate.
 
-
-def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> ChamberSequence:
-    """A test profile from the days of a climate that ages by so many hours a year [h at the reference].
-
-    Raises ValueError where there is no whole day to choose from.
+    ageing: [h a year at the reference] of the site.  service_cycles: (3,) cycles a year from each of
+    `CYCLE_RANGES_K`.  Raises ValueError where there is no whole day to choose from.
     """
     if not len(days):
         raise ValueError("no day of the weather is known hour by hour: a test profile needs hourly weather")
-    length = round(plan.length_h)
-    count = -(-length // DAY_H)
-    chosen = days.take(choose_days(days, count, plan.law))
+    length, target = round(plan.test.length_h), plan.test.service_years * ageing.value
+    chosen = days.take(choose_days(days, -(-length // DAY_H), plan.law))
     chosen = chosen.take(ordered(chosen))
-    celsius = chosen.temperature_degC.ravel()[:length]
-    percent = chosen.relative_humidity_percent.ravel()[:length]
-    target = plan.service_years * ageing_h_a_year
+    site = (chosen.temperature_degC.ravel()[:length], chosen.relative_humidity_percent.ravel()[:length])
 
     def aged(shift: float) -> float:
-        return float(plan.law.rate(*_in_si(*set_points(celsius, percent, shift, plan.chamber))).sum())
+        return float(_rate(plan.law, *set_points(*site, shift, plan.chamber)).sum())
 
-    low, high = _span(celsius, plan.chamber)
+    low, high = _span(site[0], plan.chamber)
     reached = aged(low) <= target <= aged(high)
     shift = high if target > aged(high) else low
     if reached:
         for _ in range(60):
             shift = 0.5 * (low + high)
             low, high = (shift, high) if aged(shift) < target else (low, shift)
-    warm, damp = set_points(celsius, percent, shift, plan.chamber)
-    cut = np.isclose(warm[:, None], plan.chamber.temperature_degC).any(axis=1)
-    return ChamberSequence(
-        tuple(range(len(warm))), warm, damp, celsius, percent, tuple(map(stamp_text, chosen.start_s)), shift,
-        float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), reached,
-    )  # fmt: skip
+    test = set_points(*site, shift, plan.chamber)
+    cut = np.isclose(test[0][:, None], plan.chamber.temperature_degC).any(axis=1)
+    warm, damp, celsius, percent = (np.round(one, 2) for one in (*test, *site))
+    return ChamberProfile(
+        warm,
+        damp,
+        celsius,
+        percent,
+        day=tuple(map(stamp_text, chosen.start_s)),
+        shift_per_K=shift,
+        acceleration=float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)),
+        share_at_chamber_limit=float(cut.mean()),
+        reached=reached,
+        closeness=closeness(days, site, test, plan, ageing, service_cycles),
+    )
 
 
 def _span(celsius: np.ndarray, chamber: Chamber) -> tuple[float, float]:
@@ -386,54 +357,51 @@ def _ramped(values: np.ndarray, most: float) -> np.ndarray:
     return np.array(course)
 
 
-def _in_si(celsius: np.ndarray, percent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return celsius + ZERO_CELSIUS_K, percent / 100.0
+def _rate(law: Acceleration, celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
+    return law.rate(celsius + ZERO_CELSIUS_K, percent / 100.0)
 
 
 def closeness(
-    sequence: ChamberSequence, days: Days, plan: ProfilePlan, ageing: BoundedMean, service_cycles: np.ndarray
+    days: Days,
+    site: tuple[np.ndarray, np.ndarray],
+    test: tuple[np.ndarray, np.ndarray],
+    plan: ProfilePlan,
+    ageing: BoundedMean,
+    service_cycles: np.ndarray,
 ) -> Closeness:
     """What a test profile reproduces of the site, and how closely.
 
-    days: all days of the climate.  ageing: [h a year at the reference] of the site.  service_cycles: (3,)
-    cycles a year from each of `CYCLE_RANGES_K`.
+    days, ageing, service_cycles: as for `build_profile`.  site, test: temperatures [°C] and humidities [%] of
+    the chosen days before warming (n,), and of the test (n,).
     """
-    law: Acceleration = plan.law
-    celsius, percent = sequence.site_temperature_degC, sequence.site_humidity_percent
-    all_rate = law.rate(*_in_si(days.temperature_degC, days.relative_humidity_percent))
-    own_rate = law.rate(*_in_si(sequence.temperature_degC, sequence.relative_humidity_percent))
-    site = shares(days.temperature_degC, days.relative_humidity_percent)
-    site_ageing = shares(days.temperature_degC, days.relative_humidity_percent, all_rate)
-    aged = float(own_rate.sum())
+    everywhere = (days.temperature_degC, days.relative_humidity_percent)
+    all_rate, own_rate = (_rate(plan.law, *one) for one in (everywhere, test))
+    aged, service = float(own_rate.sum()), plan.test.service_years
     years = [
         aged / max(one, 1e-300)
         for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
-    per_year = YEAR_H / len(celsius)
-    before = cycles_from(celsius)
-    after = cycles_from(sequence.temperature_degC)
-    wet = days.relative_humidity_percent > WET_PERCENT
-    test_wet = sequence.relative_humidity_percent > WET_PERCENT
+    wet, test_wet = (percent > WET_PERCENT for _, percent in (everywhere, test))
+    numbers = [
+        ("hours above 80 %, %", 100.0 * wet.mean(), 100.0 * test_wet.mean()),
+        (
+            "ageing above 80 %, %",
+            100.0 * all_rate[wet].sum() / all_rate.sum(),
+            100.0 * own_rate[test_wet].sum() / own_rate.sum(),
+        ),
+        ("mean relative humidity, %", everywhere[1].mean(), test[1].mean()),
+    ]
+    cycles = (cycles_from(site[0]) * (YEAR_H / len(site[0])), cycles_from(test[0]))
+    for least, a_year, before, after in zip(CYCLE_RANGES_K, service_cycles, *cycles, strict=True):
+        words = f"temperature cycles of {least:g} K and more"
+        numbers.append((f"{words}, a year, before warming", a_year, before))
+        numbers.append((f"{words}, in service", service * a_year, after))
     return Closeness(
-        Ageing(aged, plan.service_years * ageing.value, *years),
-        _distance(shares(celsius, percent), site),
-        _distance(shares(celsius, percent, own_rate), site_ageing),
-        SiteAndTest(float(wet.mean()), float(test_wet.mean())),
-        SiteAndTest(
-            float(all_rate[wet].sum() / all_rate.sum()), float(own_rate[test_wet].sum() / own_rate.sum())
-        ),
-        SiteAndTest(
-            float(days.relative_humidity_percent.mean()), float(sequence.relative_humidity_percent.mean())
-        ),
-        tuple(
-            CycleCount(
-                float(least), float(service_cycles[i]), float(before[i] * per_year), float(after[i]),
-                float(plan.service_years * service_cycles[i]),
-            )
-            for i, least in enumerate(CYCLE_RANGES_K)
-        ),
-        NOT_REPRODUCED,
-    )  # fmt: skip
+        Ageing(aged, service * ageing.value, *years),
+        _distance(shares(*site), shares(*everywhere)),
+        _distance(shares(*site, own_rate), shares(*everywhere, all_rate)),
+        tuple(Reproduced(words, float(a), float(b)) for words, a, b in numbers),
+    )
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:

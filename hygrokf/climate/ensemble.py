@@ -10,8 +10,6 @@ Noise with shots is a compound Poisson process: normal shots at random times, ev
 a step d the variance is the Gaussian one times G h/d, G ~ Poisson(d/h), with mean 1; the excess kurtosis of
 an increment is 3 h/d. h = 0 is the Gaussian noise.
 
-Shapes: n states, m outputs, N members.
-
 Source: Campbell's theorem (cumulants of shot noise; Rice 1944, doi:10.1002/j.1538-7305.1944.tb00874.x).
 
 From a known state the model's moments over one step are the mean and covariance of the next state (exact
@@ -19,7 +17,7 @@ where the model is linear over a step).  Every member draws its next state from 
 or with the rare shots that the fit's innovations show.  Compiled code steps all
 members side by side.  In a model with switches every member operates its own.
 
-Shapes: N members, T instants that are kept, n states.
+Shapes: N members, T instants that are kept, n states, m outputs.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -36,30 +36,8 @@ _RATE_OF = {
 
 @dataclass(frozen=True)
 class ClimateLimit:
-    """A limit: at most `hours_a_year` of `quantity` above (`side`) or below `level`, `during` a scope of the
-    year."""
-
-    name: str
-    quantity: str
-    side: str
-    level: float
-    hours_a_year: float = 0.0
-    during: str = "all"
-
-    def words(self) -> str:
-        """The limit in words: "temperature above 45 °C in operation"."""
-        when = "" if self.during == "all" else f" in {self.during}"
-        return f"{self.quantity_words} {self.side} {self.level:g} {QUANTITIES[self.quantity]}{when}"
-
-    @property
-    def quantity_words(self) -> str:
-        """The quantity in words, without its unit."""
-        return re.sub("_(degC|percent_per_h|percent|g_m3|K_per_h)$", "", self.quantity).replace("_", " ")
-
-
-@dataclass(frozen=True)
-class LimitForm:
-    """A [[limit]] of a file of limits."""
+    """A limit, and a [[limit]] of a file: at most `hours_a_year` of `quantity` `above` or `below` a level,
+    `during` a scope of the year."""
 
     quantity: str = setting(help="what is limited", choices=tuple(QUANTITIES))
     above: float | None = setting(None, "the level that should not be exceeded")
@@ -95,23 +73,29 @@ class LimitForm:
         if "rate" in self.quantity and self.below is not None:
             yield "a rate is limited from above; write above = …"
 
-    def stated(self) -> ClimateLimit:
-        """The limit."""
-        made = ClimateLimit(self.name, self.quantity, self.side, self.level, self.hours_a_year, self.during)
-        return made if self.name else replace(made, name=made.words())
+    def named(self, of: str = "") -> ClimateLimit:
+        """The limit with a name: its own, or that `of` a class and the limit in words."""
+        when = "" if self.during == "all" else f" in {self.during}"
+        words = f"{self.quantity_words} {self.side} {self.level:g} {QUANTITIES[self.quantity]}{when}"
+        return replace(self, name=self.name or f"{of}{words}")
+
+    @property
+    def quantity_words(self) -> str:
+        """The quantity in words, without its unit."""
+        return re.sub("_(degC|percent_per_h|percent|g_m3|K_per_h)$", "", self.quantity).replace("_", " ")
 
 
 @dataclass(frozen=True)
 class LimitsForm:
     """A file of limits."""
 
-    limit: tuple[LimitForm, ...] = setting((), "the limits")
+    limit: tuple[ClimateLimit, ...] = setting((), "the limits")
 
     @across("limit")
     def names(self) -> list[str]:
         if not self.limit:
             return ["expected at least one [[limit]], found none; see docs/how_to/climate.md"]
-        return _doubled([one.stated() for one in self.limit])
+        return doubled([one.named() for one in self.limit])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,56 +113,24 @@ class Exceedance(ClimateLimit):
     why: str = ""
 
 
-def read_limits(path: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
-    """Limits from a TOML file; raises FormFault with everything that is wrong."""
-    return tuple(one.stated() for one in read_toml_form(LimitsForm, path).limit)
-
-
 class ClassFault(HygrokfError):
     """A name that is neither a file of limits nor a known class."""
 
 
-@dataclass(frozen=True)
-class ClimateClass:
-    """A class of climatic conditions: the limits of a standard that public documents state.
-
-    name: standard and class. edition: of the standard. levels: quantity, side and level of each limit, no
-        hour of a year may lie beyond them. sources: of the levels. lacking: what the class limits besides,
-        without a public number.
-    """
-
-    name: str
-    edition: str
-    levels: tuple[tuple[str, str, float], ...]
-    sources: tuple[str, ...]
-    lacking: tuple[str, ...]
-
-    @property
-    def limits(self) -> tuple[ClimateLimit, ...]:
-        """The limits, each named after the class."""
-        made = (ClimateLimit("", quantity, side, level) for quantity, side, level in self.levels)
-        return tuple(replace(one, name=f"{self.name}: {one.words()}") for one in made)
-
-
-CLASSES = (
-    ClimateClass(
-        "IEC 60721-3-3 3K3",
-        "2nd edition (1994), replaced in 2019 by an edition with other classes",
-        (
-            ("temperature_degC", "above", 40.0),
-            ("temperature_degC", "below", 5.0),
-            ("relative_humidity_percent", "above", 85.0),
-            ("relative_humidity_percent", "below", 5.0),
-        ),
-        (
-            "temperature and humidity: data sheet of the WiFi Fan Controller Rev 3.3, "
-            "github.com/zeroflow/wifi-fancontroller",
-            "humidity: KEB COMBIVERT G6, installation manual, page 9",
-        ),
-        ("absolute humidity", "rate of change of temperature"),
+CLASSES: Mapping[str, tuple[ClimateLimit, ...]] = {
+    # 2nd edition (1994), replaced in 2019 by an edition with other classes; it also limits the absolute
+    # humidity and the rate of change of the temperature, without a public number.  Sources: data sheet of the
+    # WiFi Fan Controller Rev 3.3, github.com/zeroflow/wifi-fancontroller; humidity also: KEB COMBIVERT G6,
+    # installation manual, page 9
+    "IEC 60721-3-3 3K3": (
+        ClimateLimit("temperature_degC", above=40.0),
+        ClimateLimit("temperature_degC", below=5.0),
+        ClimateLimit("relative_humidity_percent", above=85.0),
+        ClimateLimit("relative_humidity_percent", below=5.0),
     ),
-)
-"""The known classes; docs/how_to/climate.md shows them with their sources."""
+}
+"""The known classes by standard and name: no hour of a year may lie beyond their limits;
+docs/how_to/climate.md shows them with their sources."""
 
 
 def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
@@ -191,31 +143,25 @@ def limits_of(given: str | os.PathLike[str]) -> tuple[ClimateLimit, ...]:
     """
     path = Path(given)
     if path.suffix == ".toml" or path.exists():
-        return read_limits(path)
-    for one in CLASSES:
-        standard, _, letters = one.name.removeprefix("IEC ").rpartition(" ")
+        return tuple(one.named() for one in read_toml_form(LimitsForm, path).limit)
+    for name, limits in CLASSES.items():
+        standard, _, letters = name.removeprefix("IEC ").rpartition(" ")
         pattern = rf"(((DIN|EN|IEC|BS|ISO)\s+)*{re.escape(standard)}\s+(class\s+)?)?{letters}"
         if re.fullmatch(pattern, str(given).strip(), re.IGNORECASE):
-            return one.limits
-    names = ", ".join(one.name for one in CLASSES)
+            return tuple(one.named(f"{name}: ") for one in limits)
     raise ClassFault(
-        f'limits "{given}": expected a file of limits (.toml) or one of the classes {names}; the numbers of '
-        "other classes are not in public documents: write those of your copy of the standard into a file, "
-        "see docs/how_to/climate.md"
+        f'limits "{given}": expected a file of limits (.toml) or one of the classes {", ".join(CLASSES)}; '
+        "the numbers of other classes are not in public documents: write those of your copy of the standard "
+        "into a file, see docs/how_to/climate.md"
     )
 
 
-def _doubled(limits: Sequence[ClimateLimit]) -> list[str]:
+def doubled(limits: Sequence[ClimateLimit]) -> list[str]:
+    """The names that several limits have, maybe of several files."""
     names = [one.name for one in limits]
     return [
         f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
     ]
-
-
-def expect_names(limits: Sequence[ClimateLimit]) -> None:
-    """Refuse limits of one name, maybe of several files; raises ValueError."""
-    if faults := _doubled(limits):
-        raise ValueError("; ".join(faults))
 
 
 def beyond(year: Year, limit: ClimateLimit) -> np.ndarray | None:
@@ -244,14 +190,14 @@ def exceeded(year: Year, limit: ClimateLimit) -> np.ndarray | None:
     return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
-def judge_limit(limit: ClimateLimit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
-    """The verdict on a limit from the members' numbers (N, 3) in every year.
+def judge_limit(limit: ClimateLimit, years: np.ndarray, part: str = "") -> Exceedance:
+    """The verdict on a limit from the members' numbers (years, N, 3), those of `exceeded`.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower
     bound is beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known
     (in words, such as "80 days") that keeps to the limit: the rest may not.
     """
-    hours, number, longest = (bounded(np.array([year[:, i] for year in years])) for i in range(3))
+    hours, number, longest = (bounded(years[:, :, i]) for i in range(3))
     verdict: Literal["pass", "undecided", "fail"] = "undecided"
     why = ""
     if hours.upper <= limit.hours_a_year:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from hygrokf.climate.ensemble import (
     shots_of,
     simulate_years,
 )
-from hygrokf.climate.limits import ClimateLimit, exceeded, expect_names, judge_limit
+from hygrokf.climate.limits import ClimateLimit, doubled, exceeded, judge_limit
 from hygrokf.climate.region import PowerCurve, Region, driven
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars, wetness_class
 from hygrokf.climate.study import DurationCurve, JointDistribution, RegionClimate, Study, YearSpan
@@ -53,33 +53,25 @@ HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
 """Edges of the joint distribution [°C], [%]; the last bin also counts what is above saturation."""
 
 
-@dataclass(frozen=True)
-class Curves:
-    """The curves of one year for every member (N).
-
-    `duration`: by quantity, the values (N, len(SHARES)) that are exceeded for these shares of the time;
-    `rates`: the same of absolute rates of change; `joint`: hours a year (N, temperature bins, humidity bins),
-    or None without humidity.
-    """
-
-    duration: Mapping[str, np.ndarray]
-    rates: Mapping[str, np.ndarray]
-    joint: np.ndarray | None
+Reduced: TypeAlias = Mapping[tuple[str, str], np.ndarray]
+"""What a year is reduced to, for every member (N, …): by scope and name the numbers; by "duration" or "rates"
+and quantity the values that are exceeded for `SHARES` of the time; by "joint" and "hours" the joint
+distribution [h a year]; by "limit" and name what is beyond a limit.  Absent without the quantity."""
 
 
-def curves(year: Year) -> Curves:
-    """Duration curves, rates and the joint distribution of a year."""
-    rows = courses(year)
-    shares = 1.0 - np.array(SHARES)
-    duration = {name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()}
-    steep = {
-        short: np.quantile(rates(rows[name], year), shares, axis=1).T
-        for name, short in RATES.items()
-        if name in rows
-    }
-    percent = rows.get("relative_humidity_percent")
-    celsius = rows["temperature_degC"][:, year.known]
-    return Curves(duration, steep, None if percent is None else _joint_hours(celsius, percent[:, year.known]))
+def reduced(year: Year, law: Acceleration, limits: Sequence[ClimateLimit] = ()) -> Reduced:
+    """The numbers and curves of a year."""
+    rows, shares = courses(year), 1.0 - np.array(SHARES)
+    found = {(scope, name): one for scope in SCOPES for name, one in scalars(year, law, scope).items()}
+    for name, value in rows.items():
+        found["duration", name] = np.quantile(value[:, year.known], shares, axis=1).T
+    for name, short in RATES.items():
+        if name in rows:
+            found["rates", short] = np.quantile(rates(rows[name], year), shares, axis=1).T
+    if (percent := rows.get("relative_humidity_percent")) is not None:
+        celsius = rows["temperature_degC"]
+        found["joint", "hours"] = _joint_hours(celsius[:, year.known], percent[:, year.known])
+    return found | {("limit", one.name): many for one in limits if (many := exceeded(year, one)) is not None}
 
 
 def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
@@ -93,87 +85,69 @@ def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
     return counted.reshape(-1, rows, columns) * (YEAR_H / celsius.shape[1])
 
 
-class SimulatedYear(NamedTuple):
-    """A year: first and last instant [s since 1970, UTC], known hours [h], and their share in operation."""
-
-    begin_s: float
-    end_s: float
-    hours: float
-    operating: float
-
-
 @dataclass
 class Gathered:
     """The years of one ensemble, reduced: each list has an entry for each year."""
 
-    scalars: dict[str, list[dict[str, np.ndarray]]] = field(
-        default_factory=lambda: {scope: [] for scope in SCOPES}
-    )
-    curves: list[Curves] = field(default_factory=list)
-    limits: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    weather: list[dict[str, float]] = field(default_factory=list)
-    weather_curves: list[Curves] = field(default_factory=list)
+    cabinet: list[Reduced] = field(default_factory=list)
+    weather: list[Reduced] = field(default_factory=list)
     days: list[Days] = field(default_factory=list)
-    spans: list[SimulatedYear] = field(default_factory=list)
+    spans: list[YearSpan] = field(default_factory=list)
+
+    def of(self, kind: str) -> dict[str, np.ndarray]:
+        """What the cabinet's years have of one kind, by name (years, N, …)."""
+        names = (name for other, name in self.cabinet[0] if other == kind)
+        return {name: np.array([year[kind, name] for year in self.cabinet]) for name in names}
+
+    def outside(self, kind: str) -> dict[str, np.ndarray]:
+        """The same of the weather: the mean of the years."""
+        names = (name for other, name in self.weather[0] if other == kind)
+        return {name: np.mean([year[kind, name][0] for year in self.weather], axis=0) for name in names}
 
     @property
     def part(self) -> str:
         """The known part of the fullest year, such as "80 days"; "" where it can stand for a year."""
-        fullest = max(self.spans, key=lambda span: span.hours)
-        if fullest.hours >= WHOLE * YEAR_H:
+        fullest = max(self.spans, key=lambda span: span.hours_known)
+        if fullest.hours_known >= WHOLE * YEAR_H:
             return ""
-        covered = (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0  # gaps included
-        hours = covered if covered < WHOLE * YEAR_H else fullest.hours
-        return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
+        covered = fullest.hours_covered
+        return _length_text(covered if covered < WHOLE * YEAR_H else fullest.hours_known)
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year belongs to a scope."""
-        return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
+        return any(year[scope, "hours"].max() > 0.0 for year in self.cabinet)
 
     def add(self, year: Year, limits: Sequence[ClimateLimit], law: Acceleration, members: int) -> None:
         """Reduce one more year of an ensemble of so many members."""
-        for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
-            self.scalars[scope].append(scalars(year, law, scope))
-        self.curves.append(curves(year))
-        weather = outside(year)
-        self.weather.append({name: float(value[0]) for name, value in scalars(weather, law).items()})
-        self.weather_curves.append(curves(weather))
-        for one in limits:
-            found = exceeded(year, one)
-            if found is not None:
-                self.limits.setdefault(one.name, []).append(found)
+        # a year without operation has 0 h of it, and counts among the others
+        self.cabinet.append(reduced(year, law, limits))
+        self.weather.append(reduced(outside(year), law))
         if year.relative_humidity is not None and abs(year.step_h - 1.0) < 1e-6:
             # each year contributes other members, so that the days show the differences between members
             first = len(self.days) * DAYS_OF
             chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
             self.days.append(thinned(days_of(year, chosen)))
-        operating = float(year.operating[year.known].mean())
-        self.spans.append(SimulatedYear(year.time_s[0], year.time_s[-1], year.hours, operating))
-
-    def outside(self) -> dict[str, float]:
-        """The numbers of the weather, means over the years."""
-        return {name: float(np.mean([rows[name] for rows in self.weather])) for name in self.weather[0]}
+        ends = (stamp_text(year.time_s[place]) for place in (0, -1))
+        self.spans.append(YearSpan(year.hours, float(year.operating[year.known].mean()), *ends))
 
     def duration_curves(self, kind: Literal["duration", "rates"]) -> dict[str, DurationCurve]:
         """The curves by quantity, with bounds."""
+        weather = self.outside(kind)
         found = {}
-        weather = [getattr(one, kind) for one in self.weather_curves]
-        for name in getattr(self.curves[0], kind):
-            made = bounded_array(np.array([getattr(one, kind)[name] for one in self.curves]))
-            around = np.mean([one[name][0] for one in weather if name in one], axis=0)
-            parts = {part: rounded(value) for part, value in vars(made).items()}
-            found[name] = DurationCurve(**parts, share_beyond=np.array(SHARES), outside=rounded(around))
+        for name, values in self.of(kind).items():
+            made = bounded_array(values)
+            parts = {part: rounded(made[part]) for part in ("value", "lower", "upper")}
+            found[name] = DurationCurve(np.array(SHARES), **parts, outside=rounded(weather[name]))
         return found
 
     def joint(self) -> JointDistribution | None:
         """The joint distribution without its empty rows; None without humidity."""
-        if self.curves[0].joint is None:
+        if "hours" not in (found := self.of("joint")):
             return None
-        inside = bounded_array(np.array([one.joint for one in self.curves]))
-        weather = np.mean([one.joint[0] for one in self.weather_curves if one.joint is not None], axis=0)
-        used = np.flatnonzero((inside.value > 0).any(axis=1) | (weather > 0).any(axis=1))
+        inside, weather = bounded_array(found["hours"]), self.outside("joint")["hours"]
+        used = np.flatnonzero((inside["value"] > 0).any(axis=1) | (weather > 0).any(axis=1))
         rows = slice(int(used[0]), int(used[-1]) + 1)
-        hours = (inside.value, inside.lower, inside.upper, weather)
+        hours = (inside["value"], inside["lower"], inside["upper"], weather)
         return JointDistribution(
             TEMPERATURE_EDGES[rows.start : rows.stop + 1],
             HUMIDITY_EDGES,
@@ -185,20 +159,14 @@ class Gathered:
         days = thinned(joined(self.days)) if self.days else None
         if days is None or not len(days):
             return None
-        years = self.scalars["all"]
-        names = [f"temperature_cycles_from_{least:g}_K_number" for least in CYCLE_RANGES_K]
-        cycles = np.array([np.mean([rows[name].mean() for rows in years]) for name in names])
-        return build_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
+        numbers = self.of("all")
+        cycles = [numbers[f"temperature_cycles_from_{least:g}_K_number"] for least in CYCLE_RANGES_K]
+        means = np.array([np.mean([year.mean() for year in one]) for one in cycles])
+        return build_profile(days, plan, bounded(numbers["ageing_h"]), means)
 
 
-def is_whole(year: Year) -> bool:
-    """Whether enough of a year is known to stand for it."""
-    return year.hours >= WHOLE * YEAR_H
-
-
-def summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, BoundedMean]:
-    """The numbers of all years with their bounds, by name."""
-    return {name: bounded(np.array([year[name] for year in years])) for name in years[0]}
+def _length_text(hours: float) -> str:
+    return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
 
 
 MEMBERS = 50
@@ -239,7 +207,9 @@ def climate_profile(
         raise ValueError("expected the weather of at least one region, found none")
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
-    expect_names(limits)
+    limits = [one.named() for one in limits]
+    if faults := doubled(limits):
+        raise ValueError("; ".join(faults))
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
     found = []
@@ -296,18 +266,13 @@ def _region(
     record, statements = driven(fit, region.weather, power)
     rare = shots_of(fit, record)
     statements += shot_words(rare)
-    whole, part, count = Gathered(), Gathered(), 0
-    for year in ensemble.years(record, rare):
-        count += 1
-        if year.known.any():
-            (whole if is_whole(year) else part).add(year, limits, plan.law, members)
-    gathered = whole if whole.spans else part
+    gathered, count = _gathered(ensemble.years(record, rare), limits, plan.law, members)
     if not gathered.spans:
         raise ValueError(
             "weather and power are never known at the same instant; check the files and their spans"
         )
     operates = power is not None and fit.design.power_scale_W is not None
-    scopes = {scope: summary(gathered.scalars[scope]) for scope in SCOPES if gathered.has(scope)}
+    scopes = {scope: _bounded(gathered.of(scope)) for scope in SCOPES if gathered.has(scope)}
     if operates:
         statements += operating_words(gathered, isinstance(power, PowerCurve))
     statements += [
@@ -315,18 +280,19 @@ def _region(
         *extrapolation_words(fit, record),
         *region.weather.warnings,
         *interval_words(region.weather),
-        *weather_words(gathered, count),
-        *member_words(members, len(gathered.spans)),
+        *weather_words(gathered, count, members),
         *limit_words(limits, gathered),
         *saturation_words(scopes["all"]),
     ]
     if operates:
-        scopes[STANDSTILL_YEAR] = _standstill(ensemble, region, rare, plan)
+        still, _ = driven(fit, region.weather, None)
+        years = ensemble.years(still, rare, " at standstill")
+        scopes[STANDSTILL_YEAR] = _bounded(_gathered(years, (), plan.law, members)[0].of("all"))
     ensemble.say(f"{region.name}: test profile")
     profile = gathered.test_profile(plan)
     if profile is None:
         statements.append(NO_PROFILE)
-    wet = scopes["all"].get("wetness_h")
+    wet, beyond = scopes["all"].get("wetness_h"), gathered.of("limit")
     return RegionClimate(
         name=region.name,
         files=tuple(region.files),
@@ -335,38 +301,38 @@ def _region(
         part_of_year=gathered.part,
         bounds_hold=held(members * len(gathered.spans)),
         mean_bounds_hold=held(members),
-        years=tuple(
-            YearSpan(one.hours, one.operating, stamp_text(one.begin_s), stamp_text(one.end_s))
-            for one in gathered.spans
-        ),
+        years=tuple(gathered.spans),
         wetness_class=None if wet is None else wetness_class(wet.value),
         wetness_class_bounds=None if wet is None else (wetness_class(wet.lower), wetness_class(wet.upper)),
         scopes={
             scope: {name: one.rounded() for name, one in numbers.items()} for scope, numbers in scopes.items()
         },
-        outside=gathered.outside(),
+        outside={name: float(one) for name, one in gathered.outside("all").items()},
         duration=gathered.duration_curves("duration"),
         rates=gathered.duration_curves("rates"),
         joint=gathered.joint(),
         limits=tuple(
-            judge_limit(one, gathered.limits[one.name], gathered.part)
-            for one in limits
-            if one.name in gathered.limits
+            judge_limit(one, beyond[one.name], gathered.part) for one in limits if one.name in beyond
         ),
         test_profile=profile,
     )
 
 
-def _standstill(
-    ensemble: _Ensemble, region: Region, rare: Sequence[Shots], plan: ProfilePlan
-) -> dict[str, BoundedMean]:
-    """The numbers of the years if the turbine stood still all the time."""
-    record, _ = driven(ensemble.fit, region.weather, None)
-    rows: dict[bool, list[dict[str, np.ndarray]]] = {True: [], False: []}
-    for year in ensemble.years(record, rare, " at standstill"):
+def _gathered(
+    years: Iterator[Year], limits: Sequence[ClimateLimit], law: Acceleration, members: int
+) -> tuple[Gathered, int]:
+    """The years that are known well enough to stand for one, else the parts of years, reduced; and the number
+    of all."""
+    whole, part, count = Gathered(), Gathered(), 0
+    for year in years:
+        count += 1
         if year.known.any():
-            rows[is_whole(year)].append(scalars(year, plan.law))
-    return summary(rows[True] or rows[False])
+            (whole if year.hours >= WHOLE * YEAR_H else part).add(year, limits, law, members)
+    return (whole if whole.spans else part), count
+
+
+def _bounded(numbers: Mapping[str, np.ndarray]) -> dict[str, BoundedMean]:
+    return {name: bounded(values) for name, values in numbers.items()}
 
 
 FEWEST_MEMBERS = 39
@@ -402,30 +368,19 @@ def interval_words(weather: Record) -> list[str]:
 def operating_words(gathered: Gathered, by_curve: bool) -> list[str]:
     """The share of time in operation, with a doubt where it is low."""
     spans = gathered.spans
-    share = float(np.average([one.operating for one in spans], weights=[one.hours for one in spans]))
+    shares, hours = zip(*((one.operating_share, one.hours_known) for one in spans), strict=True)
+    share = float(np.average(shares, weights=hours))
     said = f"the turbine operates {100.0 * share:.0f} % of the time"
     if share >= LEAST_OPERATION:
         return [said]
     return [f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"]
 
 
-def member_words(members: int, years: int) -> list[str]:
-    """A statement where there are too few members for the stated bounds."""
-    share = held(members * years)
-    if share >= LEVEL:
-        return []
-    return [
-        f"{members} members are too few: the bounds are the smallest and the largest member, which hold a "
-        f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
-        f"{FEWEST_MEMBERS} or more (--members)"
-    ]
-
-
 def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]:
     """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
     said = []
     for one in limits:
-        if one.name not in gathered.limits:
+        if one.name not in gathered.of("limit"):
             said.append(
                 f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature'
             )
@@ -437,40 +392,29 @@ def limit_words(limits: Sequence[ClimateLimit], gathered: Gathered) -> list[str]
     return said
 
 
-def weather_words(gathered: Gathered, found: int) -> list[str]:
-    """Statements on the years used, out of `found` years."""
-    hours, count = sum(one.hours for one in gathered.spans), len(gathered.spans)
-    length = sum(one.end_s - one.begin_s for one in gathered.spans) / 3600.0 + count
-    said = []
-    if count < found:
-        said.append(
-            f"{found - count} of {found} years are left out: less than {100.0 * WHOLE:.0f} % of their "
-            "weather and power is known"
-        )
-    if gathered.part and count == 1:
-        said.append(
-            f"the bounds rest on {gathered.part} of weather and say nothing about the rest of the year or "
-            "other years"
-        )
-    elif count == 1:
-        said.append("the bounds rest on one year of weather and say nothing about how years differ")
-    if length < 0.95 * YEAR_H * count:
-        days = f"{length / 24.0:.0f} days" if length >= 48.0 else f"{length:.0f} hours"
-        said.append(
-            f"the weather covers {days}, not {'a year' if count == 1 else f'{count} years'}: hours per year "
-            "are scaled up as if the rest were alike"
-        )
-    if gathered.part:
-        said.append(
-            f"on {gathered.part} no limit passes, because the rest of the year may exceed it: a limit that "
-            "is kept here is undecided, one that is exceeded fails"
-        )
-    if hours < 0.98 * length:
-        said.append(
-            f"weather or power is unknown for {100.0 * (1.0 - hours / length):.1f} % of the time, which is "
-            "left out"
-        )
-    return said
+def weather_words(gathered: Gathered, found: int, members: int) -> list[str]:
+    """Statements on the years used, out of `found` years, and on too few members for the stated bounds."""
+    hours, count = sum(one.hours_known for one in gathered.spans), len(gathered.spans)
+    length, part = sum(one.hours_covered for one in gathered.spans), gathered.part
+    share = held(members * count)
+    said = {
+        f"{found - count} of {found} years are left out: less than {100.0 * WHOLE:.0f} % of their "
+        "weather and power is known": count < found,
+        f"the bounds rest on {part} of weather and say nothing about the rest of the year or "
+        "other years": bool(part) and count == 1,
+        "the bounds rest on one year of weather and say nothing about how years differ": not part
+        and count == 1,
+        f"the weather covers {_length_text(length)}, not {'a year' if count == 1 else f'{count} years'}: "
+        "hours per year are scaled up as if the rest were alike": length < 0.95 * YEAR_H * count,
+        f"on {part} no limit passes, because the rest of the year may exceed it: a limit that "
+        "is kept here is undecided, one that is exceeded fails": bool(part),
+        f"weather or power is unknown for {100.0 * (1.0 - hours / length):.1f} % of the time, which is "
+        "left out": hours < 0.98 * length,
+        f"{members} members are too few: the bounds are the smallest and the largest member, which hold a "
+        f"single year in {100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; use "
+        f"{FEWEST_MEMBERS} or more (--members)": share < LEVEL,
+    }
+    return [text for text, holds in said.items() if holds]
 
 
 def saturation_words(found: Mapping[str, BoundedMean]) -> list[str]:

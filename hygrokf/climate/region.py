@@ -18,7 +18,7 @@ from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
-from hygrokf.data.toml_form import across, read_toml_form, setting
+from hygrokf.data.toml_form import across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
 from hygrokf.weather.reading import TYPICAL, form_of, read_weather
@@ -144,11 +144,6 @@ class PowerCurve:
             f"{self.hub_height_m:g} m by the {how} (factor {self.factor:.3f}); it has no faults, curtailment "
             "or wakes"
         )
-
-
-def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
-    """A power curve from TOML; raises FormFault with everything that is wrong."""
-    return read_toml_form(PowerCurve, path)
 
 
 def power_from_wind(curve: PowerCurve, record: Record) -> Series:
@@ -358,7 +353,6 @@ def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str
 
 
 def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
-    """A statement where the rated power of the power's turbine differs from that of the fit."""
     scale = fit.design.power_scale_W
     if rated_W is None or scale is None or abs(rated_W / scale - 1.0) < 0.1:
         return []

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.climate.bounds import BoundedArray, BoundedMean
+from hygrokf.climate.bounds import BoundedMean, expect_shape
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
@@ -47,17 +45,26 @@ class YearSpan:
     start: str
     end: str
 
+    @property
+    def hours_covered(self) -> float:
+        """[h] from the first to the last instant, gaps included."""
+        first, last = (np.datetime64(one.removesuffix("Z"), "s") for one in (self.start, self.end))
+        return float((last - first) / np.timedelta64(1, "h")) + 1.0
+
 
 @dataclass(frozen=True, eq=False)
-class DurationCurve(BoundedArray):
-    """Values that are exceeded for each share of the time [1] (`share_beyond`), with bounds, and those of the
-    weather (`outside`)."""
+class DurationCurve:
+    """Values that are exceeded for each share of the time [1] (`share_beyond`), with bounds of a single year,
+    and those of the weather (`outside`)."""
 
     share_beyond: np.ndarray
+    value: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
     outside: np.ndarray
 
     def __post_init__(self) -> None:
-        _expect_shape(self.share_beyond.shape, vars(self))
+        expect_shape(self.share_beyond.shape, vars(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +83,7 @@ class JointDistribution:
 
     def __post_init__(self) -> None:
         shape = (len(self.temperature_edges_degC) - 1, len(self.humidity_edges_percent) - 1)
-        _expect_shape(shape, {name: vars(self)[name] for name in ("hours", "lower", "upper", "outside")})
+        expect_shape(shape, {name: vars(self)[name] for name in ("hours", "lower", "upper", "outside")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,23 +132,6 @@ class RegionClimate:
         return next((verdict for verdict in ("fail", "undecided", "pass") if verdict in found), "")
 
 
-class StudyRow(NamedTuple):
-    """One number of a study, as a row of climate.csv, and its unit; `outside` is NaN where the weather has
-    none."""
-
-    region: str
-    scope: str
-    statistic: str
-    value: float
-    lower: float
-    upper: float
-    mean_lower: float
-    mean_upper: float
-    between_years: float
-    outside: float
-    unit: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Study:
     """The climate in a fitted cabinet under the weather of one or several regions.
@@ -170,18 +160,24 @@ class Study:
         names = ", ".join(one.name for one in self.regions)
         return f"Study({self.name!r}: {names}; {self.members} members, seed {self.seed})"
 
-    def rows(self) -> Iterator[StudyRow]:
-        """Every single number, by region, scope and name; limits follow with scope "limit"."""
+    def rows(self) -> Iterator[dict[str, str | float]]:
+        """Every single number, by region, scope and name, with its bounds and unit; limits follow with scope
+        "limit".  `outside` is NaN where the weather has none."""
         for region in self.regions:
-            for scope, numbers in region.scopes.items():
-                for name, one in numbers.items():
-                    weather = region.outside.get(name, math.nan) if scope == "all" else math.nan
-                    unit = UNITS.get(name, "1")
-                    yield StudyRow(region.name, scope, name, **vars(one), outside=weather, unit=unit)
-            for limit in region.limits:
-                for part, unit in LIMIT_UNITS.items():
-                    name, numbers = f"{limit.name}: {part}", vars(getattr(limit, part))
-                    yield StudyRow(region.name, "limit", name, **numbers, outside=math.nan, unit=unit)
+            numbers = [
+                (scope, name, UNITS.get(name, "1"), one)
+                for scope, by_name in region.scopes.items()
+                for name, one in by_name.items()
+            ]
+            numbers += [
+                ("limit", f"{limit.name}: {part}", unit, getattr(limit, part))
+                for limit in region.limits
+                for part, unit in LIMIT_UNITS.items()
+            ]
+            for scope, name, unit, one in numbers:
+                weather = region.outside.get(name, math.nan) if scope == "all" else math.nan
+                place = {"region": region.name, "scope": scope, "statistic": name}
+                yield {**place, **vars(one), "outside": weather, "unit": unit}
 
     def plot(self, axes: Axes | Sequence[Axes] | None = None) -> tuple[Axes, ...]:
         """Hours a year by temperature [°C] and relative humidity [%], else duration curves; or the regions.
@@ -198,13 +194,7 @@ class Study:
         """The rows as a pandas frame, indexed by region, scope and statistic, with the `unit` of each."""
         import pandas as pd
 
-        frame = pd.DataFrame(list(self.rows()), columns=StudyRow._fields)
-        return with_units(frame.set_index(list(StudyRow._fields[:3])), {})
-
-
-def _expect_shape(shape: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    if wrong := [f"{name} {one.shape}" for name, one in arrays.items() if one.shape != shape]:
-        raise ValueError(f"expected arrays of shape {shape}, found {', '.join(wrong)}")
+        return with_units(pd.DataFrame(self.rows()).set_index(["region", "scope", "statistic"]), {})
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -234,13 +224,8 @@ def read_climate(directory: str | os.PathLike[str]) -> Study:
 
 def climate_csv(study: Study) -> str:
     """All single numbers, one row for each region, scope and statistic; limits with scope "limit"."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(StudyRow._fields[:-1])
-    for row in study.rows():
-        numbers = ["" if one != one else f"{one:.6g}" for one in row[3:9]]
-        writer.writerow([*row[:3], *numbers, "" if row.outside != row.outside else row.outside])
-    return text.getvalue()
+    table = study.to_frame().drop(columns="unit").astype({"outside": object})  # unrounded
+    return str(table.to_csv(float_format="%.6g", lineterminator="\n"))
 
 
 def profile_files(study: Study) -> dict[str, str]:
@@ -255,7 +240,10 @@ def profile_files(study: Study) -> dict[str, str]:
         name = f"test_profile_{short}.csv" if several else "test_profile.csv"
         if name in found:
             name = f"test_profile_{short}_{number}.csv"
-        columns = ("hour", "temperature_degC", "relative_humidity_percent", "site_temperature_degC")
-        rows = zip(*(getattr(profile, column) for column in columns), strict=True)
-        found[name] = "\n".join([",".join(columns), *(",".join(f"{v:g}" for v in row) for row in rows), ""])
+        columns = ("temperature_degC", "relative_humidity_percent", "site_temperature_degC")
+        rows = zip(
+            range(len(profile.temperature_degC)), *(getattr(profile, one) for one in columns), strict=True
+        )
+        head = ",".join(("hour", *columns))
+        found[name] = "\n".join([head, *(",".join(f"{v:g}" for v in row) for row in rows), ""])
     return found

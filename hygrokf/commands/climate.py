@@ -74,7 +74,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _surface(text: str) -> Surface:
-    """A cold surface from its share of the cabinet air temperature and its offset [K]."""
     from hygrokf.physics.cold_surface import Surface
 
     share, *offset = (float(part) for part in text.split(","))
@@ -107,9 +106,10 @@ def _inputs(
     options: argparse.Namespace,
 ) -> tuple[Fit, list[Region], Record | PowerCurve | None, tuple[ClimateLimit, ...], ProfilePlan | None]:
     """What the files of a command line hold.  Raises UserFault with the faults of all of them."""
-    from hygrokf.climate.chamber import read_test_plan
+    from hygrokf.climate.chamber import ProfilePlan
     from hygrokf.climate.limits import limits_of
-    from hygrokf.climate.region import read_power, read_power_curve, read_region
+    from hygrokf.climate.region import PowerCurve, read_power, read_region
+    from hygrokf.data.toml_form import read_toml_form
 
     groups = _regions(options)
     faults: list[str] = []
@@ -124,11 +124,11 @@ def _inputs(
     with collected(faults):
         power = read_power(options.power) if options.power else None
         if options.power_curve:
-            power = read_power_curve(options.power_curve)
+            power = read_toml_form(PowerCurve, options.power_curve)
     with collected(faults):
         limits = limits_of(options.limits) if options.limits else ()
     with collected(faults):
-        plan = read_test_plan(options.test) if options.test else None
+        plan = read_toml_form(ProfilePlan, options.test) if options.test else None
     regions: list[Region] = []
     for name, files in groups:
         with collected(faults):
@@ -139,7 +139,6 @@ def _inputs(
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
-    """Names and weather files of the regions stated on the command line."""
     groups = [("site", options.weather)] if options.weather else []
     for text in options.region:
         name, sign, files = text.partition("=")

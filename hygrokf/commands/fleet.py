@@ -11,7 +11,7 @@ from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FLEET, REPORT
 
 if TYPE_CHECKING:
-    from hygrokf.fleet.job import Outcome
+    from hygrokf.fleet.job import Row
 
 
 def _arguments(parser: ArgumentParser) -> None:
@@ -27,7 +27,6 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
-    """Run the fleet; the exit status is 1 where any turbine has no result."""
     from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.plan import read_plan
     from hygrokf.report.fleet_page import fleet_blocks, outcome_text
@@ -38,9 +37,9 @@ def _run(options: Namespace) -> int:
     plan = read_plan(options.fleet)
     with Progress(len(plan.turbines)) as progress:
 
-        def say(found: Outcome, known: bool) -> None:
-            progress.tell(outcome_text(found, known))
-            progress(found.turbine)
+        def say(row: Row, known: bool) -> None:
+            progress.tell(outcome_text(row, known))
+            progress(str(row["turbine"]))
 
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
     data = {"rows": [dict(row) for row in found.rows]}

@@ -17,7 +17,7 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.fleet.job import Job, Outcome, Row, Work
+from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
@@ -44,7 +44,7 @@ def run_fleet(
     *,
     workers: int | None = None,
     cluster: str | None = None,
-    say: Callable[[Outcome, bool], None] = lambda found, known: None,
+    say: Callable[[Row, bool], None] = lambda found, known: None,
 ) -> FleetResults:
     """Do what a plan states for every turbine.
 
@@ -53,7 +53,7 @@ def run_fleet(
         `turbines/NAME`.
     workers: processes on this machine, by default one per core.
     cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
-    say: is called with each outcome as it comes, and whether it was on disk already.
+    say: is called with each row as it comes, and whether it was on disk already.
 
     Work with the same files, options and version is not repeated; failures are tried again.
 
@@ -76,7 +76,6 @@ def do_task(job: Job) -> Row:
 
 
 def _fit(job: Job) -> Row:
-    """Identify the models of a case, as `hygrokf fit` does."""
     from hygrokf.identification.procedure import identify
 
     record, options = read_case(job.case), FitOptions(**job.options)
@@ -113,7 +112,6 @@ def _of_record(record: Record) -> dict[str, Cell]:
 
 
 def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
-    """Values, bounds, statements and verdicts; empty where a constant was not identified."""
     found: dict[str, Cell] = {}
     for name in PARTS:
         constant = constants.get(name)
@@ -138,7 +136,6 @@ def _of_scores(found: Scored) -> dict[str, Cell]:
 
 
 def _discover(job: Job) -> Row:
-    """Find what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
     from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
@@ -165,7 +162,6 @@ def _discover(job: Job) -> Row:
 
 
 def _evaluate(job: Job) -> Row:
-    """Score a fitted model on a case, as `hygrokf evaluate` does."""
     from hygrokf.identification.fit_on_record import evaluate
 
     fit, record = stored_fit(*_model(job)), read_case(job.case)
@@ -187,13 +183,11 @@ def _evaluate(job: Job) -> Row:
 
 
 def _model(job: Job) -> tuple[Path, list[Path]]:
-    """The file of the model that a job uses, and those of the user's causes."""
     assert job.fit is not None, f"{job.task} needs a fit"
     return job.fit, [Path(file) for file in job.options["library"]]
 
 
 def _transfer(job: Job) -> Row:
-    """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
     from hygrokf.transfer.procedure import transfer_fit
 
     record = read_case(job.case)
@@ -213,16 +207,13 @@ def _transfer(job: Job) -> Row:
         for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
             error = results.rmse.get(quantity, {}).get(which)
             columns[name] = error.total if error is not None else math.nan
-        gains = results.gains.get(quantity, {}).get("re_estimated")
-        gain = gains.over_as_is if gains is not None else None
+        gain = results.gains.get(quantity, {}).get("re_estimated", {}).get("over_as_is")
         for part, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
             columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, part, math.nan)
     return columns
 
 
 def _climate(job: Job) -> Row:
-    """Simulate the climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate`
-    does."""
     from hygrokf.climate.limits import limits_of
     from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power

@@ -1,11 +1,10 @@
-"""One task for one turbine: the files that it reads, the key of its content, its outcome on disk."""
+"""One task for one turbine: the files that it reads, the key of its content, its row on disk."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -98,29 +97,12 @@ an exception is the turbine's failure.  Processes and Dask workers import it by 
 of a module."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The result of a job: its row of the fleet's table, and its CPU time [s]."""
-
-    row: Row
-    seconds: float = 0.0
-
-    @property
-    def turbine(self) -> str:
-        return str(self.row["turbine"])
-
-    @property
-    def status(self) -> str:
-        return str(self.row["status"])
-
-
-def outcome(
-    job: Job, status: str, columns: Row | None = None, reason: str = "", seconds: float = 0.0
-) -> Outcome:
-    """The outcome of a job: the columns that every row has, followed by those of its task; numbers that are
-    not finite become None."""
+def row_of(job: Job, status: str, columns: Row | None = None, reason: str = "") -> Row:
+    """The row of a job: the columns that every row has, followed by those of its task; numbers that are not
+    finite become None."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
-    return Outcome(json.loads(result_text({**shared, **(columns or {})})), seconds)
+    found: Row = json.loads(result_text({**shared, **(columns or {})}))
+    return found
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
@@ -165,12 +147,11 @@ def _source_files(case: Path) -> list[str]:
     return [name for name in named if isinstance(name, str)]
 
 
-def finished(job: Job) -> Outcome | None:
-    """The outcome on disk where the same work has been done; None where it failed or differs."""
+def finished(job: Job) -> Row | None:
+    """The row on disk where the same work has been done; None where it failed or differs."""
     try:
-        data = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
-        found = Outcome(data["row"], float(data["seconds"]))
-        same = found.row["key"] == job.key and found.turbine == job.turbine and found.status == DONE
+        found: Row = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
+        same = (found["key"], found["turbine"], found["status"]) == (job.key, job.turbine, DONE)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return found if same else None
@@ -183,28 +164,25 @@ def begin(job: Job) -> None:
         (job.folder / name).unlink(missing_ok=True)
 
 
-def keep(job: Job, found: Outcome) -> None:
+def keep(job: Job, found: Row) -> None:
     """Write the row; from then on the job is done.  Make the folder where a process died before it did."""
     job.folder.mkdir(parents=True, exist_ok=True)
     write_text_whole(job.folder / ROW, result_text(found))
 
 
-def perform(job: Job, work: Work) -> Outcome:
-    """Do a job, unless its outcome is on disk already; every exception becomes the reason in its row."""
+def perform(job: Job, work: Work) -> Row:
+    """Do a job, unless its row is on disk already; every exception becomes the reason in its row."""
     if (known := finished(job)) is not None:
         return known
-    started = time.process_time()
     try:
         begin(job)
-        columns = work(job)
-        found = outcome(job, DONE, columns, seconds=time.process_time() - started)
+        found = row_of(job, DONE, work(job))
     except Exception as fault:
-        found = outcome(job, FAILED, None, reason_of(fault), time.process_time() - started)
+        found = row_of(job, FAILED, reason=reason_of(fault))
     try:
         keep(job, found)
     except OSError as fault:
-        reason = f"{job.folder}: cannot be written: {fault.strerror or fault}"
-        return outcome(job, FAILED, None, reason, found.seconds)
+        return row_of(job, FAILED, reason=f"{job.folder}: cannot be written: {fault.strerror or fault}")
     return found
 
 

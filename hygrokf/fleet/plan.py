@@ -26,7 +26,7 @@ def _patterns(value: object) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class FleetTurbineForm:
+class FleetTurbine:
     """A `[[turbine]]` of FLEET.toml."""
 
     case: str = setting(help="its case file")
@@ -43,21 +43,12 @@ class FleetForm:
     cases: tuple[str, ...] = setting((), "patterns of case files", read=_patterns)
     fit: str = setting("", "the fitted model of all turbines; {name} is replaced by the name of a turbine")
     options: Mapping[str, Any] = setting(dict, "of the task")
-    turbine: tuple[FleetTurbineForm, ...] = setting((), "turbines beside those of `cases`")
-
-
-@dataclass(frozen=True)
-class FleetTurbine:
-    """A turbine of the fleet: its name, its case file, and the fitted model that the task uses."""
-
-    name: str
-    case: Path
-    fit: Path | None = None
+    turbine: tuple[FleetTurbine, ...] = setting((), "turbines beside those of `cases`")
 
 
 @dataclass(frozen=True)
 class FleetPlan:
-    """The content of FLEET.toml: name, task with all options, turbines in their order."""
+    """The content of FLEET.toml: name, task with all options, turbines in their order, with full paths."""
 
     name: str
     task: str
@@ -68,18 +59,14 @@ class FleetPlan:
         """One job for each turbine, with results in a folder of `out`, and with the key of what it reads."""
         stated = [Path(one) for name in TASKS[self.task].files for one in self.options[name]]
         beside = [one for one in stated if one.is_file()]
-        jobs = []
-        for turbine in self.turbines:
-            job = Job(
-                turbine.name,
-                self.task,
-                turbine.case.absolute(),
-                self.folder(out, turbine.name),
-                turbine.fit and turbine.fit.absolute(),
-                self.options,
+        jobs = (
+            Job(
+                one.name, self.task, Path(one.case), self.folder(out, one.name),
+                Path(one.fit) if one.fit else None, self.options,
             )
-            jobs.append(replace(job, key=content_key(job, beside)))
-        return jobs
+            for one in self.turbines
+        )  # fmt: skip
+        return [replace(job, key=content_key(job, beside)) for job in jobs]
 
     def folder(self, out: Path, turbine: str) -> Path:
         """The folder of a turbine's results."""
@@ -111,10 +98,9 @@ def read_plan(path: str | os.PathLike[str]) -> FleetPlan:
 
 
 def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[FleetTurbine]:
-    """The turbines of `cases`, then those of the `[[turbine]]` tables."""
     if form.fit and not task.uses_fit:
         faults.append(f'fit: the task "{form.task}" uses no fitted model; leave it out')
-    found = [(f"cases, {case}", FleetTurbineForm(case)) for case in _matched(form.cases, folder, faults)]
+    found = [(f"cases, {case}", FleetTurbine(case)) for case in _matched(form.cases, folder, faults)]
     found += [(f"[[turbine]] {number}", one) for number, one in enumerate(form.turbine, 1) if one.case]
     if not found and not faults:
         faults.append('no turbine: state cases = ["*/case.toml"], or one [[turbine]] for each')
@@ -134,13 +120,12 @@ def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> l
             )
         if task.uses_fit and not fit:
             faults.append(f'{where}: needs a fitted model: state fit = "…" here, or for all at the top')
-        fitted = folder / fit.replace("{name}", name) if fit else None
-        turbines.append(FleetTurbine(name, folder / one.case, fitted))
+        fitted = str((folder / fit.replace("{name}", name)).absolute()) if fit else ""
+        turbines.append(FleetTurbine(str((folder / one.case).absolute()), name, fitted))
     return turbines
 
 
 def _matched(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[str]:
-    """Case files that match the patterns, sorted within each, every file once."""
     found: dict[str, None] = {}
     for pattern in patterns:
         there = sorted(glob.glob(pattern, root_dir=folder, recursive=True))

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.data.structured import Cell, optional
+from hygrokf.data.structured import optional
 from hygrokf.data.tabular import units_by_name, with_units
 from hygrokf.fleet.job import DONE, Row
 from hygrokf.fleet.tasks import SHARED, TASKS
@@ -26,8 +26,7 @@ class FleetResults:
     """A fleet's table: one row per turbine, in the order of the fleet's file.
 
     `task`: name of the task, with its `options`; `type`: the type of turbine pooled from the fits, without
-    the turbines of `type_without`; `cpu_s`: CPU time [s] by turbine.  Columns and their units are those of
-    `tasks.TASKS[task]`.
+    the turbines of `type_without`.  Columns and their units are those of `tasks.TASKS[task]`.
     """
 
     task: str
@@ -38,7 +37,6 @@ class FleetResults:
     options: Mapping[str, Any] = field(default_factory=dict)
     type: TurbineType | None = None
     type_without: tuple[str, ...] = optional(())
-    cpu_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def done(self) -> list[Row]:
@@ -91,27 +89,8 @@ def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
         from pyarrow import parquet
     except ImportError:
         return None
-    kinds = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
-    fields, arrays = [], []
-    for name in columns_of(task):
-        values = [row.get(name) for row in rows]
-        kind = kinds[_kind(name, values)]
-        fields.append(pyarrow.field(name, kind))
-        arrays.append(pyarrow.array(values, type=kind))
+    names = columns_of(task)
+    table = pyarrow.Table.from_pylist([{name: row.get(name) for name in names} for row in rows])
     sink = pyarrow.BufferOutputStream()
-    parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields)), sink)
+    parquet.write_table(table, sink)
     return sink.getvalue().to_pybytes()
-
-
-def _kind(name: str, values: Sequence[Cell]) -> type:
-    """The type of a column; where it has no value at all, `float` or `str` by its name."""
-    there = {type(value) for value in values if value is not None}
-    if there == {int, float}:
-        return float
-    return there.pop() if len(there) == 1 else float if name.endswith(_NUMBERS) else str
-
-
-_NUMBERS = (
-    "_h", "_K", "_m3", "_degC", "_percent", "_lower", "_upper", "_coverage", "loglik", "confidence",
-    "n_readings", "warnings",
-)  # fmt: skip

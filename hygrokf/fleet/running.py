@@ -30,13 +30,12 @@ from hygrokf.fleet.job import (
     LOST,
     FleetFault,
     Job,
-    Outcome,
     Row,
     Work,
     finished,
     keep,
-    outcome,
     perform,
+    row_of,
 )
 from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.plan import FleetPlan
@@ -59,7 +58,7 @@ def run_jobs(
     *,
     workers: int | None = None,
     cluster: str | None = None,
-    say: Callable[[Outcome, bool], None] = lambda found, known: None,
+    say: Callable[[Row, bool], None] = lambda found, known: None,
 ) -> FleetResults:
     """Do the work for every turbine of a plan and write fleet.json, fleet.csv, fleet.parquet and, of three
     fits or more, type.json.
@@ -70,7 +69,7 @@ def run_jobs(
     """
     jobs = {job.turbine: job for job in plan.jobs(out)}
     out.mkdir(parents=True, exist_ok=True)
-    found: dict[str, Outcome] = {}
+    found: dict[str, Row] = {}
     for name, job in jobs.items():
         if (known := finished(job)) is not None:
             found[name] = known
@@ -78,26 +77,25 @@ def run_jobs(
     todo = [job for name, job in jobs.items() if name not in found]
     written = time.monotonic()
     if not todo:
-        coming: Iterator[Outcome] = iter(())
+        coming: Iterator[Row] = iter(())
     elif cluster:
         coming = on_cluster(todo, work, cluster)
     else:
         coming = in_processes(todo, work, workers or cores())
     for one in coming:
-        found[one.turbine] = one
-        if one.status == LOST:  # its process could not write the row
-            keep(jobs[one.turbine], one)
+        name = str(one["turbine"])
+        found[name] = one
+        if one["status"] == LOST:  # its process could not write the row
+            keep(jobs[name], one)
         say(one, False)
         if time.monotonic() - written > EVERY_S:
-            rows = [found[name].row for name in jobs if name in found]
+            rows = [found[name] for name in jobs if name in found]
             write_text_whole(out / CSV, table_csv(plan.task, rows))
             written = time.monotonic()
     return _written(plan, out, [found[name] for name in jobs])
 
 
-def _written(plan: FleetPlan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
-    """Write the table as CSV, Parquet and JSON; returns it."""
-    rows = [one.row for one in outcomes]
+def _written(plan: FleetPlan, out: Path, rows: Sequence[Row]) -> FleetResults:
     write_text_whole(out / CSV, table_csv(plan.task, rows))
     binary = table_parquet(plan.task, rows)
     if binary is None:
@@ -114,7 +112,6 @@ def _written(plan: FleetPlan, out: Path, outcomes: Sequence[Outcome]) -> FleetRe
         options=dict(plan.options),
         type=kind,
         type_without=tuple(without),
-        cpu_s={one.turbine: round(one.seconds, 3) for one in outcomes},
     )
     write_text_whole(out / FLEET, result_text(results))
     return results
@@ -152,7 +149,7 @@ WAIT_S = 30.0
 _one_at_a_time = threading.Lock()
 
 
-def perform_batch(jobs: Sequence[Job], work: Work) -> list[Outcome]:
+def perform_batch(jobs: Sequence[Job], work: Work) -> list[Row]:
     """What a worker of the cluster runs: some jobs, one after the other."""
     with _one_at_a_time:  # a worker with several threads receives several batches
         return [perform(job, work) for job in jobs]
@@ -164,8 +161,8 @@ def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
     return [jobs[i : i + size] for i in range(0, len(jobs), size)]
 
 
-def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcome]:
-    """Outcomes of jobs as they come, in no order: exactly one for each.
+def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Row]:
+    """Rows of jobs as they come, in no order: exactly one for each.
 
     Another worker repeats a batch whose worker has died.  Where that happens more often than the scheduler
     allows, its jobs are sent one by one, and a job that goes on killing workers is `lost`.  Raises
@@ -204,7 +201,7 @@ def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcom
                 coming.update([send([job]) for job in batch])
             else:
                 reason = " ".join(str(future.exception()).split())
-                yield outcome(batch[0], LOST, reason=f"no worker of the cluster could run it: {reason}")
+                yield row_of(batch[0], LOST, reason=f"no worker of the cluster could run it: {reason}")
 
 
 @contextmanager
@@ -260,7 +257,6 @@ def _checked(client: Any, address: str) -> int:
 
 
 def _described() -> JsonObject:
-    """The version of hygrokf on a worker, and its threads for linear algebra."""
     return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}
 
 
@@ -287,8 +283,8 @@ def answer_jobs(work: Work) -> int:
     return 0
 
 
-def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Outcome]:
-    """Outcomes of jobs as they come, in no order: exactly one for each.
+def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Row]:
+    """Rows of jobs as they come, in no order: exactly one for each.
 
     A process that dies (killed by the system for its memory, a crash of compiled code) takes its one job with
     it; the job is tried once more, and is `lost` if that process dies too.  When the caller stops early all
@@ -299,13 +295,13 @@ def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Outc
     for one in crew:
         idle.put(one)
 
-    def done(job: Job) -> Outcome:
+    def done(job: Job) -> Row:
         worker = idle.get()
         try:
             for _ in range(ATTEMPTS):
                 if (found := worker.ask(job)) is not None:
                     return found
-            return outcome(job, LOST, reason=worker.epitaph)
+            return row_of(job, LOST, reason=worker.epitaph)
         finally:
             idle.put(worker)
 
@@ -332,8 +328,8 @@ class _Worker:
         self._said = tempfile.TemporaryFile()
         self._lock = threading.Lock()
 
-    def ask(self, job: Job) -> Outcome | None:
-        """The outcome of a job; None where the process died over it (`epitaph` says why)."""
+    def ask(self, job: Job) -> Row | None:
+        """The row of a job; None where the process died over it (`epitaph` says why)."""
         process = self._started()
         if process is None:
             return None
@@ -341,13 +337,12 @@ class _Worker:
         with suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):  # it may die over the job
             pickle.dump(job, process.stdin)
             process.stdin.flush()
-            found: Outcome = pickle.load(process.stdout)
+            found: Row = pickle.load(process.stdout)
             return found
         self.epitaph = _epitaph(self._reap(process), self._last_words())
         return None
 
     def _reap(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for a process to end; returns its exit status."""
         status = process.wait()
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):  # unwritten text is lost
@@ -377,13 +372,11 @@ class _Worker:
             return self._process
 
     def _last_words(self) -> str:
-        """The last line that the process wrote to its standard error."""
         self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - 4000))
         lines = self._said.read().decode(errors="replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def dismiss(self) -> None:
-        """Kill the process."""
         with self._lock:
             self.dismissed = True
             if self._process is not None:
@@ -398,7 +391,6 @@ class _Worker:
 
 
 def _epitaph(status: int, last_words: str) -> str:
-    """Why a process died, and what to do."""
     names = {-one.value: one.name for one in signal.Signals}
     end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
     reason = f"its process {end}, {ATTEMPTS} times in a row"

@@ -86,11 +86,21 @@ class ClimateOptions(LibraryOptions):
 
 
 @dataclass(frozen=True)
+class Tally:
+    """A column whose values are counted on the page; `between` separates several of them in one cell."""
+
+    column: str
+    title: str
+    between: str = ""
+
+
+@dataclass(frozen=True)
 class Task:
     """One thing that a fleet does for every turbine.
 
     options: the dataclass of its options. columns: name → meaning with unit. compared: the quantities that
-    turbines are compared by. ranking: the column by which they are ranked, largest first. uses_fit: whether
+    turbines are compared by. tallies: the columns that the page counts. listed: those that it shows of every
+    turbine beside `compared`. ranking: the column by which they are ranked, largest first. uses_fit: whether
     it needs a fitted model. files: the options that hold paths; the results depend on the bytes of these
     files. named: those of them that also take a name instead of a file, which does not end in ".toml".
     """
@@ -99,6 +109,8 @@ class Task:
     options: type[FitOptions | DiscoverOptions | ClimateOptions | LibraryOptions]
     columns: Mapping[str, str]
     compared: tuple[Compared, ...]
+    tallies: tuple[Tally, ...]
+    listed: tuple[Compared, ...] = ()
     ranking: str = "temperature_rmse_K"
     uses_fit: bool = False
     files: tuple[str, ...] = ()
@@ -157,6 +169,8 @@ _CONSTANTS_AND_ERRORS = (
     *_ERRORS,
 )
 
+_RELIABLE = tuple(Tally(f"{name}_verdict", f"{name} time constant") for name in PARTS)
+
 TASKS: Mapping[str, Task] = {
     "fit": Task(
         "identify the models of every case",
@@ -172,6 +186,7 @@ TASKS: Mapping[str, Task] = {
             "at_bounds": "parameters that ended at a limit",
         },
         _CONSTANTS_AND_ERRORS,
+        _RELIABLE,
     ),
     "discover": Task(
         "name the cause that every simulation lacks",
@@ -189,6 +204,13 @@ TASKS: Mapping[str, Task] = {
             "base_humidity_rmse_g_m3": "free-run error of the absolute humidity before the extension [g/m³]",
         },
         _CONSTANTS_AND_ERRORS,
+        (
+            Tally("verdict", "verdict"),
+            Tally("causes", "named cause", " "),
+            Tally("not_judged", "not judged: the budget of simulations ended", " "),
+            *_RELIABLE,
+        ),
+        (Compared("verdict", "verdict", ""), Compared("causes", "causes", "")),
         files=("library",),
     ),
     "evaluate": Task(
@@ -209,6 +231,7 @@ TASKS: Mapping[str, Task] = {
             "statements": "inputs of the record that the model does not use, and the reverse",
         },
         _ERRORS,
+        _RELIABLE,
         uses_fit=True,
         files=("library",),
     ),
@@ -234,6 +257,8 @@ TASKS: Mapping[str, Task] = {
             },
         },
         _ERRORS,
+        (Tally("transfer", "verdict"), *_RELIABLE),
+        (Compared("sentence", "verdict", ""),),
         uses_fit=True,
         files=("library",),
     ),
@@ -257,6 +282,19 @@ TASKS: Mapping[str, Task] = {
         (
             Compared("ageing_h", "ageing", "h a year", "ageing_h_lower", "ageing_h_upper"),
             Compared("wetness_h", "time of wetness", "h a year", "wetness_h_lower", "wetness_h_upper"),
+        ),
+        (
+            Tally("limits", "limits, the worst of a turbine's verdicts"),
+            Tally("wetness_class", "class of wetness, ISO 9223:1992"),
+            *_RELIABLE,
+            Tally("statements", "remark", BETWEEN),
+        ),
+        (
+            Compared("limits", "limits", ""),
+            Compared("wetness_class", "wetness", ""),
+            Compared(
+                "condensation_h", "condensation", "h a year", "condensation_h_lower", "condensation_h_upper"
+            ),
         ),
         ranking="ageing_h",
         uses_fit=True,

@@ -20,17 +20,16 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hygrokf.data.files import write_text_whole
-from hygrokf.data.structured import JsonObject
+from hygrokf.data.result_file import read_result, result_text
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.confidence import normal_quantile, student
-from hygrokf.identification.fit import Fit, is_number
+from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import verdicts
 from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
 from hygrokf.modelling.design import Design
@@ -51,7 +50,7 @@ POWERS = tuple(range(1, 6))
 
 
 class TypeFault(HygrokfError, ValueError):
-    """Fits that cannot make a type, or a type file that cannot be read: all reasons in one message."""
+    """Fits that cannot make a type: all reasons in one message."""
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,14 @@ class Pooled:
     next_sd: float
     turbines: int
 
-    def expect_sound(self, name: str) -> None:
-        """Raises ValueError for values that are not numbers, negative widths, and a mean that no parameter
-        can have."""
+    def __post_init__(self) -> None:
         numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
-        if not all(map(is_number, numbers)):
-            raise ValueError(f"{name} with {numbers}: expected finite numbers")
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError(f"expected finite numbers, found {numbers}")
         if min(self.se, self.spread, self.next_sd) < 0.0 or not self.lower <= self.mean <= self.upper:
-            raise ValueError(f"{name}: expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
+            raise ValueError("expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
         if self.logarithmic and max(map(abs, (self.lower, self.upper))) > 300.0:
-            raise ValueError(f"{name}: a logarithm of {self.mean:g} is no parameter's")
+            raise ValueError(f"a logarithm of {self.mean:g} is no parameter's")
 
     def in_unit(self) -> dict[str, float]:
         """Value and bounds of the type, and bounds of the next turbine's own value, in the parameter's
@@ -102,6 +99,7 @@ class TurbineType:
     design: Design
     turbines: tuple[str, ...]
     parameters: Mapping[str, Pooled]
+    version: str = __version__
 
     def prior(self, design: Design | None = None) -> dict[str, Prior]:
         """Priors of the next turbine's parameters for its design (by default this type's own).
@@ -132,30 +130,6 @@ class TurbineType:
         the type lacks."""
         found = {p.name: p.start for p in self.design.model.parameters}
         return found | {name: p.in_unit()["value"] for name, p in self.parameters.items() if name in found}
-
-    def to_json(self) -> JsonObject:
-        return {
-            "name": self.name,
-            "version": __version__,
-            "turbines": list(self.turbines),
-            "design": self.design.to_json(),
-            "type_parameters": {
-                name: {**asdict(p), **{"in_unit": p.in_unit()}} for name, p in self.parameters.items()
-            },
-        }
-
-    @classmethod
-    def from_json(cls, data: JsonObject) -> TurbineType:
-        """A type from the data of `to_json`.  Raises KeyError, TypeError or ValueError for other data."""
-        found: dict[str, Any] = data
-        parameters = {
-            name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})
-            for name, row in found["type_parameters"].items()
-        }
-        for name, row in parameters.items():
-            row.expect_sound(name)
-        turbines = tuple(map(str, found["turbines"]))
-        return cls(str(found["name"]), Design.from_json(found["design"]), turbines, parameters)
 
 
 def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
@@ -314,20 +288,12 @@ def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[floa
 
 def write_type(turbine_type: TurbineType, path: str | os.PathLike[str]) -> Path:
     """Write a type as JSON, atomically.  Raises OSError from the system."""
-    text = json.dumps(turbine_type.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
-    return write_text_whole(path, text + "\n")
+    return write_text_whole(path, result_text(turbine_type))
 
 
 def read_type(path: str | os.PathLike[str]) -> TurbineType:
-    """A type from its file.  Raises TypeFault with the reason and the remedy."""
-    again = "name a file that `hygrokf transfer` or `write_type` wrote"
-    try:
-        return TurbineType.from_json(json.loads(Path(path).read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise TypeFault(f"{path}: expected a type of turbine, found no such file; {again}") from None
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as fault:
-        reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
-        raise TypeFault(f"{path}: expected a type of turbine, found {reason}; {again}") from None
+    """A type from its file.  Raises ResultFault with everything that is wrong."""
+    return read_result(TurbineType, Path(path), "hygrokf transfer")
 
 
 def is_type(path: str | os.PathLike[str]) -> bool:
@@ -336,4 +302,4 @@ def is_type(path: str | os.PathLike[str]) -> bool:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(data, dict) and "type_parameters" in data
+    return isinstance(data, dict) and "turbines" in data

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from hygrokf.climate.chamber_profile import ChamberProfile
-from hygrokf.climate.study import RegionClimate, Study, read_climate, write_climate
+from hygrokf.climate.study import UNITS, RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
 from hygrokf.identification.verdict_terms import REJECT, rests_on
 from hygrokf.identification.wording import moment, percent, plain_number, sentence
@@ -30,11 +30,11 @@ from hygrokf.report.blocks import (
 )
 from hygrokf.report.climate_tables import (
     class_text,
-    excursions_table,
+    events_table,
     hours_text,
     limits_table,
+    number_text,
     profile_table,
-    rates_table,
     regimes_table,
     regions_table,
     share_held,
@@ -85,7 +85,7 @@ def climate_blocks(study: Study) -> Page:
     """What a climate says: the answer with the picture of the year, then statements, tables and the test."""
     regions = study.regions
     several = len(regions) > 1
-    cards = Cards(_region_cards(study) if several else _cards(regions[0], doubt_text(study)))
+    cards = Cards(_cards(study))
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
     made_up = study.synthetic or any(one.synthetic for one in regions)
     where = ", ".join(region.name for region in regions)
@@ -117,100 +117,83 @@ def doubt_text(study: Study) -> str:
 # --- the answer ------------------------------------------------------------------------------
 
 
-def _cards(region: RegionClimate, doubt: str) -> tuple[Card, ...]:
-    """The verdict on the limits, then hours of wetness and of condensation."""
+def _cards(study: Study) -> tuple[Card, ...]:
+    """Of one region the verdict on its limits, then its hours; of a few regions the hours of wetness."""
+    regions, doubt = study.regions, doubt_text(study)
+    if len(regions) > 1:
+        few = regions if len(regions) <= MOST_CARDS else ()
+        return tuple(
+            _number_card(one, "wetness_h", f"{one.name}: time of wetness", doubt, *_besides(one))
+            for one in few
+            if "wetness_h" in one.year
+        )
+    (region,) = regions
     cards = [_limits_card(region)] if region.limits else []
-    scaled = f"scaled up from {region.part_of_year}" if region.part_of_year else ""
+    if "wetness_h" not in region.year:
+        cards.append(_number_card(region, "mean_temperature_degC", "Mean temperature", doubt))
+    scaled = f", scaled up from {region.part_of_year}" if region.part_of_year else ""
     wet = f"class {class_text(region)}, ISO 9223:1992"
     for name, label, note in (
         ("wetness_h", "Time of wetness", wet),
         ("condensation_h", "Condensation", "on the coldest surface"),
     ):
         if name in region.year:
-            lines = (f"{note}{', ' if scaled else ''}{scaled}",)
-            cards.append(_hours_card(region, name, label, doubt, lines))
-    if "wetness_h" not in region.year:
-        value, bounds = value_and_bounds(region.year["mean_temperature_degC"])
-        kind = REJECT if doubt else ""
-        cards.append(Card("Mean temperature", f"{value} °C", kind, bounds, doubt, tone="plain"))
+            cards.append(_number_card(region, name, label, doubt, f"{note}{scaled}"))
     return tuple(cards)
 
 
-def _hours_card(
-    region: RegionClimate, name: str, label: str, doubt: str, lines: tuple[str, ...] = ()
-) -> Card:
-    """A card of hours a year with bounds."""
-    value, bounds = value_and_bounds(region.year[name], hours_text)
+def _number_card(region: RegionClimate, name: str, label: str, doubt: str, *lines: str) -> Card:
+    value, bounds = value_and_bounds(region.year[name], number_text(name))
     held = f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
-    return Card(label, f"{value} h/a", REJECT if doubt else "", held, doubt, lines=lines, tone="plain")
+    kind = REJECT if doubt else ""
+    return Card(label, f"{value} {UNITS[name]}", kind, held, doubt, lines=lines, tone="plain")
+
+
+def _besides(region: RegionClimate) -> list[str]:
+    """Condensation and the verdicts on the limits, as lines of a card."""
+    lines = []
+    if "condensation_h" in region.year:
+        lines.append(f"condensation {span_text(region.year['condensation_h'], hours_text)} h/a")
+    return [*lines, f"limits: {_counted(region)}"] if region.limits else lines
 
 
 def _limits_card(region: RegionClimate) -> Card:
-    counted = _counted(region)
     failed = [one for one in region.limits if one.verdict == "fail"]
     lines = tuple(f"Fails: {one.name}, {span_text(one.hours, hours_text)} h/a" for one in failed[:2])
     part = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
     label = f"Limits, {len(region.limits)} in all{part}"
-    return Card(label, counted, lines=lines, wide=True, words=True, tone=TONES[region.verdict])
+    return Card(label, _counted(region), lines=lines, wide=True, words=True, tone=TONES[region.verdict])
 
 
 def _counted(region: RegionClimate) -> str:
-    """The verdicts on the limits: "2 pass, 1 fail"."""
     found = [one.verdict for one in region.limits]
     return ", ".join(f"{found.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in found)
-
-
-def _region_cards(study: Study) -> tuple[Card, ...]:
-    """A card for each of a few regions: hours of wetness, condensation, limits."""
-    if len(study.regions) > MOST_CARDS:
-        return ()
-    cards = []
-    for region in study.regions:
-        lines = []
-        if "condensation_h" in region.year:
-            lines.append(f"condensation {span_text(region.year['condensation_h'], hours_text)} h/a")
-        if region.limits:
-            lines.append(f"limits: {_counted(region)}")
-        if "wetness_h" in region.year:
-            label = f"{region.name}: time of wetness"
-            cards.append(_hours_card(region, "wetness_h", label, doubt_text(study), tuple(lines)))
-    return tuple(cards)
 
 
 # --- a region --------------------------------------------------------------------------------
 
 
 def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ...]:
-    """The sections of a region; those of several regions begin with the region's name."""
     limits = table_or(limits_table(region), "No limits were given (--limits FILE).")
-    title = f"{region.name}: " if several else ""
+    title = f"{region.name}: {{}}" if several else "{}"
     one_kind = "The cabinet is only in operation, or only at standstill, all year."
     return (
         *section(
-            _heading(title, "weather and power"),
+            title.format("Weather and power"),
             Prose(weather_text(region)),
             Items(tuple(map(sentence, region.statements))),
         ),
-        *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
+        *(section(title.format("Limits"), limits) if not several or region.limits else ()),
         *section(
-            _heading(title, "the year"),
+            title.format("The year"),
             year_figure(region, place) if several else None,
             year_table(region),
             table_or(regimes_table(region), one_kind),
-            Details(
-                "Excursions, rates of change and cycles",
-                (excursions_table(region), rates_table(region)),
-                printed=True,
-            ),
+            Details("Excursions, rates of change and cycles", (events_table(region),), printed=True),
             duration_figure(region, place) if region.joint is not None else None,
         ),
-        *section(_heading(title, "test profile"), *_profile(region, place)),
+        *section(title.format("Test profile"), *_profile(region, place)),
     )
-
-
-def _heading(title: str, words: str) -> str:
-    """The heading of a region's section; a capital where no name stands before it."""
-    return title + words if title else words[:1].upper() + words[1:]
 
 
 def weather_text(region: RegionClimate) -> str:
@@ -240,9 +223,9 @@ def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
 def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
     said = (
-        f"{len(profile.hour)} hours in the chamber cause the same ageing as {plain_number(aged.years)} "
-        "years at the "
-        f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration "
+        f"{len(profile.temperature_degC)} hours in the chamber cause the same ageing as "
+        f"{plain_number(aged.years)} years at the site ({plain_number(aged.years_lower)} … "
+        f"{plain_number(aged.years_upper)}). The acceleration "
         f"factor is {plain_number(profile.acceleration)} before the chamber's limits apply; "
         f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
     )

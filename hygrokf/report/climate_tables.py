@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hygrokf.climate.bounds import BoundedMean
-from hygrokf.climate.chamber_profile import SiteAndTest
+from hygrokf.climate.chamber_profile import NOT_REPRODUCED
 from hygrokf.climate.limits import QUANTITIES, Exceedance
-from hygrokf.climate.statistics import EXCURSION_PARTS, EXCURSIONS, STATISTICS, YearNumber
+from hygrokf.climate.statistics import STATISTICS, YearNumber
 from hygrokf.climate.study import RegionClimate
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
@@ -68,82 +68,47 @@ def verdict_text(limit: Exceedance) -> str:
 
 def year_table(region: RegionClimate) -> Table:
     """The whole year, the year at standstill, and the weather."""
-    return _scopes(
-        region,
-        "Means, hours and ageing",
-        ("all", "standstill_all_year"),
-        True,
-        f"In brackets: bounds that hold {share_held([region])} of single years. Hours refer to a year of "
-        "8766 h.",
-    )
+    note = f"In brackets: bounds that hold {share_held([region])} of single years. Hours refer to a year of "
+    return _numbers(region, "Means, hours and ageing", ("all", "standstill_all_year"), f"{note}8766 h.")
 
 
 def regimes_table(region: RegionClimate) -> Table | None:
     """Operation beside standstill; None where the year has only one of them."""
     if not {"operation", "standstill"} <= set(region.scopes):
         return None
-    return _scopes(
+    note = "Means are taken over the hours of each column; hours are the column's share of the year."
+    return _numbers(region, "Operation and standstill", ("operation", "standstill"), note)
+
+
+def events_table(region: RegionClimate) -> Table:
+    """How often and how long conditions hold, rates of change and temperature cycles."""
+    return _numbers(
         region,
-        "Operation and standstill",
-        ("operation", "standstill"),
-        False,
-        "Means are taken over the hours of each column; hours are the column's share of the year.",
+        "Excursions, rates of change and cycles",
+        ("all",),
+        "An excursion is an unbroken stretch of hours. Rates are absolute changes from hour to hour. Cycles "
+        "are counted by rainflow (ASTM E1049).",
+        ("excursion", "rate"),
     )
 
 
-def _scopes(region: RegionClimate, heading: str, wanted: Sequence[str], weather: bool, note: str) -> Table:
+def _numbers(
+    region: RegionClimate, heading: str, wanted: Sequence[str], note: str, kinds: Sequence[str] = ("scope",)
+) -> Table:
+    """The numbers of some scopes; beside the whole year those of the weather."""
     scopes = [scope for scope in wanted if scope in region.scopes]
     rows = []
     for one in STATISTICS:
-        if one.table == "scope" and any(one.name in region.scopes[scope] for scope in scopes):
+        if one.table in kinds and any(one.name in region.scopes[scope] for scope in scopes):
             text = number_text(one.name)
             cells = [span_text(region.scopes[scope].get(one.name), text) for scope in scopes]
-            if weather:
+            if "all" in wanted:
                 shown = one.weather and one.name in region.outside
                 cells.append(text(region.outside[one.name]) if shown else "")
             rows.append((one.words, one.unit, *cells))
-    columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *(("outside",) if weather else ()))
+    weather = ("outside",) if "all" in wanted else ()
+    columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *weather)
     return Table(heading, columns, tuple(rows), left=(0, 1), note=note)
-
-
-def excursions_table(region: RegionClimate) -> Table:
-    """How often and how long each condition holds."""
-    rows = []
-    for name, (words, _) in EXCURSIONS.items():
-        if f"{name}_number" in region.year:
-            cells = [
-                span_text(region.year[f"{name}_{part}"], hours_text if part == "h" else plain_number)
-                for part in EXCURSION_PARTS
-            ]
-            rows.append((words, *cells))
-    return Table(
-        "Excursions",
-        ("", *EXCURSION_PARTS.values()),
-        tuple(rows),
-        note="An excursion is an unbroken stretch of hours.",
-        brief=(0, 1, 2, 4),
-    )
-
-
-def rates_table(region: RegionClimate) -> Table:
-    """Rates of change and temperature cycles."""
-
-    def outside(one: YearNumber) -> str:
-        shown = one.weather and one.name in region.outside
-        return plain_number(region.outside[one.name]) if shown else ""
-
-    rows = [
-        (one.words, one.unit, span_text(region.year[one.name]), outside(one))
-        for one in STATISTICS
-        if one.table == "rate" and one.name in region.year
-    ]
-    return Table(
-        "Rates of change and cycles",
-        ("", "unit", "cabinet", "outside"),
-        tuple(rows),
-        left=(0, 1),
-        note="Rates are absolute changes from hour to hour. Cycles are counted by rainflow (ASTM E1049).",
-    )
 
 
 def limits_table(region: RegionClimate) -> Table:
@@ -180,47 +145,17 @@ def profile_table(region: RegionClimate) -> Table | None:
     if region.test_profile is None:
         return None
     close = region.test_profile.closeness
-    aged, humidity = close.ageing, close.mean_humidity_percent
-    rows = [
-        (
-            "ageing by the stated law, h at the reference",
-            f"{plain_number(aged.service_h)} in service",
-            plain_number(aged.test_h),
-            f"{plain_number(aged.years)} years ({plain_number(aged.years_lower)} … "
-            f"{plain_number(aged.years_upper)})",
-        ),
-        (
-            "joint distribution of humidity and temperature before warming",
-            "",
-            "",
-            f"distance {fixed(close.joint_distance)}",
-        ),
-        ("distribution of the ageing over these", "", "", f"distance {fixed(close.ageing_distance)}"),
-        _shares("share of hours above 80 %", close.wet_share),
-        _shares("share of the ageing above 80 %", close.wet_ageing_share),
-        ("mean relative humidity, %", fixed(humidity.site, 1), fixed(humidity.test, 1), ""),
-    ]
-    for one in close.cycles:
-        rows.append(
-            (
-                f"temperature cycles of {one.from_K:g} K and more",
-                f"{plain_number(one.site_a_year)} a year; {plain_number(one.service)} in service",
-                plain_number(one.test),
-                f"its days before warming: {plain_number(one.days_a_year)} a year",
-            )
-        )
+    numbers = (("ageing by the stated law, h at the reference", close.ageing.service_h, close.ageing.test_h),)
+    rows = (*numbers, *((one.words, one.site, one.test) for one in close.numbers))
     return Table(
         "What the test profile reproduces",
-        ("", "site", "test", "how closely"),
-        tuple(rows),
-        left=(0, 1, 3),
-        note="Distance: total variation, 0 the same, 1 nothing in common, in bins of 5 K and 10 %. Not "
-        "reproduced: " + "; ".join(close.not_reproduced) + ".",
+        ("", "site", "test"),
+        tuple((words, plain_number(site), plain_number(test)) for words, site, test in rows),
+        note="Distance (total variation, 0 the same, 1 nothing in common, in bins of 5 K and 10 %) of the "
+        f"joint distribution of temperature before warming and humidity: {fixed(close.joint_distance)}; of "
+        f"the ageing over these: {fixed(close.ageing_distance)}. Not reproduced: "
+        f"{'; '.join(NOT_REPRODUCED)}.",
     )
-
-
-def _shares(words: str, pair: SiteAndTest) -> tuple[str, str, str, str]:
-    return words, percent(pair.site, 2), percent(pair.test, 2), ""
 
 
 def regions_table(regions: Sequence[RegionClimate]) -> Table | None:

@@ -172,7 +172,6 @@ _BOLD = Prose(
 
 
 def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
-    """The differences of the first pairs, those of further ones folded."""
     if not tables:
         return (Prose("No two columns have common instants.", "missing"),)
     rest = (

@@ -98,15 +98,18 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class SelectionStep:
-    """One step of the selection: each group's statistic beside the groups selected before, and the group that
-    it selects, if any."""
+class GroupTest:
+    """The χ² test of a group beside those selected before: `p_adjusted` for the number of groups left."""
 
-    statistic: Mapping[str, float]
-    degrees: Mapping[str, int]
-    p: Mapping[str, float]
-    p_adjusted: Mapping[str, float]
-    selected: str | None
+    statistic: float
+    df: int
+    p: float
+    p_adjusted: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the group is selected."""
+        return self.p_adjusted < LEVEL
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:
@@ -119,31 +122,29 @@ def unexplained(found: Difference, differing: Sequence[str]) -> float:
     return float(value @ positive_inverse(found.covariance[np.ix_(others, others)]) @ value)
 
 
-def selection(found: Difference, groups: Mapping[str, str]) -> tuple[SelectionStep, ...]:
-    """Forward selection of the groups that differ; the last step selects none, unless all are selected."""
+def selection(found: Difference, groups: Mapping[str, str]) -> dict[str, GroupTest]:
+    """Forward selection of the groups that differ: the test of each at the step that decided on it, the
+    selected ones first, in their order."""
     from scipy.stats import chi2
 
     left = list(dict.fromkeys(groups[name] for name in found.names))
-    selected: list[str] = []
-    steps: list[SelectionStep] = []
+    selected: dict[str, GroupTest] = {}
     while left:
         rest = unexplained(found, [n for n in found.names if groups[n] in selected])
-        statistic, degrees, p = {}, {}, {}
+        tests = {}
         for group in left:
             wider = [n for n in found.names if groups[n] in (*selected, group)]
-            statistic[group] = max(rest - unexplained(found, wider), 0.0)
-            degrees[group] = sum(groups[n] == group for n in found.names)
-            p[group] = float(chi2.sf(statistic[group], degrees[group]))
-        adjusted = {group: min(1.0, value * len(left)) for group, value in p.items()}
+            statistic = max(rest - unexplained(found, wider), 0.0)
+            df = sum(groups[n] == group for n in found.names)
+            p = float(chi2.sf(statistic, df))
+            tests[group] = GroupTest(statistic, df, p, min(1.0, p * len(left)))
         # p of large statistics underflows to zero: the mean square decides then
-        best = min(left, key=lambda group: (p[group], -statistic[group] / degrees[group]))
-        hit = adjusted[best] < LEVEL
-        steps.append(SelectionStep(statistic, degrees, p, adjusted, best if hit else None))
-        if not hit:
-            break
-        selected.append(best)
+        best = min(left, key=lambda group: (tests[group].p, -tests[group].statistic / tests[group].df))
+        if not tests[best].significant:
+            return selected | tests
+        selected[best] = tests[best]
         left.remove(best)
-    return tuple(steps)
+    return selected
 
 
 EARLY_SHARE = 0.75

@@ -326,7 +326,6 @@ def _scored(one: ComparisonColumn, quantity: str, chosen: np.ndarray) -> Score:
 
 
 def _difference(a: ComparisonColumn, b: ComparisonColumn) -> PairDifference:
-    """RMSE of `a` less that of `b` on the instants that both score."""
     common, i, j = np.intersect1d(a.course.time_s, b.course.time_s, assume_unique=True, return_indices=True)
     same: dict[str, bool] = {}
     pairs: dict[str, np.ndarray] = {}

@@ -41,8 +41,8 @@ from hygrokf.transfer.baseline import (
     OFFSETS,
     Baseline,
     Difference,
+    GroupTest,
     Origin,
-    SelectionStep,
     baseline_of,
     difference,
     members,
@@ -52,14 +52,13 @@ from hygrokf.transfer.results import (
     OPEN,
     RecordCourse,
     Reduction,
-    Reductions,
     SetError,
     Structure,
     Transfer,
     TransferResult,
     TransferSource,
 )
-from hygrokf.transfer.verdict import MATTERS, groups_of, matters, parameters_of, ratios_of, with_verdict
+from hygrokf.transfer.verdict import groups_of, matters, parameters_of, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
@@ -116,7 +115,7 @@ class _Estimates:
     own: Estimate
     spread: Uncertainty
     apart: Difference
-    steps: tuple[SelectionStep, ...]
+    tests: Mapping[str, GroupTest]
     effects: Mapping[str, Mapping[str, float]]
     differing: tuple[str, ...]
 
@@ -141,24 +140,22 @@ def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
     say("uncertainty")
     spread = uncertainty(Objective(baseline.likelihood, own.coordinates), own)
     apart = difference(baseline.origin, own, spread, baseline.cabinet)
-    steps = selection(apart, baseline.groups)
+    tests = selection(apart, baseline.groups)
     say("what differences do")
     effects = {g: _effect(baseline, own, g) for g in dict.fromkeys(baseline.groups[n] for n in apart.names)}
-    significant = [step.selected for step in steps]
     differing = tuple(
         g
         for g in effects
-        if g in significant and matters(g, apart.of(members(baseline.groups, g)), effects[g])
+        if tests[g].significant and matters(g, apart.of(members(baseline.groups, g)), effects[g])
     )
     say("re-estimated")
     adapted = _adapted(baseline, logger, own, differing)
-    return _Estimates(logger, adapted, own, spread, apart, steps, effects, differing)
+    return _Estimates(logger, adapted, own, spread, apart, tests, effects, differing)
 
 
 def _results(
     baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
 ) -> TransferResult:
-    """Everything that a transfer finds; not yet judged."""
     masks = period_masks(baseline.run, baseline.record.until_s)
     held_out = (masks["validation"] & baseline.run.scored).any()
     period: Literal["identification", "validation"] = "validation" if held_out else "identification"
@@ -175,7 +172,7 @@ def _results(
         re_estimate=found.differing,
         statements=tuple(statements),
         parameters=parameters_of(baseline, found.apart, found.values(baseline), found.spread, found.own),
-        groups=groups_of(baseline, found.apart, found.steps, found.effects, found.differing),
+        groups=groups_of(baseline, found.apart, found.tests, found.effects, found.differing),
         likelihood_ratios=ratios_of(baseline, *estimates, found.spread, found.differing),
         period=period,
         rmse=table,
@@ -187,7 +184,6 @@ def _results(
             if baseline.groups[n] in found.differing and n != "resistance_ratio"
         ),
         converged={name: one.converged for name, one in zip(SETS[1:], estimates, strict=True)},
-        matters=dict(MATTERS),
         source=TransferSource(origin.name, origin.kind, dict(origin.verdicts)),
     )
 
@@ -231,7 +227,7 @@ def _errors(baseline: Baseline, predicted: Mapping[str, Prediction], quantity: s
 
 def _scored(
     baseline: Baseline, predicted: Mapping[str, Prediction], chosen: np.ndarray
-) -> tuple[dict[str, dict[str, SetError]], dict[str, dict[str, Reductions]]]:
+) -> tuple[dict[str, dict[str, SetError]], dict[str, dict[str, dict[str, Reduction]]]]:
     """Errors of the sets and the rules at the chosen instants (T,) that all of them score, and the gains, by
     quantity."""
     table, gains = {}, {}
@@ -255,19 +251,18 @@ def _scored(
     return table, gains
 
 
-def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, Reductions]:
+def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, dict[str, Reduction]]:
     """How much less each set errs than the model as it is, and than the best rule without a model."""
     rules = [n for n in names if n not in SETS]
     best = min(rules, key=lambda n: drawn.value[names.index(n)]) if rules else None
-
-    def over(other: str | None, name: str) -> Reduction | None:
-        if other is None or other not in names or other == name:
-            return None
-        i, j = names.index(other), names.index(name)
-        value = float(drawn.value[i] - drawn.value[j])
-        return Reduction(other, *(drawn.difference(i, j) or (value,)))
-
-    return {name: Reductions(over("as_is", name), over(best, name)) for name in SETS if name in names}
+    found: dict[str, dict[str, Reduction]] = {name: {} for name in SETS if name in names}
+    for name, gains in found.items():
+        for key, other in (("over_as_is", "as_is"), ("over_rule", best)):
+            if other is not None and other in names and other != name:
+                i, j = names.index(other), names.index(name)
+                value = float(drawn.value[i] - drawn.value[j])
+                gains[key] = Reduction(other, *(drawn.difference(i, j) or (value,)))
+    return found
 
 
 def _structure(baseline: Baseline, predicted: Prediction) -> dict[str, Structure]:

@@ -173,21 +173,12 @@ class ParameterChange:
 
 
 @dataclass(frozen=True)
-class ChiSquare:
-    """A statistic that is χ² with `df` degrees of freedom where nothing differs, and its tail probability."""
-
-    statistic: float
-    df: int
-    p: float
-
-
-@dataclass(frozen=True)
 class GroupChange:
     """Whether a group of parameters differs.
 
     `statistic`, `df`, `p` and `p_adjusted` (for the number of groups) at the step of the selection that
-    decided on the group; `alone` the same whatever the other groups do; `effect` what the group's own values
-    change in the free run, root mean square [K], [g/m³]; all None where the group is not judged.
+    decided on the group; `effect` what the group's own values change in the free run, root mean square [K],
+    [g/m³]; all None where the group is not judged.
     """
 
     group: str
@@ -198,7 +189,6 @@ class GroupChange:
     df: int | None = optional()
     p: float | None = optional()
     p_adjusted: float | None = optional()
-    alone: ChiSquare | None = optional()
     effect: Mapping[str, float] | None = optional()
 
 
@@ -237,14 +227,6 @@ class Reduction:
 
 
 @dataclass(frozen=True)
-class Reductions:
-    """The gains of one set of values over the model as it is, and over the best rule without a model."""
-
-    over_as_is: Reduction | None = optional()
-    over_rule: Reduction | None = optional()
-
-
-@dataclass(frozen=True)
 class Structure:
     """Free-run error [K], [g/m³] with all parameters estimated here, that of the fit on its own record, and
     the ratio of both with its lower 95 % bound."""
@@ -261,9 +243,9 @@ class TransferResult:
 
     `until` the end of the identification period; `n_readings` in it; `period` the one that is scored;
     `re_estimate` the groups that differ; `parameters` by name; `rmse` and `gains` by quantity and set of
-    values; `structure` by quantity; `at_bounds` re-estimated parameters at the edge of their range;
-    `converged` by set of values; `matters` the differences that are large enough to matter; `verdicts` on the
-    time constants of the model to use here, empty where no fit was made.
+    values, gains then "over_as_is" (the model as it is) and "over_rule" (the best rule without a model);
+    `structure` by quantity; `at_bounds` re-estimated parameters at the edge of their range; `converged` by
+    set of values; `verdicts` on the time constants of the model to use here, empty where no fit was made.
     """
 
     name: str
@@ -280,11 +262,10 @@ class TransferResult:
     likelihood_ratios: tuple[LikelihoodRatio, ...]
     period: Literal["identification", "validation"]
     rmse: Mapping[str, Mapping[str, SetError]]
-    gains: Mapping[str, Mapping[str, Reductions]]
+    gains: Mapping[str, Mapping[str, Mapping[str, Reduction]]]
     structure: Mapping[str, Structure]
     at_bounds: tuple[str, ...]
     converged: Mapping[str, bool]
-    matters: Mapping[str, float]
     source: TransferSource
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
@@ -335,7 +316,11 @@ class TransferResults:
     created: str
     records: tuple[TransferResult, ...]
     type: TurbineType | None
-    source: TransferSource
+
+    @property
+    def source(self) -> TransferSource:
+        """What is tried on all records."""
+        return self.records[0].source
 
 
 def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None = None) -> TransferResults:
@@ -345,5 +330,4 @@ def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None =
         datetime.now(UTC).isoformat(timespec="seconds"),
         tuple(one.results for one in transfers),
         pooled,
-        transfers[0].results.source,
     )

@@ -19,16 +19,14 @@ from hygrokf.transfer.baseline import (
     THERMAL,
     Baseline,
     Difference,
-    SelectionStep,
+    GroupTest,
     members,
-    unexplained,
 )
 from hygrokf.transfer.results import (
     NOT,
     OPEN,
     PARTLY,
     TRANSFERS,
-    ChiSquare,
     Contrast,
     Decision,
     GroupChange,
@@ -109,14 +107,11 @@ def parameters_of(
 def groups_of(
     baseline: Baseline,
     apart: Difference,
-    steps: Sequence[SelectionStep],
+    tests: Mapping[str, GroupTest],
     effects: Mapping[str, Mapping[str, float]],
     differing: Sequence[str],
 ) -> tuple[GroupChange, ...]:
-    """For each group the statistic at the step that decided on it, its effect, and the outcome."""
-    from scipy.stats import chi2
-
-    significant = [step.selected for step in steps if step.selected]
+    """For each group the test that decided on it, its effect, and the outcome."""
     rows = []
     for group in dict.fromkeys(baseline.groups.values()):
         names = members(baseline.groups, group)
@@ -126,30 +121,17 @@ def groups_of(
         if group not in effects:
             rows.append(GroupChange(group, names, "not judged", "this record cannot show"))
             continue
-        step = next(s for s in reversed(steps) if group in s.p)
-        alone = apart.of(names)
-        single, df = unexplained(alone, ()), len(alone.names)
+        test, alone = tests[group], apart.of(names)
         outcome: Outcome = "differs" if group in differing else "travels"
         statement = "no difference beyond both uncertainties"
         if group in differing:
             statement = "differs by more than both uncertainties explain, and enough to matter"
-        elif group in significant:
+        elif test.significant:
             statement = "differs measurably, but too little to matter"
         elif _could_matter(group, alone, effects[group]):
             statement += ", but this record cannot exclude a difference that would matter"
         rows.append(
-            GroupChange(
-                group,
-                alone.names,
-                outcome,
-                statement,
-                step.statistic[group],
-                step.degrees[group],
-                step.p[group],
-                step.p_adjusted[group],
-                ChiSquare(single, df, float(chi2.sf(single, df))),
-                dict(effects[group]),
-            )
+            GroupChange(group, alone.names, outcome, statement, **vars(test), effect=dict(effects[group]))
         )
     return tuple(rows)
 
@@ -265,7 +247,6 @@ def _worse_than_before(found: TransferResult) -> list[str]:
 
 
 def _errors_before_and_after(found: TransferResult) -> list[str]:
-    """The error of each quantity with the original values and with the re-estimated ones."""
     reasons = []
     where = "held-out error" if found.period == "validation" else "error"
     what = "re-estimating" if found.re_estimate else "own offsets"
@@ -284,9 +265,8 @@ def _errors_before_and_after(found: TransferResult) -> list[str]:
 def _gains(
     found: TransferResult, over: Literal["over_as_is", "over_rule"]
 ) -> Iterator[tuple[str, tuple[str, str], Reduction]]:
-    """Quantity, its name and unit, and the gain of the re-estimated set."""
     for quantity, rows in found.gains.items():
-        gain: Reduction | None = getattr(rows.get("re_estimated"), over, None)
+        gain = rows.get("re_estimated", {}).get(over)
         if gain is not None:
             yield quantity, QUANTITIES[quantity], gain
 

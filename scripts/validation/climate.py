@@ -20,9 +20,8 @@ from hygrokf.climate.bounds import bounded
 from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import draw_members, shots_of, simulate_years
 from hygrokf.climate.procedure import SHARES as LEVELS
-from hygrokf.climate.procedure import curves
+from hygrokf.climate.procedure import reduced
 from hygrokf.climate.region import driven
-from hygrokf.climate.statistics import scalars
 from hygrokf.data.record import Record
 from hygrokf.physics.cold_surface import Surface, condenses
 from validation.counts import markdown
@@ -125,14 +124,13 @@ def saturated(air: np.ndarray) -> np.ndarray:
 def held_against(year, truth) -> dict:
     """Bounds of every statistic of an ensemble's year beside what it truly was."""
     law = Acceleration()
-    found, true = scalars(year, law), scalars(truth, law)
-    rows = {name: _row(bounded(found[name][None]), true[name][0]) for name in NAMES}
-    drawn_curves, true_curves = curves(year).duration, curves(truth).duration
-    for quantity, values in drawn_curves.items():
-        for share in SHARES:
+    found, true = reduced(year, law), reduced(truth, law)
+    rows = {name: _row(bounded(found["all", name][None]), true["all", name][0]) for name in NAMES}
+    for (kind, quantity), values in found.items():
+        for share in SHARES if kind == "duration" else ():
             i = int(np.argmin(np.abs(np.array(LEVELS) - share)))
             found_i = bounded(values[None, :, i])
-            rows[f"{quantity} beyond {100 * share:g} %"] = _row(found_i, true_curves[quantity][0, i])
+            rows[f"{quantity} beyond {100 * share:g} %"] = _row(found_i, true[kind, quantity][0, i])
     return rows
 
 

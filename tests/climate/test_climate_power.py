@@ -10,19 +10,19 @@ import pytest
 from builders.climate_case import BEGIN_S, known_fit, made_up_weather
 from builders.documents import document
 
-from hygrokf.climate.chamber import ProfilePlan, read_test_plan
-from hygrokf.climate.limits import read_limits
+from hygrokf.climate.chamber import ProfilePlan
+from hygrokf.climate.limits import limits_of
 from hygrokf.climate.region import (
+    PowerCurve,
     PowerFault,
     driven,
     power_by_season,
     power_from_wind,
     read_power,
-    read_power_curve,
     standstill,
 )
 from hygrokf.data.record import Record, Series
-from hygrokf.data.toml_form import FormFault
+from hygrokf.data.toml_form import FormFault, read_toml_form
 
 CURVE = """\
 rated_power_kW = 2000
@@ -42,18 +42,18 @@ def curve_file(folder: Path, text: str = CURVE) -> Path:
 
 def test_wind_is_brought_to_hub_height(tmp_path: Path) -> None:
     """ln(80/0.03)/ln(10/0.03) = 1.35797; (80/10)^0.2 = 1.51572."""
-    curve = read_power_curve(curve_file(tmp_path))
+    curve = read_toml_form(PowerCurve, curve_file(tmp_path))
     assert curve.factor == pytest.approx(1.35797, rel=1e-5) and "log law" in curve.words()
     hub = np.array([7.5, 26.0]) / curve.factor
     assert curve.power(hub) == pytest.approx([1e6, 0.0])
     assert np.isnan(curve.power(np.array([np.nan]))).all()
     power = CURVE.replace('{ law = "log", roughness_m = 0.03 }', '{ law = "power", exponent = 0.2 }')
-    assert read_power_curve(curve_file(tmp_path, power)).factor == pytest.approx(1.51572, rel=1e-5)
+    assert read_toml_form(PowerCurve, curve_file(tmp_path, power)).factor == pytest.approx(1.51572, rel=1e-5)
 
 
 def test_power_follows_the_wind_of_the_same_hour(tmp_path: Path) -> None:
     weather = made_up_weather()
-    curve = read_power_curve(curve_file(tmp_path))
+    curve = read_toml_form(PowerCurve, curve_file(tmp_path))
     found = power_from_wind(curve, weather)
     wind = weather["wind_speed"]
     hour = 1000
@@ -74,7 +74,7 @@ def test_a_curve_for_wind_at_another_height_is_refused(tmp_path: Path) -> None:
             weather, series=(*weather.series[:2], replace(weather["wind_speed"], height_m=height_m))
         )
 
-    curve = read_power_curve(curve_file(tmp_path))
+    curve = read_toml_form(PowerCurve, curve_file(tmp_path))
     for same in (10.0, None):
         assert power_from_wind(curve, at(same)) == power_from_wind(curve, weather)
     with pytest.raises(PowerFault, match=r"at 100 m, .* wind_height_m = 10; write wind_height_m = 100 into"):
@@ -82,26 +82,26 @@ def test_a_curve_for_wind_at_another_height_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="height_m must be"):
         at(0.0)
     with pytest.raises(FormFault, match=r"found 90; are they in km/h\? divide by 3.6"):
-        read_power_curve(curve_file(tmp_path, CURVE.replace("12, 25]", "43, 90]")))
+        read_toml_form(PowerCurve, curve_file(tmp_path, CURVE.replace("12, 25]", "43, 90]")))
 
 
 def test_a_curve_that_is_wrong_tells_all_faults(tmp_path: Path) -> None:
     text = "rated_power_kW = -1\nwind_speed_m_s = [3, 2]\npower_kW = [0]\nhub_height_m = 80\nspeed = 1\n"
     with pytest.raises(FormFault) as told:
-        read_power_curve(curve_file(tmp_path, text))
+        read_toml_form(PowerCurve, curve_file(tmp_path, text))
     assert len(told.value.faults) >= 5 and "wind_height_m" in str(told.value) and "shear" in str(told.value)
     with pytest.raises(FormFault, match="expected rising"):
-        read_power_curve(curve_file(tmp_path, CURVE.replace("[0, 3, 12, 25]", "[0, 12, 3, 25]")))
+        read_toml_form(PowerCurve, curve_file(tmp_path, CURVE.replace("[0, 3, 12, 25]", "[0, 12, 3, 25]")))
     for wrong in ("roughness_m = 12", 'roughness_m = "a"', "exponent = 0.1"):
         with pytest.raises(FormFault, match="roughness_m"):
-            read_power_curve(curve_file(tmp_path, CURVE.replace("roughness_m = 0.03", wrong)))
+            read_toml_form(PowerCurve, curve_file(tmp_path, CURVE.replace("roughness_m = 0.03", wrong)))
     with pytest.raises(FormFault, match="law must be one of power, log"):
-        read_power_curve(curve_file(tmp_path, CURVE.replace('"log"', '["log"]')))
+        read_toml_form(PowerCurve, curve_file(tmp_path, CURVE.replace('"log"', '["log"]')))
     for megawatts in ("[0, 0, 2, 2]", "[0, 0, 4000, 4000]"):
         with pytest.raises(FormFault, match="are both in kW"):
-            read_power_curve(curve_file(tmp_path, CURVE.replace("[0, 0, 2000, 2000]", megawatts)))
+            read_toml_form(PowerCurve, curve_file(tmp_path, CURVE.replace("[0, 0, 2000, 2000]", megawatts)))
     with pytest.raises(FormFault, match="check the path"):
-        read_power_curve(tmp_path / "none.toml")
+        read_toml_form(PowerCurve, tmp_path / "none.toml")
 
 
 def hourly_power(first: str, days: int, value: np.ndarray | None = None) -> Series:
@@ -241,18 +241,18 @@ def test_limits_are_read_and_all_faults_told(tmp_path: Path) -> None:
         '[[limit]]\nquantity = "temperature_degC"\nabove = 45\nduring = "operation"\n'
         '[[limit]]\nname = "damp"\nquantity = "relative_humidity_percent"\nabove = 95\nhours_a_year = 50\n'
     )
-    hot, damp = read_limits(file)
+    hot, damp = limits_of(file)
     assert hot.name == "temperature above 45 °C in operation" and damp.hours_a_year == 50.0
     file.write_text(
         '[[limit]]\nquantity = "heat"\nabove = 1\nbelow = 2\n[[limit]]\nquantity = '
         '"temperature_rate_K_per_h"\nbelow = 1\nhours_a_year = -1\nduring = "night"\nwhen = 3\n'
     )
     with pytest.raises(FormFault) as told:
-        read_limits(file)
+        limits_of(file)
     assert len(told.value.faults) == 6, told.value
     file.write_text("limits = 3\n")
     with pytest.raises(FormFault, match="at least one"):
-        read_limits(file)
+        limits_of(file)
 
 
 @pytest.mark.parametrize(
@@ -279,10 +279,10 @@ def test_whatever_stands_in_a_file_of_limits_is_told(text: str, told: str, tmp_p
     file = tmp_path / "limits.toml"
     file.write_text(text)
     with pytest.raises(FormFault, match=told) as found:
-        read_limits(file)
+        limits_of(file)
     assert len(found.value.faults) == 1 and found.value.file == str(file)
 
 
 def test_the_example_files_of_the_docs_are_read() -> None:
-    assert len(read_limits(document("climate_limits.toml"))) == 5
-    assert read_test_plan(document("climate_test.toml")) == ProfilePlan()
+    assert len(limits_of(document("climate_limits.toml"))) == 5
+    assert read_toml_form(ProfilePlan, document("climate_test.toml")) == ProfilePlan()

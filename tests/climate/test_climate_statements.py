@@ -10,7 +10,7 @@ import pytest
 from builders.climate_case import climate_of, hourly_power, known_fit, made_up_weather, study_of
 from builders.weather_case import epw_text
 
-from hygrokf.climate.chamber import Chamber, ProfilePlan
+from hygrokf.climate.chamber import Chamber, ProfileLength, ProfilePlan
 from hygrokf.climate.ensemble import years_of
 from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import read_region
@@ -58,7 +58,7 @@ def test_a_model_of_temperature_alone_has_a_climate() -> None:
     dry = replace(fit.design, mechanisms=tuple(m for m in fit.design.mechanisms if not m[0].startswith(damp)))
     values = {p.name: fit.values[p.name] for p in dry.model.parameters}
     plain = replace(known_fit(free=("thermal_time_constant",)), design=dry, values=values)
-    limit = ClimateLimit("damp", "relative_humidity_percent", "above", 80.0)
+    limit = ClimateLimit("relative_humidity_percent", above=80.0, name="damp")
     study = study_of(fit=plain, members=5, limits=[limit])
     (region,) = study.regions
     assert region.joint is None and region.test_profile is None and region.wetness_class is None
@@ -98,16 +98,18 @@ def test_a_year_without_operation_counts_among_the_others() -> None:
 
 def test_limits_of_one_name_are_refused() -> None:
     """Their hours would be taken for those of several years of one limit."""
-    two = [ClimateLimit("hot", "temperature_degC", "above", level, 24.0) for level in (10.0, 60.0)]
+    two = [
+        ClimateLimit("temperature_degC", above=level, hours_a_year=24.0, name="hot") for level in (10.0, 60.0)
+    ]
     with pytest.raises(ValueError, match='two limits are called "hot"'):
         climate_of(limits=two)
 
 
 def test_limits_on_a_part_of_a_year() -> None:
     limits = [
-        ClimateLimit("idle", "temperature_degC", "above", -50.0, 0.0, "operation"),
-        ClimateLimit("never", "temperature_degC", "above", 90.0),
-        ClimateLimit("broken", "temperature_degC", "above", -60.0),
+        ClimateLimit("temperature_degC", above=-50.0, hours_a_year=0.0, during="operation", name="idle"),
+        ClimateLimit("temperature_degC", above=90.0, name="never"),
+        ClimateLimit("temperature_degC", above=-60.0, name="broken"),
     ]
     region = climate_of(limits=limits)
     assert [one.verdict for one in region.limits] == ["undecided", "undecided", "fail"]
@@ -184,6 +186,6 @@ def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
 
 @pytest.mark.slow
 def test_years_out_of_reach_are_told() -> None:
-    plan = ProfilePlan(20000, 0.01, chamber=Chamber(temperature_degC=(20.0, 85.0)))
+    plan = ProfilePlan(ProfileLength(20000, 0.01), chamber=Chamber(temperature_degC=(20.0, 85.0)))
     profile = climate_of(plan=plan).test_profile
     assert not profile.reached and profile.closeness.ageing.test_h > profile.closeness.ageing.service_h

@@ -14,7 +14,7 @@ from hygrokf.climate.bounds import bounded, bounded_array, held
 from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
 from hygrokf.climate.limits import ClimateLimit, exceeded, judge_limit
-from hygrokf.climate.procedure import TEMPERATURE_EDGES, curves
+from hygrokf.climate.procedure import TEMPERATURE_EDGES, reduced
 from hygrokf.climate.statistics import (
     STATISTICS,
     excursions,
@@ -166,13 +166,13 @@ def test_members_without_an_excursion_do_not_shorten_the_others() -> None:
 def test_curves_and_the_joint_distribution() -> None:
     celsius = np.linspace(0.0, 40.0, 8001)
     year = year_of(celsius, 100.0 - 2.0 * celsius)
-    found = curves(year)
-    assert found.duration["temperature_degC"][0, [0, -1]] == pytest.approx([40.0, 0.0])
-    assert found.duration["temperature_degC"][0, 12] == pytest.approx(40.0 * (1 - 0.45), abs=0.01)
-    assert found.joint.sum() == pytest.approx(8766.0)
+    found = reduced(year, LAW)
+    assert found["duration", "temperature_degC"][0, [0, -1]] == pytest.approx([40.0, 0.0])
+    assert found["duration", "temperature_degC"][0, 12] == pytest.approx(40.0 * (1 - 0.45), abs=0.01)
+    assert found["joint", "hours"].sum() == pytest.approx(8766.0)
     row = int(np.searchsorted(TEMPERATURE_EDGES, 10.0))
-    assert found.joint[0, row].sum() == pytest.approx(8766 * 2.5 / 40, rel=0.01)
-    assert found.joint[0, row, 15] > 0.99 * found.joint[0, row].sum()  # 75 … 80 %
+    assert found["joint", "hours"][0, row].sum() == pytest.approx(8766 * 2.5 / 40, rel=0.01)
+    assert found["joint", "hours"][0, row, 15] > 0.99 * found["joint", "hours"][0, row].sum()  # 75 … 80 %
     weather = outside(year)
     assert weather.condensing is None and weather.temperature_K.shape == (1, 8001)
 
@@ -220,10 +220,10 @@ def test_bounds_of_a_year_hold_the_spread_between_years() -> None:
         random.standard_normal((30, 1, 1)) * 3.0 + random.standard_normal((1, 50, 1)) + np.zeros((30, 50, 2))
     )
     found = bounded_array(values)
-    assert found.value.shape == (2,) and found.between_years[0] == pytest.approx(3.0, rel=0.35)
-    assert np.all(found.upper - found.lower > 2.0 * (found.mean_upper - found.mean_lower))
+    assert found["value"].shape == (2,) and found["between_years"][0] == pytest.approx(3.0, rel=0.35)
+    assert np.all(found["upper"] - found["lower"] > 2.0 * (found["mean_upper"] - found["mean_lower"]))
     single = bounded_array(values[:1])
-    assert np.all(single.between_years == 0.0) and np.array_equal(single.lower, single.mean_lower)
+    assert np.all(single["between_years"] == 0.0) and np.array_equal(single["lower"], single["mean_lower"])
 
 
 def test_limits_are_judged_by_their_bounds() -> None:
@@ -232,12 +232,12 @@ def test_limits_are_judged_by_their_bounds() -> None:
     celsius = np.where(np.arange(8766)[None, :] < hours[:, None], 50.0, 20.0)
     year = year_of(celsius, np.full((100, 8766), 40.0))
     for allowed, verdict in ((5.0, "fail"), (40.0, "undecided"), (70.0, "pass")):
-        limit = ClimateLimit("hot", "temperature_degC", "above", 45.0, allowed)
-        found = judge_limit(limit, [exceeded(year, limit)])
+        limit = ClimateLimit("temperature_degC", above=45.0, hours_a_year=allowed, name="hot")
+        found = judge_limit(limit, exceeded(year, limit)[None])
         assert found.verdict == verdict and found.hours.value == pytest.approx(hours.mean(), rel=1e-6)
-    steep = ClimateLimit("steep", "temperature_rate_K_per_h", "above", 10.0)
+    steep = ClimateLimit("temperature_rate_K_per_h", above=10.0, name="steep")
     assert exceeded(year, steep)[:, 0] == pytest.approx(1.0)  # one fall of 30 K
-    still = ClimateLimit("still", "temperature_degC", "above", 45.0, during="standstill")
+    still = ClimateLimit("temperature_degC", above=45.0, during="standstill", name="still")
     assert exceeded(year, still)[:, 0] == pytest.approx(hours // 2)
     dry = replace(year, relative_humidity=None)
-    assert exceeded(dry, ClimateLimit("damp", "relative_humidity_percent", "above", 80.0)) is None
+    assert exceeded(dry, ClimateLimit("relative_humidity_percent", above=80.0, name="damp")) is None

@@ -23,7 +23,8 @@ from hygrokf.data.structured import StructureFault, plain, structured
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/references/uk.json.xz"
 LIMITS = tuple(
-    ClimateLimit(name, "temperature_degC", "above", level) for name, level in (("hot", 60.0), ("mild", 10.0))
+    ClimateLimit("temperature_degC", above=level, name=name)
+    for name, level in (("hot", 60.0), ("mild", 10.0))
 )
 
 

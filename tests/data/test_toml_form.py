@@ -12,8 +12,8 @@ import pytest
 from builders.documents import document
 
 from hygrokf.cases.form import CaseForm, StatedColumn, StatedPeriod, StatedSource, StatedWeather
-from hygrokf.climate.chamber import ProfileForm
-from hygrokf.climate.limits import LimitForm
+from hygrokf.climate.chamber import ProfilePlan
+from hygrokf.climate.limits import ClimateLimit
 from hygrokf.climate.region import PowerCurve, Shear
 from hygrokf.data.record import Site
 from hygrokf.data.timestamps import duration
@@ -29,7 +29,7 @@ from hygrokf.data.toml_form import (
     read_toml_form,
     setting,
 )
-from hygrokf.fleet.plan import FleetForm, FleetTurbineForm
+from hygrokf.fleet.plan import FleetForm, FleetTurbine
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,10 @@ def test_a_file_is_read_or_missed(tmp_path: Path) -> None:
 FORMS = [
     ("case_file.md", (CaseForm, Site, StatedPeriod, StatedSource, StatedColumn)),
     ("weather.md", (StatedWeather,)),
-    ("fleet.md", (FleetForm, FleetTurbineForm)),
+    ("fleet.md", (FleetForm, FleetTurbine)),
     ("climate.md", (PowerCurve, Shear)),
-    ("climate.md", (LimitForm,)),
-    ("climate_test.toml", (ProfileForm, *(kind for _, _, kind in keys_of(ProfileForm).values()))),
+    ("climate.md", (ClimateLimit,)),
+    ("climate_test.toml", (ProfilePlan, *(kind for _, _, kind in keys_of(ProfilePlan).values()))),
 ]
 
 

@@ -54,7 +54,7 @@ def transfer() -> str:
 
 
 def climate() -> str:
-    study = study_of(made_up_weather(), limits=[ClimateLimit("hot", "temperature_degC", "above", 10.0)])
+    study = study_of(made_up_weather(), limits=[ClimateLimit("temperature_degC", above=10.0, name="hot")])
     return page_html(climate_blocks(replace(study, synthetic=True)))
 
 

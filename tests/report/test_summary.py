@@ -49,8 +49,8 @@ from hygrokf.report.summary.writing import SummaryFault, planned, written, writt
 
 LONG = "Windpark Nordfriesland Süd – Umrichterschrank WEA-17/B (Nachrüstung, Prüfstand) " + "x" * 90
 LIMITS = (
-    ClimateLimit("never", "temperature_degC", "above", 90.0),
-    ClimateLimit("broken", "temperature_degC", "above", -60.0),
+    ClimateLimit("temperature_degC", above=90.0, name="never"),
+    ClimateLimit("temperature_degC", above=-60.0, name="broken"),
 )
 
 

@@ -203,8 +203,7 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
     )
     assert constant.rejected == ("T6",) and "T6" not in constant.turbines and "T7" in constant.turbines
     words = Page(page_html(fleet_blocks(FleetResults("fit", tuple(rows), "park")))).text
-    assert "Thermal time constant: 6 reliable, 1 with caution, 1 not reliable" in words
-    assert "T6 not reliable reliable T7 with caution reliable" in words
+    assert "reliable 6 T0, T1, T2, T3, T4, T5 not reliable 1 T6 with caution 1 T7" in words
     assert "Not reliable, so not compared: thermal time constant of T6" in words
     assert "9.00" not in words
     line = next(

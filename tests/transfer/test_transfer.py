@@ -77,7 +77,7 @@ def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
     assert other.results.sentence == "transfers after re-estimating heat release"
     rows = other.results.rmse["temperature_K"]
     assert rows["re_estimated"].total < 0.7 * rows["as_is"].total
-    gain = other.results.gains["temperature_K"]["re_estimated"].over_as_is
+    gain = other.results.gains["temperature_K"]["re_estimated"]["over_as_is"]
     assert 0.0 < gain.lower < gain.gain < gain.upper
     assert gain.gain == pytest.approx(rows["as_is"].total - rows["re_estimated"].total)
     ratios = other.results.likelihood_ratios
@@ -153,7 +153,7 @@ def test_parameters_that_a_record_does_not_determine_are_kept(origin: Fit) -> No
 def with_gain(found: TransferResult, **gains: Reduction) -> TransferResult:
     """A result with other gains of the re-estimated temperature."""
     rows = dict(found.gains["temperature_K"])
-    rows["re_estimated"] = replace(rows["re_estimated"], **gains)
+    rows["re_estimated"] = {**rows["re_estimated"], **gains}
     return replace(found, gains={**found.gains, "temperature_K": rows})
 
 
@@ -272,12 +272,12 @@ def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
     short = replace(made.second.window(begin, begin + 2 * 86400.0), until_s=None)
     found = transfer_fit(origin, short, fits=False).results
     for rows in found.gains.values():
-        assert math.isnan(rows["re_estimated"].over_rule.upper)
+        assert math.isnan(rows["re_estimated"]["over_rule"].upper)
     found = replace(found, re_estimate=())
     worse = with_verdict(with_gain(found, over_rule=Reduction("no_dynamics", -0.5)))
     assert worse.verdict == "cannot be judged" and "use a longer record" in worse.reasons[0]
     better = with_gain(found, over_rule=Reduction("no_dynamics", 0.5))
-    all_better = all(rows["re_estimated"].over_rule.gain > 0 for rows in better.gains.values())
+    all_better = all(rows["re_estimated"]["over_rule"].gain > 0 for rows in better.gains.values())
     assert (with_verdict(better).verdict == "transfers") == all_better
 
 

@@ -101,12 +101,13 @@ def figure_profile(region: RegionClimate) -> Picture:
     profile = region.test_profile
     if profile is None:
         raise NothingToShow("There is no test profile of this climate.")
+    hours = np.arange(len(profile.temperature_degC))
     warm = (
-        Curve(profile.hour, profile.temperature_degC, SIMULATED, 0.7, "test"),
-        Curve(profile.hour, profile.site_temperature_degC, QUIET, 0.6, "the same hours at the site"),
+        Curve(hours, profile.temperature_degC, SIMULATED, 0.7, "test"),
+        Curve(hours, profile.site_temperature_degC, QUIET, 0.6, "the same hours at the site"),
     )
-    damp = (Curve(profile.hour, profile.relative_humidity_percent, MEASURED, 0.7),)
-    x = Axis("hours of the test", (0.0, float(profile.hour[-1]) + 1.0))
+    damp = (Curve(hours, profile.relative_humidity_percent, MEASURED, 0.7),)
+    x = Axis("hours of the test", (0.0, float(len(hours))))
     panels = (
         Panel(warm, x, Axis("temperature [°C]")),
         Panel(damp, x, Axis("relative humidity [%]", (0.0, 100.0))),
