@@ -124,12 +124,12 @@ def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
     return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if milli else 'seconds'}"
 
 
-def clock_of(export: Export, column: str, means: bool) -> Clock:
+def clock_of(export: Export, means: bool) -> Clock:
     """The clock of an export.
 
     means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
     """
-    text = export.cells[column]
+    column, text = export.column, export.cells[export.column]
     forms = _forms(text)
     if not forms:
         raise TableFault(

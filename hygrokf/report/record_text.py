@@ -15,7 +15,8 @@ from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.clocks import Alignment, Lag
 
 if TYPE_CHECKING:
-    from hygrokf.drafting.draft import Draft, DraftedSignal
+    from hygrokf.drafting.draft import Draft
+    from hygrokf.drafting.mapping import DraftedSignal
 
 NONE = "-"
 WIDTH = 1000
