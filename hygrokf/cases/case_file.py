@@ -47,7 +47,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     """
     file = Path(path)
     try:
-        text, content = read_toml(file, CaseFault, "no such case file; check the path")
+        text, content = read_toml(file, CaseFault)
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None

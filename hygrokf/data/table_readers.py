@@ -23,6 +23,7 @@ from hygrokf.data.columns import (
     TableFault,
     column_fault,
     numbered,
+    places_of,
     table_of,
 )
 from hygrokf.data.quality import StatedQuality
@@ -212,14 +213,8 @@ def _csv_source(
             return pd.DataFrame(), {}, []
     beside = notation.quality.beside(names, wanted)
     marks = dict.fromkeys(beside.values())
-    positions = {}
-    for name in dict.fromkeys([time_column, *wanted, *marks]):
-        if (count := names.count(name)) == 1:
-            positions[name] = names.index(name)
-        elif count > 1:
-            faults.append(f'line {line}: column "{name}" occurs {count} times')
-        elif name != time_column:
-            faults.append(column_fault(name, names, f"line {line} has"))
+    used = [name for name in (time_column, *wanted, *marks) if name != time_column or name in names]
+    positions = places_of(used, names, f"line {line} has", faults)
     lines, rows, wide, width = list[int](), list[list[str]](), list[tuple[int, list[str]]](), len(names)
     for number, cells in csv_rows(content, encoding, separator):
         blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
@@ -294,8 +289,6 @@ def _parquet_source(
 
     def select(found: list[str]) -> list[str]:
         beside.update(quality.beside(found, wanted))
-        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
-        faults.extend(column_fault(name, found, "the file has") for name in columns if name not in found)
-        return [name for name in columns if name in found]
+        return [*places_of([time_column, *wanted, *beside.values()], found, "the file has", faults)]
 
     return parquet_frame(content, select), beside

@@ -24,7 +24,7 @@ from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError
 from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.archive import contents
-from hygrokf.weather.reading import weather_form
+from hygrokf.weather.reading import form_of
 
 _WIDTH = 100
 
@@ -86,7 +86,7 @@ def draft_case(
     weather: list[Weather] = []
     for file in exports:
         try:
-            kind = weather_form(file)
+            kind = form_of(file)
             if kind is not None:
                 weather.append(Weather(_relative(file, out), kind, _is_typical_year(file, kind)))
             else:

@@ -266,13 +266,10 @@ def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = L
     return (1.0 - lapse_rate * rise_m / kelvin) ** (GRAVITY / (GAS_CONSTANT_DRY_AIR * lapse_rate))
 
 
-def at_altitude(
-    record: Record, altitude_m: float, from_m: float | None = None, lapse_rate: float = LAPSE_RATE
-) -> Record:
+def at_altitude(record: Record, altitude_m: float, from_m: float, lapse_rate: float = LAPSE_RATE) -> Record:
     """A weather record moved to the height of the site.
 
-    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record; None:
-        that of its site.
+    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record.
     lapse_rate: [K/m] decrease of temperature with height, -0.02 … 0.02.
 
     Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) is
@@ -281,16 +278,11 @@ def at_altitude(
     how often.  Sun, wind, cloud and rain do not change.  The lapse rate is a mean: that of single hours
     differs, in winter inversions even in sign.
 
-    Raises ValueError where the record's height is not known, or a number is out of its range.
+    Raises ValueError for a lapse rate out of its range.
     """
-    station_m = from_m
-    if station_m is None and record.site is not None:
-        station_m = record.site.altitude_m
-    if station_m is None:
-        raise ValueError(f"{record.name}: the height of this weather is not known; state it")
     if not -0.02 <= lapse_rate <= 0.02:
         raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
-    rise = altitude_m - station_m
+    rise = altitude_m - from_m
     site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
     moved, warnings = [], []
     for one in record.series:
@@ -317,7 +309,7 @@ def at_altitude(
         moved.append(dataclasses.replace(one, value=value))
     warnings.insert(
         0,
-        f"converted from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
+        f"converted from {from_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
         "pressure, "
         "mixing ratio kept",
     )
