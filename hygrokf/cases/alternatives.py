@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from hygrokf.data.ambient import place_absolute_humidity
-from hygrokf.data.clocks import Shift, in_america, shifted, source_of, sources
+from hygrokf.data.clocks import Shift, in_america, shifted, sources
 from hygrokf.data.input_paths import centred
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, from_si, to_si
@@ -37,7 +37,7 @@ from hygrokf.estimation.lag_model import (
     shift_logliks,
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.weather.clocks import TOLERANCE_S, pace, rounded, season_remedy, signed
+from hygrokf.weather.clocks import TOLERANCE_S, correction_key, pace, rounded, season_remedy
 
 LEAST_S = 2700.0
 """[s] smaller shifts are no clock's: response times, or the sun on a sensor."""
@@ -64,17 +64,14 @@ NAMED, WALL, EITHER = "named", "clock_or_wall", "either_clock"
 class Alternative:
     """Another reading of a record's files.
 
-    kind: "clock", "summer_time", "unit", "columns" or "decimal". name: what would be wrong, in words. line:
-    what corrects it in the case file. signals: those that it changes. reading: the record read so. shifts: of
-    the stamps, for a clock.
+    name: what would be wrong, in words. line: what corrects it in the case file. signals: those that it
+    changes. reading: the record read so.
     """
 
-    kind: str
     name: str
     line: str
     signals: tuple[str, ...]
     reading: Callable[[Record], Record]
-    shifts: tuple[Shift, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,7 +202,7 @@ def _clocks(
 ) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
     """The clock that is wrong, if one is, and the sources whose clock the record cannot tell."""
     names = [name for name in sources(record) if any(scan.move(name)[0] for scan in scans)]
-    lit = source_of(record[_LIGHT]) if sun_s is not None else None
+    lit = record[_LIGHT].file if sun_s is not None else None
     profiles = {
         (name, more): np.sum([scan.gains(*scan.move(name), more) for scan in scans], axis=0)
         for name in names
@@ -250,7 +247,7 @@ def _judged(
     row = shift.source, shift.more
     largest = max(shift.seasons, key=abs)
     own = shift.source
-    moving = [one for one in record.series if source_of(one) == own or one.signal.startswith("cabinet_")]
+    moving = [one for one in record.series if one.file == own or one.signal.startswith("cabinet_")]
     steps = [max(modal_step(one.time)[0], one.interval_s) for one in moving if len(one) > 1]
     if abs(largest) * QUARTER_S < max([LEAST_S, *(OF_STEP * step for step in steps)]):
         return None
@@ -314,9 +311,9 @@ def _clock(record: Record, shift: _Shift) -> Alternative:
         line = f"its stamps need {season_remedy(winter, summer, south)}"
     else:
         name = f"the clock of {shift.source} seems {pace(winter)}"
-        line = f'state clock_correction = "{signed(winter).replace(" ", "")}" in that source'
-    kind, signals = "summer_time" if shift.more else "clock", sources(record).get(shift.source, ())
-    return Alternative(kind, name, line, signals, lambda record: shifted(record, *steps), tuple(steps))
+        line = f"state {correction_key(winter)}"
+    signals = sources(record).get(shift.source, ())
+    return Alternative(name, line, signals, lambda record: shifted(record, *steps))
 
 
 # -- units, columns, decimal marks ---------------------------------------------------------------------------
@@ -353,49 +350,38 @@ def _information(record: Record) -> np.ndarray:
 
 
 _SCALES = (
-    ("unit", "in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF", 1.0),
-    ("unit", "in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC", 1.0),
-    ("unit", "in K, called °C", 'unit = "K"', "temperature", "degC", "K", 1.0),
-    ("unit", "in °C, called K", 'unit = "degC"', "temperature", "K", "degC", 1.0),
-    ("unit", "fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1", 1.0),
-    ("unit", "per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%", 1.0),
+    ("in °F, called °C", 'unit = "degF"', "temperature", "degC", "degF", 1.0),
+    ("in °C, called °F", 'unit = "degC"', "temperature", "degF", "degC", 1.0),
+    ("in K, called °C", 'unit = "K"', "temperature", "degC", "K", 1.0),
+    ("in °C, called K", 'unit = "degC"', "temperature", "K", "degC", 1.0),
+    ("fractions, called per cent", 'unit = "1"', "relative_humidity", "%", "1", 1.0),
+    ("per cent, called fractions", 'unit = "%"', "relative_humidity", "1", "%", 1.0),
     *(
-        ("decimal", "read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
+        ("read with the wrong decimal mark", 'decimal = "," or "."', *shown, 0.1**digits)
         for shown in (("temperature", "degC", "degC"), ("relative_humidity", "%", "%"))
         for digits in (1, 2)
     ),
 )
-"""Kind and words of a mistake, the key that corrects it; a quantity, the unit that its readings are declared
-in, the one that they are in, and how many times as many they are."""
+"""A mistake in words, the key that corrects it; a quantity, the unit that its readings are declared in, the
+one that they are in, and how many times as many they are."""
 _PLACES = (("cabinet",), ("ambient",), ("cabinet", "ambient"))
-_EXCHANGES = (
-    (("cabinet_temperature", "ambient_temperature"),),
-    (("cabinet_relative_humidity", "ambient_relative_humidity"),),
-    (
-        ("cabinet_temperature", "ambient_temperature"),
-        ("cabinet_relative_humidity", "ambient_relative_humidity"),
-    ),
-    (("cabinet_temperature", "cabinet_relative_humidity"),),
-    (("ambient_temperature", "ambient_relative_humidity"),),
-)
+_AIR = ("cabinet_temperature", "ambient_temperature")
+_MOIST = ("cabinet_relative_humidity", "ambient_relative_humidity")
+_EXCHANGES = ((_AIR,), (_MOIST,), (_AIR, _MOIST), *((pair,) for pair in zip(_AIR, _MOIST, strict=True)))
 
 
 def _value_alternatives(record: Record) -> tuple[Alternative, ...]:
     """The rows of units, decimal marks and exchanged columns that a record has the signals for."""
     made = []
-    for kind, mistake, line, quantity, called, unit, factor in _SCALES:
+    for mistake, line, quantity, called, unit, factor in _SCALES:
         for places in _PLACES:
             signals = tuple(f"{place}_{quantity}" for place in places)
             words = f"{' and '.join(signals)} {'seem' if len(signals) > 1 else 'seems'} {mistake}"
-            reading = partial(_scaled, signals, called, unit, factor)
-            made.append(Alternative(kind, words, line, signals, reading))
+            made.append(Alternative(words, line, signals, partial(_scaled, signals, called, unit, factor)))
     for pairs in _EXCHANGES:
-        words = " and ".join(f"{a} and {b}" for a, b in pairs)
+        words = f"{' and '.join(f'{a} and {b}' for a, b in pairs)} seem exchanged"
         signals = tuple(name for pair in pairs for name in pair)
-        line = "exchange their columns"
-        made.append(
-            Alternative("columns", f"{words} seem exchanged", line, signals, partial(_exchanged, pairs))
-        )
+        made.append(Alternative(words, "exchange their columns", signals, partial(_exchanged, pairs)))
     return tuple(one for one in made if all(name in record for name in one.signals))
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, told_by
-from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
+from hygrokf.cases.doubts import IDENTIFIABLE, Doubt, no_overlap, power_beside_rated, told_by
+from hygrokf.cases.form import StatedCase, StatedSource, StatedWeather, stated_case
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.files import DRAFT_DOUBT
 from hygrokf.data.input_paths import on_change
@@ -47,7 +47,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     """
     file = Path(path)
     try:
-        text, content = read_toml(file, CaseFault, "no such case file; check the path")
+        text, content = read_toml(file, CaseFault)
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
@@ -300,8 +300,10 @@ def _source_series(
         step, regular = modal_step(own)
         wrong = unit_mistaken(raw, one.unit, one.signal)
         if wrong is None and one.signal.name == "active_power" and rated_W is not None:
-            wrong, hint = _power_mistaken(one, raw, rated_W)
-            warnings += [hint] if hint else []
+            power_W = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
+            times, words = power_beside_rated(power_W, rated_W)
+            if times > 10.0:
+                wrong = f"active_power is called {one.unit} and {words}: correct its unit or rated_power_kW"
         if wrong is not None:
             faults.append(f'column "{one.column}": {wrong}')
             continue
@@ -352,23 +354,6 @@ def _source_series(
             f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
     return found, warnings, faults
-
-
-def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:
-    """A power inconsistent with the rated power: a fault if impossible, a warning if doubtful."""
-    finite = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
-    if not len(finite):
-        return None, None
-    high = float(np.quantile(finite, 0.995))
-    text = (
-        f"{one.signal.name} is called {one.unit} and reaches {high / 1e3:.4g} kW, "
-        f"{high / rated_W:.3g} times the rated {rated_W / 1e3:g} kW"
-    )
-    if high > 10.0 * rated_W:
-        return f"{text}: correct its unit or rated_power_kW", None
-    if high > 1.3 * rated_W or 1e-4 < high / rated_W < 2e-3:
-        return None, f"{text}: are its unit and rated_power_kW right?"
-    return None, None
 
 
 def _period_faults(record: Record, case: StatedCase) -> list[str]:

@@ -70,10 +70,9 @@ def all_doubts(
     if clocks is None:
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
-    off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
     found = alternative_readings(record) if read is None else read
     return (
-        *off,
+        *(Doubt(one, *PARTS) for one in clock_sentences(clocks, south)),
         *_uncompared(record, clocks),
         *record.doubts,
         *(Doubt(one.sentence(), *PARTS) for one in found.findings),
@@ -86,41 +85,39 @@ def all_doubts(
     )
 
 
-def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
+def _uncompared(record: Record, clocks: Sequence[ClockError]) -> Iterator[str]:
     """Files for comparison that share too little time with the sources that are used."""
     done = {one.signal for error in clocks for one in error.alignments}
     files: dict[str, list[str]] = {}
     for one in record.compared:
         if one.signal in record and one.signal not in (*done, *NOT_COMPARED):
             files.setdefault(one.file, []).append(one.signal)
-    return [
-        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
-        "source that is used"
-        for file, signals in files.items()
-    ]
+    for file, signals in files.items():
+        yield (
+            f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with "
+            "the source that is used"
+        )
 
 
-def _doubts_of_readings(record: Record) -> list[str]:
+def _doubts_of_readings(record: Record) -> Iterator[str]:
     """Doubts about readings of a record made from series; `read_case` and `read_frames` refuse or mask such
     readings."""
-    said: list[str] = []
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
-        mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
+        words = unit_mistaken(series.value, row.unit, row)
         if series.hold == LINEAR and series.resolution and on_change(*series.known, series.resolution):
-            said.append(f"{series.signal} {ON_CHANGE}")
-        if mistaken is not None:
-            said.append(Doubt(mistaken, *told_by(series.signal)))
-        elif outside.any():
+            yield f"{series.signal} {ON_CHANGE}"
+        if words is None and outside.any():
             words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
-            said.append(Doubt(words, *told_by(series.signal)))
+        if words is not None:
+            yield Doubt(words, *told_by(series.signal))
     if record.start_s < _OLDEST_S:
-        said.append(
+        yield (
             f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since "
             "1970-01-01T00:00Z, or since the start of the record?"
         )
-    return said + no_overlap(record.series)
+    yield from no_overlap(record.series)
 
 
 def told_by(signal: str) -> tuple[str, ...]:
@@ -174,21 +171,20 @@ def _doubts_of_gaps(record: Record) -> Iterator[str]:
             )
 
 
-def _doubts_of_periods(record: Record) -> list[str]:
-    said: list[str] = []
+def _doubts_of_periods(record: Record) -> Iterator[str]:
     days = (record.end_s - record.start_s) / DAY_S
     if not days >= _SHORT_RECORD_D:
-        said.append(
+        yield (
             f"short record: {days:.1f} days; below {_SHORT_RECORD_D:.0f} days weather and "
             "operation hardly vary, and bounds will be wide"
         )
     if record.until_s is None:
-        said.append(
+        yield (
             "no validation period: every score will be computed on the fitted data; state "
             "[identification] until"
         )
     elif not record.start_s < record.until_s < record.end_s:
-        said.append(
+        yield (
             f"until = {stamp_text(record.until_s)} is outside of the record "
             f"({period_text(record.start_s, record.end_s)})"
         )
@@ -196,133 +192,119 @@ def _doubts_of_periods(record: Record) -> list[str]:
         for name, part in (("identification", record.identification()), ("validation", record.validation())):
             length = (part.end_s - part.start_s) / DAY_S
             if not length >= _SHORT_VALIDATION_D:
-                said.append(f"short {name} period: {length:.1f} days")
-    return said
+                yield f"short {name} period: {length:.1f} days"
 
 
-def _doubts_of_power(record: Record) -> list[str]:
+def power_beside_rated(power_W: np.ndarray, rated_W: float) -> tuple[float, str]:
+    """The 99.5 % quantile of power readings over the rated power, NaN without any; and in words."""
+    high = float(np.quantile(power_W, 0.995)) if len(power_W) else np.nan
+    times = high / rated_W
+    return times, f"reaches {high / 1e3:.4g} kW, {times:.3g} times the rated {rated_W / 1e3:g} kW"
+
+
+def _doubts_of_power(record: Record) -> Iterator[str]:
     if "active_power" not in record:
-        return ["no active power: the whole record counts as standstill"]
+        yield "no active power: the whole record counts as standstill"
+        return
     power = record["active_power"]
     there = power.value[~power.missing]
     if not len(there):
-        return ["active power has no reading: the whole record counts as standstill"]
-    said: list[str] = []
+        yield "active power has no reading: the whole record counts as standstill"
+        return
     standstill = float(np.mean(there <= 0.0))
     if np.median(there) < 0.0 and -there.min() > 2.0 * max(there.max(), 0.0):
-        said.append(
-            Doubt(
-                f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
-                "ever positive: is the sign reversed (feed-in is positive)?",
-                "thermal",
-            )
+        yield Doubt(
+            f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
+            "ever positive: is the sign reversed (feed-in is positive)?",
+            "thermal",
         )
     elif standstill < 0.01:
-        said.append(
+        yield (
             f"no standstill: {100 * standstill:.1f} % of the power readings are ≤ 0, so standstill "
             "cannot be identified apart from operation"
         )
     elif standstill > 0.9:
-        said.append(f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0")
+        yield f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0"
     if record.rated_power_W is None:
-        said.append("no rated power: stationary periods cannot be found; state rated_power_kW")
-    elif there.max() > 10.0 * record.rated_power_W:
-        times = there.max() / record.rated_power_W
-        said.append(f"active power reaches {times:.3g} times the rated power: right unit?")
-    elif 0.0 < there.max() < 0.3 * record.rated_power_W:
-        share = 100.0 * there.max() / record.rated_power_W
-        said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
+        yield "no rated power: stationary periods cannot be found; state rated_power_kW"
+    else:
+        times, words = power_beside_rated(there, record.rated_power_W)
+        if times > 1.3 or 0.0 < times < 0.3:
+            yield f"active power {words}: are its unit and the rated power right?"
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
             time = record[signal].time
             covered = np.mean((time >= power.time[0] - power.interval_s) & (time <= power.time[-1]))
             if covered < 0.5:
-                said.append(f"active power covers only {100 * covered:.0f} % of the period of {signal}")
+                yield f"active power covers only {100 * covered:.0f} % of the period of {signal}"
             break
-    return said
 
 
-def _doubts_of_climate(record: Record) -> list[str]:
-    said: list[str] = []
+def _doubts_of_climate(record: Record) -> Iterator[str]:
     humid = any(f"cabinet_{kind}" in record for kind in HUMIDITIES)
     if "cabinet_temperature" not in record and not humid:
-        said.append("no cabinet signal: nothing can be identified or scored")
+        yield "no cabinet signal: nothing can be identified or scored"
     elif "cabinet_temperature" not in record:
-        said.append("no cabinet temperature: the thermal model cannot be identified")
+        yield "no cabinet temperature: the thermal model cannot be identified"
     elif not humid:
-        said.append("no cabinet humidity: only the thermal model can be identified")
+        yield "no cabinet humidity: only the thermal model can be identified"
     if humid and not any(f"ambient_{kind}" in record for kind in HUMIDITIES):
-        said.append("no ambient humidity: the hygric model has no input")
-    for signal in record.signals:
-        one = record[signal]
+        yield "no ambient humidity: the hygric model has no input"
+    for one in record.series:
         if one.missing.mean() > 0.3:
-            said.append(f"{signal}: {100 * one.missing.mean():.0f} % of its readings are missing")
+            yield f"{one.signal}: {100 * one.missing.mean():.0f} % of its readings are missing"
     if "ambient_temperature" in record:
         step, _ = modal_step(record["ambient_temperature"].time)
         if step >= 3600.0:
-            said.append(
+            yield (
                 f"ambient temperature every {duration_text(step)} only: the cabinet's "
                 "response to it (rho) will hardly be resolved"
             )
-        if "cabinet_temperature" in record:
-            pair = _pair(
-                centred(record["cabinet_temperature"]).known, centred(record["ambient_temperature"]).known
-            )
-            if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
-                colder = np.mean(pair[1] - pair[0])
-                said.append(
-                    Doubt(
-                        f"the cabinet is {colder:.1f} K colder than outside on average: are the columns "
-                        "swapped?",
-                        *PARTS,
-                    )
-                )
-    said += [Doubt(words, *told_by(outside.signal)) for outside, words in copies(record.series)]
-    vapours = (place_absolute_humidity(record, place) for place in ("cabinet", "ambient"))
-    pair = _pair(*(None if one is None else centred(one).known for one in vapours))
-    if pair is not None and len(pair[0]):
+    inside, outside = (
+        record[name] if name in record else None for name in ("cabinet_temperature", "ambient_temperature")
+    )
+    pair = _pair(inside, outside)
+    if pair is not None and (colder := np.mean(pair[1] - pair[0])) > 2.0:
+        yield Doubt(
+            f"the cabinet is {colder:.1f} K colder than outside on average: are the columns swapped?", *PARTS
+        )
+    for series, words in copies(record.series):
+        yield Doubt(words, *told_by(series.signal))
+    pair = _pair(*(place_absolute_humidity(record, place) for place in ("cabinet", "ambient")))
+    if pair is not None:
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
         if not 0.7 <= factor <= 1.3:
-            said.append(
-                Doubt(
-                    f"absolute humidity in the cabinet is {factor:.2f} times that outside on average: "
-                    "a source or sink of vapour, a sensor error, or the wrong column",
-                    "hygric",
-                )
+            yield Doubt(
+                f"absolute humidity in the cabinet is {factor:.2f} times that outside on average: "
+                "a source or sink of vapour, a sensor error, or the wrong column",
+                "hygric",
             )
-    return said
 
 
-def _pair(
-    one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, np.ndarray] | None
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _pair(one: Series | None, other: Series | None) -> tuple[np.ndarray, np.ndarray] | None:
     """Values of one series and of the other at the same times, over their common span."""
-    if one is None or other is None or not (len(one[0]) and len(other[0])):
+    if one is None or other is None:
         return None
-    common = (one[0] >= other[0][0]) & (one[0] <= other[0][-1])
-    if not common.any():
-        return None
-    return one[1][common], np.interp(one[0][common], *other)
+    (time, value), known = centred(one).known, centred(other).known
+    common = (time >= known[0][0]) & (time <= known[0][-1]) if len(known[0]) else np.zeros(len(time), bool)
+    return (value[common], np.interp(time[common], *known)) if common.any() else None
 
 
-def _doubts_of_clocks(record: Record) -> list[str]:
-    said: list[str] = []
+def _doubts_of_clocks(record: Record) -> Iterator[str]:
+    irregular: dict[str, None] = {}
     for series in record.series:
         step, regular = modal_step(series.time)
         if len(series) > 2 and regular < 0.9 and series.longest_hold_s is None:
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
-            said.append(f"irregular steps in {series.file}: only {text}")
-    said = list(dict.fromkeys(said))
+            irregular[f"irregular steps in {series.file}: only {text}"] = None
+    yield from irregular
     lag = solar_lag(record)
     if lag is not None and abs(lag) > TOLERANCE_S:
         direction = "after" if lag > 0 else "before"
         correction = f"{-15 * round(lag / 900.0):+d}min"
-        said.append(
-            Doubt(
-                f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
-                "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude? If the clock is "
-                f'wrong, state clock_correction = "{correction}" in that source',
-                *PARTS,
-            )
+        yield Doubt(
+            f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
+            "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude? If the clock is "
+            f'wrong, state clock_correction = "{correction}" in that source',
+            *PARTS,
         )
-    return said

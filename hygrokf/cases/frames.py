@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
 from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
-from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.columns import HEADER, Places, Table, TableFault, column_fault, places_of, table_of
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS, unit_named
@@ -259,14 +259,9 @@ def _prepare(
     }
     quality = StatedQuality({label: name for label, name in by_column["quality"].items() if label in used})
     beside = quality.beside(labels, list(used))
-    faults += [
-        f"{name}: quality: {column_fault(one, labels, 'the frame has')}"
-        for one in beside.values()
-        if labels.count(one) != 1
-    ]
-    columns = [one for one in dict.fromkeys([*used, *beside.values()]) if one in labels]
-    kept = frame.iloc[:, [labels.index(label) for label in columns]].copy(deep=False)
-    kept.columns = columns
+    places = places_of([*used, *beside.values()], labels, "the frame has", wrong)
+    kept = frame.iloc[:, list(places.values())].copy(deep=False)
+    kept.columns = list(places)
     kept.index = range(len(frame))
     kept.attrs = {HEADER: labels}
 
@@ -293,8 +288,6 @@ def _entries(
     """
     entries: dict[str, dict[str, Any]] = {}
     for label, signal in used.items():
-        if labels.count(label) > 1:
-            faults.append(f'{name}: column "{label}" occurs {labels.count(label)} times')
         if signal in entries:
             faults.append(
                 f'{name}: columns "{entries[signal]["column"]}" and "{label}" are both {signal}; '

@@ -37,8 +37,7 @@ class SignalSummary:
     """One signal of a record: its stamps, gaps and values.
 
     `days` [d] from `start` to `end` (UTC); `missing_share` [1] of the readings expected from the usual step;
-    `step_s` [s] the usual step and `regular_share` [1] of the steps that have it; `clock_phase_s` [s] of the
-    stamps within their step; `clock_uncertainty_s`, `interval_s` [s] as stated; `gaps` longer than three
+    `step_s` [s] the usual step; `clock_uncertainty_s`, `interval_s` [s] as stated; `gaps` longer than three
     steps; `minimum`, `mean`, `maximum`, `resolution` and `accuracy` in `unit`.  Unknown numbers are NaN.
     """
 
@@ -50,8 +49,6 @@ class SignalSummary:
     readings: int
     missing_share: float
     step_s: float
-    regular_share: float
-    clock_phase_s: float
     clock_uncertainty_s: float
     gaps: int
     longest_gap_s: float
@@ -67,29 +64,13 @@ class SignalSummary:
 
 
 @dataclass(frozen=True)
-class ActuatorUse:
-    """A logged actuator, and whether and how a model uses it."""
-
-    signal: str
-    used: bool
-    statement: str
-
-
-@dataclass(frozen=True)
-class FileDigest:
-    """A file that a record was read from, with its SHA-256."""
-
-    file: str
-    sha256: str
-
-
-@dataclass(frozen=True)
 class RecordSummary:
     """The contents of a record, as `hygrokf check` shows them.
 
     `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not stated; `identification` and
-    `validation` None where they are empty; `comparisons` of sources for the same signal; `untold`: what the
-    record cannot tell of its clocks.
+    `validation` None where they are empty; `actuators`: whether and how a model uses each that is logged;
+    `comparisons` of sources for the same signal; `untold`: what the record cannot tell of its clocks;
+    `files`: that it was read from, with their SHA-256.
     """
 
     name: str
@@ -101,12 +82,12 @@ class RecordSummary:
     identification: Span | None
     validation: Span | None
     signals: tuple[SignalSummary, ...]
-    actuators: tuple[ActuatorUse, ...]
+    actuators: tuple[str, ...]
     comparisons: tuple[ClockError, ...]
     warnings: tuple[str, ...]
     doubts: tuple[str, ...]
     untold: tuple[str, ...]
-    files: tuple[FileDigest, ...]
+    files: tuple[tuple[str, str], ...]
 
     def to_frame(self) -> pandas.DataFrame:
         """One row a signal, stamps as times in UTC; `unit` is that of the readings, further units are in
@@ -133,12 +114,12 @@ def describe(record: Record) -> RecordSummary:
         _period_of(record.identification()),
         _period_of(record.validation()),
         tuple(_describe_series(series) for series in record.series),
-        tuple(ActuatorUse(one.signal, one.used, one.statement) for one in actuators(record.identification())),
+        tuple(one.statement for one in actuators(record.identification())),
         clocks,
         record.warnings,
         tuple(map(str, all_doubts(record, clocks, read))),
         read.untold,
-        tuple(FileDigest(file, digest) for file, digest in record.provenance),
+        record.provenance,
     )
 
 
@@ -182,8 +163,6 @@ def _describe_series(series: Series) -> SignalSummary:
         readings=len(there),
         missing_share=_number(1.0 - len(there) / expected if expected else math.nan),
         step_s=_number(step),
-        regular_share=_number(regular),
-        clock_phase_s=_number(_phase(series.time, step)),
         clock_uncertainty_s=_number(series.clock_uncertainty_s),
         gaps=int(long.sum()),
         longest_gap_s=math.nan if widest is None else _number(gaps[widest]),
@@ -197,13 +176,3 @@ def _describe_series(series: Series) -> SignalSummary:
         mean=_number(shown.mean() if len(shown) else None),
         maximum=_number(shown.max() if len(shown) else None),
     )
-
-
-def _phase(time: np.ndarray, step: float) -> float:
-    """Position of stamps within their step [s]: 0 for full hours, ten minutes and so on."""
-    if not (len(time) and step > 0.0):
-        return math.nan
-    # circular mean, because stamps just before and after a full step belong together
-    angle = 2.0 * math.pi * np.mod(time, step) / step
-    mean = math.atan2(float(np.mean(np.sin(angle))), float(np.mean(np.cos(angle))))
-    return round(mean / (2.0 * math.pi) * step, 3) + 0.0

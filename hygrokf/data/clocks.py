@@ -20,16 +20,11 @@ class Shift:
     summer: bool = False
 
 
-def source_of(series: Series) -> str:
-    """The source whose clock stamps a series: its file, or the signal where none is stated."""
-    return series.source.split(",")[0] or series.signal
-
-
 def sources(record: Record) -> dict[str, tuple[str, ...]]:
     """Files of a record and the signals that each of them brings; the signals of a file share a clock."""
     found: dict[str, list[str]] = {}
     for series in record.series:
-        found.setdefault(source_of(series), []).append(series.signal)
+        found.setdefault(series.file, []).append(series.signal)
     return {name: tuple(signals) for name, signals in found.items()}
 
 

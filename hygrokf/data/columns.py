@@ -4,7 +4,7 @@ place."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, tzinfo
 from decimal import Decimal
@@ -268,6 +268,17 @@ def column_fault(name: str, found: Sequence[str], holder: str) -> str:
     file has"."""
     shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
     return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
+
+
+def places_of(columns: Iterable[str], names: Sequence[str], holder: str, faults: list[str]) -> dict[str, int]:
+    """The places of columns among the names of a table; adds the faults of those that are not there once."""
+    counts = {name: names.count(name) for name in columns}
+    for name, count in counts.items():
+        if count == 0:
+            faults.append(column_fault(name, names, holder))
+        elif count > 1:
+            faults.append(f'column "{name}" occurs {count} times')
+    return {name: names.index(name) for name, count in counts.items() if count == 1}
 
 
 def _numbers(

@@ -106,7 +106,8 @@ def values_in(
 
     plain = texts
     if marks.decimal != ".":
-        plain = texts.where([not (isinstance(one, str) and "." in one) for one in texts])
+        no_point = texts.where([not (isinstance(one, str) and "." in one) for one in texts])
+        plain = no_point.map(lambda one: one.replace(",", ".") if isinstance(one, str) else one)
     values = pd.to_numeric(plain, errors="coerce").astype(float)
     read: dict[object, float] = {}
     refused: dict[str, Unread] = {}
@@ -151,17 +152,6 @@ def evidence(texts: pandas.Series, mark: str) -> Literal["none", "decimal", "tho
     if as_thousands < 0.5 * as_decimal:
         return "thousands"
     return "decimal" if as_decimal < 0.5 * as_thousands else "either"
-
-
-def could_divide_thousands(values: np.ndarray) -> bool:
-    """Whether numbers (N,) may be those of a column whose points divide thousands: its texts tell."""
-    size = np.abs(values[np.isfinite(values)])
-    parted = size[size != np.round(size)]
-    if not len(parted) or np.max(size) >= 1e3 or np.min(parted) < 1.0:
-        return False
-    # three digits, of which the last is seldom 0
-    further = [np.abs(scale * parted - np.round(scale * parted)) > 1e-6 for scale in (1e2, 1e3)]
-    return bool(not further[1].any() and np.mean(further[0]) > 0.5)
 
 
 def unit_among(texts: pandas.Series) -> str:

@@ -128,7 +128,7 @@ class Series:
     @property
     def file(self) -> str:
         """The file of `source`, or the signal where there is no source."""
-        return self.source.split(", column")[0] or self.signal
+        return self.source.split(", ")[0] or self.signal
 
     @property
     def missing(self) -> np.ndarray:

@@ -95,38 +95,29 @@ def _words(fault: BaseException) -> str:
 # --- the converter ---------------------------------------------------------------------------
 
 
-def _number(value: object, _: object = None) -> float:
-    if value is None:
+_PLAIN: Mapping[type, tuple[tuple[type, ...], str]] = {
+    float: ((int, float, np.integer, np.floating), "a number"),
+    int: ((int, float, np.integer), "a whole number"),
+    str: ((str,), "a text"),
+    bool: ((bool, np.bool_), "true or false"),
+}
+"""Type of a value -> those of what is read, and words for it."""
+
+
+def _plain(value: Any, kind: Any) -> Any:
+    if kind is float and value is None:
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise ValueError(f"expected a number, found {shown(value, 60)}")
-    return float(value)
-
-
-def _whole(value: object, _: object = None) -> int:
-    if isinstance(value, bool) or not (
-        isinstance(value, (int, np.integer)) or (isinstance(value, float) and value.is_integer())
-    ):
-        raise ValueError(f"expected a whole number, found {shown(value, 60)}")
-    return int(value)
-
-
-def _text(value: object, _: object = None) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"expected a text, found {shown(value, 60)}")
-    return value
-
-
-def _flag(value: object, _: object = None) -> bool:
-    if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"expected true or false, found {shown(value, 60)}")
-    return bool(value)
+    types, words = _PLAIN[kind]
+    broken = kind is int and isinstance(value, float) and not value.is_integer()
+    if not isinstance(value, types) or broken or (isinstance(value, bool) and kind is not bool):
+        raise ValueError(f"expected {words}, found {shown(value, 60)}")
+    return kind(value)
 
 
 def _array(value: object, _: object = None) -> np.ndarray:
     if not isinstance(value, (list, tuple, np.ndarray)):
         raise ValueError(f"expected a list of numbers, found {shown(value, 60)}")
-    rows = [_array(v) if isinstance(v, (list, tuple)) else _number(v) for v in value]
+    rows = [_array(v) if isinstance(v, (list, tuple)) else _plain(v, float) for v in value]
     try:
         return np.array(rows, dtype=float)
     except ValueError:
@@ -202,10 +193,12 @@ def _converter() -> Converter:
     from cattrs import Converter
 
     made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
-    for kind, read in ((float, _number), (int, _whole), (str, _text), (bool, _flag), (np.ndarray, _array)):
-        made.register_structure_hook(kind, read)
+    for kind in _PLAIN:
+        made.register_structure_hook(kind, _plain)
+    made.register_structure_hook(np.ndarray, _array)
     made.register_structure_hook(
-        float | np.ndarray, lambda v, _: (_array if isinstance(v, list | tuple | np.ndarray) else _number)(v)
+        float | np.ndarray,
+        lambda v, _: _array(v) if isinstance(v, list | tuple | np.ndarray) else _plain(v, float),
     )
     made.register_structure_hook(Cell, _cell)
     made.register_unstructure_hook(float, _finite)

@@ -6,17 +6,13 @@ import csv
 import gzip
 import hashlib
 import io
-import itertools
 import os
 import re
-import warnings as python_warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from hygrokf.data.columns import (
     HEADER,
@@ -27,9 +23,9 @@ from hygrokf.data.columns import (
     TableFault,
     column_fault,
     numbered,
+    places_of,
     table_of,
 )
-from hygrokf.data.numbers import POINT, could_divide_thousands
 from hygrokf.data.quality import StatedQuality
 from hygrokf.errors import suggestion
 
@@ -69,10 +65,8 @@ def table_in(
         frame, beside = _parquet_source(content, wanted, time_column, notation.quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        source = _CsvSource(content, notation)
-        frame, beside = source.frame(wanted, time_column, faults)
-        frame.attrs[HEADER] = source.names if len(frame) else ()
-        places = Places("line", source.line_numbers)
+        frame, beside, lines = _csv_source(content, wanted, time_column, notation, faults)
+        places = Places("line", lambda rows: [lines[int(row)] for row in rows])
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
     stamps = frame[time_column] if time_column in frame else None
@@ -134,11 +128,17 @@ def csv_rows(content: bytes, encoding: str, separator: str = ",") -> Iterator[tu
     """Number of the last line, and cells, of every row of a text.  Raises TableFault."""
     text = io.TextIOWrapper(io.BytesIO(content), encoding, errors="replace", newline="")
     reader = csv.reader(text, delimiter=separator)
+    begin, cells = 1, list[str]()
+    open_quote = "a quotation mark is opened and never closed"
     try:
         for cells in reader:
             yield reader.line_num, cells
+            begin, last = reader.line_num + 1, begin
     except csv.Error as broken:
-        raise TableFault(f"line {reader.line_num}: {broken}") from None
+        reason = open_quote if reader.line_num > begin else str(broken)
+        raise TableFault(f"line {begin}: {reason}") from None
+    if any("\n" in cell for cell in cells) and content.count(b'"') % 2:
+        raise TableFault(f"line {last}: {open_quote}")
 
 
 def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, header: str) -> list[str]:
@@ -157,141 +157,84 @@ def too_wide(rows: Iterable[tuple[int, list[str]]], width: int, separator: str, 
     return [f'{where}: {expected}, found more: "{example[:80]}"{remedy}']
 
 
-class _CsvSource:
-    """The bytes of one CSV file and the layout of its lines."""
+def _csv_header(
+    content: bytes, encoding: str, separator: str, comment: str | None, time_column: str
+) -> tuple[int, tuple[str, ...]] | None:
+    """Line and names of the header: the first line that names the time column, else the first one that is
+    neither blank nor a comment."""
+    first: tuple[int, tuple[str, ...]] | None = None
+    mark = comment or "#"
+    for number, cells in csv_rows(content, encoding, separator):
+        if number > _HEADER_WITHIN:
+            break
+        names = [cell.strip() for cell in cells]
+        bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
+        for candidate in (names, bare):
+            if time_column in candidate:
+                return number, tuple(candidate)
+        if first is None and any(names) and not names[0].startswith(mark):
+            first = number, tuple(names)
+    return first
 
-    def __init__(self, content: bytes, notation: Notation) -> None:
-        self.content, self.encoding = text_of(content)
-        self.separator, self.marks, self.comment = notation.separator, notation.marks, notation.comment
-        self.missing, self.quality = notation.missing, notation.quality
-        self.header_line, self.names = 0, tuple[str, ...]()
 
-    def _body(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number and cells of every row below the header that is not blank."""
-        for number, cells in csv_rows(self.content, self.encoding, self.separator):
-            blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
-            comment = self.comment and not blank and cells[0].lstrip().startswith(self.comment)
-            if number > self.header_line and not blank and not comment:
-                yield number, cells
+def _other_separator(content: bytes, encoding: str, notation: Notation, time_column: str) -> str | None:
+    """The fault of a separator, where another one finds the time column."""
+    for other in SEPARATORS:
+        with suppress(TableFault):
+            found = _csv_header(content, encoding, other, notation.comment, time_column)
+            names = () if found is None else found[1]
+            if found is not None and other != notation.separator and len(names) > 1 and time_column in names:
+                shown = "\\t" if other == "\t" else other
+                comma = ' and, if numbers are written as 1,5, decimal = ","' if other != "," else ""
+                return (
+                    f'line {found[0]}: the columns are separated by "{shown}", not by '
+                    f'"{notation.separator}": state separator = "{shown}"{comma} in this source'
+                )
+    return None
 
-    def _header(self, separator: str, time_column: str) -> tuple[int, tuple[str, ...]] | None:
-        """Line and names of the header: the first line that names the time column, else the first one that
-        is neither blank nor a comment."""
-        first: tuple[int, tuple[str, ...]] | None = None
-        mark = self.comment or "#"
-        for number, cells in csv_rows(self.content, self.encoding, separator):
-            if number > _HEADER_WITHIN:
-                break
-            names = [cell.strip() for cell in cells]
-            bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
-            for candidate in (names, bare):
-                if time_column in candidate:
-                    return number, tuple(candidate)
-            if first is None and any(names) and not names[0].startswith(mark):
-                first = number, tuple(names)
-        return first
 
-    def _find_header(self, time_column: str, faults: list[str]) -> bool:
-        """Find the header; False where no column can be read."""
-        found = self._header(self.separator, time_column)
-        if found is None:
-            faults.append("expected a header line, found only blank lines or comments")
-            return False
-        self.header_line, self.names = found
-        if time_column in self.names:
-            return True
-        for other in SEPARATORS:
-            with suppress(TableFault):
-                line, names = self._header(other, time_column) or found
-                if other != self.separator and time_column in names and len(names) > 1:
-                    shown = "\\t" if other == "\t" else other
-                    comma = ' and, if numbers are written as 1,5, decimal = ","' if other != "," else ""
-                    faults.append(
-                        f'line {line}: the columns are separated by "{shown}", not by "{self.separator}": '
-                        f'state separator = "{shown}"{comma} in this source'
-                    )
-                    return False
-        faults.append(column_fault(time_column, self.names, f"line {self.header_line} has"))
-        return True
+def _csv_source(
+    content: bytes, wanted: list[str], time_column: str, notation: Notation, faults: list[str]
+) -> tuple[pandas.DataFrame, dict[str, str], list[int]]:
+    """The wanted columns as texts, missing ones as faults; column -> that of its quality; lines."""
+    import pandas as pd
 
-    def frame(
-        self, wanted: list[str], time_column: str, faults: list[str]
-    ) -> tuple[pandas.DataFrame, dict[str, str]]:
-        """The wanted columns as pandas reads them, missing ones as faults; column -> that of its quality."""
-        import pandas as pd
-
-        if not self._find_header(time_column, faults):
-            return pd.DataFrame(), {}
-        positions = {}
-        beside = self.quality.beside(self.names, wanted)
-        marks = dict.fromkeys(beside.values())
-        for name in dict.fromkeys([time_column, *wanted, *marks]):
-            count = self.names.count(name)
-            if count == 1:
-                positions[name] = self.names.index(name)
-            elif count > 1:
-                faults.append(f'line {self.header_line}: column "{name}" occurs {count} times')
-            elif name != time_column:
-                faults.append(column_fault(name, self.names, f"line {self.header_line} has"))
-        if not positions:
-            return pd.DataFrame(), beside
-        faults += self._width_faults()
-        order = sorted(positions, key=positions.__getitem__)
-        try:
-            texts = [time_column, *marks]
-            while True:
-                with python_warnings.catch_warnings():
-                    python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
-                    frame = pd.read_csv(
-                        io.BytesIO(self.content),
-                        encoding=self.encoding,
-                        sep=self.separator,
-                        decimal=(self.marks or POINT).decimal,
-                        comment=self.comment if self.comment and len(self.comment) == 1 else None,
-                        header=None,
-                        skiprows=self.header_line,
-                        usecols=[positions[name] for name in order],
-                        names=order,
-                        index_col=False,
-                        dtype=dict.fromkeys(texts, object),
-                        keep_default_na=False,
-                        # a text that says that there is no reading may say so of its quality too
-                        na_values={n: [""] if n in marks else [*MISSING, *self.missing] for n in order},
-                        skipinitialspace=True,
-                        low_memory=False,
-                    )
-                floats = [one for one in frame if frame[one].dtype == float and self.marks is None]
-                doubtful = [one for one in floats if could_divide_thousands(frame[one].to_numpy())]
-                if not doubtful:
-                    return frame, beside
-                texts += doubtful  # only the texts tell what their points mean
-        except pd.errors.EmptyDataError:
-            return pd.DataFrame({name: [] for name in order}), beside
-        except (pd.errors.ParserError, UnicodeDecodeError) as broken:
-            open_quote = re.search(r"EOF inside string starting at row (\d+)", str(broken))
-            if open_quote is not None:
-                line = int(open_quote[1]) + 1
-                faults.append(f"line {line}: a quotation mark is opened and never closed")
-            else:
-                faults.append(f"cannot be read as CSV: {broken}")
-            return pd.DataFrame(), beside
-
-    def _width_faults(self) -> list[str]:
-        """The fault of rows that are too wide, looked for where the separators are too many."""
-        width = len(self.names)
-        if b'"' not in self.content:
-            data = np.frombuffer(self.content, dtype=np.uint8)
-            ends = np.flatnonzero(data == 10)
-            marks = np.flatnonzero(data == ord(self.separator))
-            counts = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
-            if not np.any(counts[self.header_line :] > width):
-                return []
-        return too_wide(self._body(), width, self.separator, f"line {self.header_line}")
-
-    def line_numbers(self, rows: np.ndarray) -> list[int]:
-        """Line numbers of rows of the frame."""
-        first = [number for number, _ in itertools.islice(self._body(), int(max(rows, default=-1)) + 1)]
-        return [first[int(row)] for row in rows if row < len(first)]
+    content, encoding = text_of(content)
+    separator, comment = notation.separator, notation.comment
+    header = _csv_header(content, encoding, separator, comment, time_column)
+    if header is None:
+        faults.append("expected a header line, found only blank lines or comments")
+        return pd.DataFrame(), {}, []
+    line, names = header
+    if time_column not in names:
+        other = _other_separator(content, encoding, notation, time_column)
+        faults.append(other or column_fault(time_column, names, f"line {line} has"))
+        if other is not None:
+            return pd.DataFrame(), {}, []
+    beside = notation.quality.beside(names, wanted)
+    marks = dict.fromkeys(beside.values())
+    used = [name for name in (time_column, *wanted, *marks) if name != time_column or name in names]
+    positions = places_of(used, names, f"line {line} has", faults)
+    lines, rows, wide, width = list[int](), list[list[str]](), list[tuple[int, list[str]]](), len(names)
+    for number, cells in csv_rows(content, encoding, separator):
+        blank = len(cells) <= 1 and not any(cell.strip() for cell in cells)
+        if number <= line or blank or (comment and cells[0].lstrip().startswith(comment)):
+            continue
+        if any(cells[width:]):
+            wide.append((number, cells))
+        cells += [""] * (width - len(cells))
+        lines.append(number)
+        rows.append([cells[place].strip() for place in positions.values()])
+    faults += too_wide(wide, width, separator, f"line {line}")
+    # a text that says that there is no reading may say so of its quality too
+    absent = {name: {""} if name in marks else {*MISSING, *notation.missing} for name in positions}
+    columns = {
+        name: [None if row[place] in absent[name] else row[place] for row in rows]
+        for place, name in enumerate(positions)
+    }
+    frame = pd.DataFrame(columns, dtype=object)
+    frame.attrs[HEADER] = names
+    return frame, beside, lines
 
 
 def decodable(content: bytes) -> tuple[bytes, str]:
@@ -346,8 +289,6 @@ def _parquet_source(
 
     def select(found: list[str]) -> list[str]:
         beside.update(quality.beside(found, wanted))
-        columns = dict.fromkeys([time_column, *wanted, *beside.values()])
-        faults.extend(column_fault(name, found, "the file has") for name in columns if name not in found)
-        return [name for name in columns if name in found]
+        return [*places_of([time_column, *wanted, *beside.values()], found, "the file has", faults)]
 
     return parquet_frame(content, select), beside

@@ -19,7 +19,7 @@ import numbers
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -170,13 +170,6 @@ def lines_of(text: str) -> dict[TablePath, int]:
     return found
 
 
-def line_of(lines: Mapping[TablePath, int], table: TablePath, keys: Sequence[str]) -> int | None:
-    """The line of the first of these keys of a table that is found, else of the table or of one around it."""
-    around = (table[:length] for length in range(len(table), 0, -1))
-    # a key of an inline table stands on the line of that table
-    return next((lines[one] for one in (*((*table, key) for key in keys), *around) if one in lines), None)
-
-
 def _split(names: str) -> list[str]:
     return [one.strip("\"'") for one in re.findall(_NAME, names)]
 
@@ -211,7 +204,10 @@ class Place:
 
     def at(self, *keys: str) -> str:
         """The place of the first of these keys that is found, or of the table."""
-        line = line_of(self.lines, self.path, keys)
+        around = (self.path[:length] for length in range(len(self.path), 0, -1))
+        # a key of an inline table stands on the line of that table
+        places = (*((*self.path, key) for key in keys), *around)
+        line = next((self.lines[one] for one in places if one in self.lines), None)
         return ", ".join(filter(None, (self.file, "" if line is None else f"line {line}", self.name)))
 
     def fault(self, text: str, *keys: str) -> None:
@@ -244,20 +240,16 @@ class Place:
 
 
 def read_toml(
-    path: str | os.PathLike[str],
-    fault_class: type[FormFault] = FormFault,
-    missing: str = "cannot be read: No such file or directory; check the path",
+    path: str | os.PathLike[str], fault_class: type[FormFault] = FormFault
 ) -> tuple[str, dict[str, Any]]:
-    """Text and content of a TOML file.  Raises FormFault, which names the line of a mistake.
-
-    missing: message for a file that does not exist.
-    """
+    """Text and content of a TOML file.  Raises FormFault, which names the line of a mistake."""
     file = Path(path)
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
-        raise fault_class(file, [missing + suggestion(file.name, near)]) from None
+        said = f"no such file; check the path{suggestion(file.name, near)}"
+        raise fault_class(file, [said]) from None
     except OSError as fault:
         remedies = {IsADirectoryError: "name a file in it", PermissionError: "check its rights"}
         remedy = remedies.get(type(fault), "check path and disk")

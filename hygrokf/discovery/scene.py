@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.data.clocks import Shift, in_america, source_of
+from hygrokf.data.clocks import Shift, in_america
 from hygrokf.data.input_paths import centred, input_path, without_response
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, summer_time
@@ -195,7 +195,7 @@ class Scene:
         if name == "ambient_absolute_humidity":
             humid = [one for one in AMBIENT_HUMIDITIES if one in self.record]
             signal = humid[0] if humid else signal
-        return source_of(self.record[signal]) if signal in self.record else ""
+        return self.record[signal].file if signal in self.record else ""
 
     def _unmoved(self, name: str, design: Design) -> np.ndarray:
         if name == TEMPERATURE:
@@ -248,7 +248,7 @@ class Scene:
     def moved(self, shift: Shift) -> Scene:
         """The scene with a source's stamps corrected; the readings stay the same ones."""
         made = replace(self, shifts=(*self.shifts, shift))
-        if shift.source != source_of(self.record[TEMPERATURE]):
+        if shift.source != self.record[TEMPERATURE].file:
             return made
         readings = {}
         for q, one in self.readings.items():

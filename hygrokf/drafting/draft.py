@@ -18,46 +18,19 @@ from hygrokf.data.readings import detect_resolution
 from hygrokf.data.signals import SIGNALS, to_si
 from hygrokf.data.timestamps import duration_text, stamp_text, summer_time_holes
 from hygrokf.drafting.layout import Export, read_export
-from hygrokf.drafting.mapping import Assigned, Source, assigned, rated_power, source_of
+from hygrokf.drafting.mapping import DraftedSignal, LeftColumn, Source, assigned, rated_power, source_of
 from hygrokf.drafting.reshape import joined, prepared, same_layout
 from hygrokf.drafting.stamps import sun_remark
 from hygrokf.errors import HygrokfError
 from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.archive import contents
-from hygrokf.weather.reading import weather_form
+from hygrokf.weather.reading import form_of
 
 _WIDTH = 100
 
 
 class DraftFault(HygrokfError):
     """Exports that no case can be drafted from; the message holds every reason."""
-
-
-@dataclass(frozen=True)
-class DraftedSignal:
-    """A signal of the draft.
-
-    file: path in the case. score: 0 to 1. active: whether the case reads it; else it is commented out.
-    compare: whether it is only compared with another source.
-    """
-
-    signal: str
-    file: str
-    column: str
-    unit: str
-    score: float
-    active: bool
-    compare: bool
-    doubts: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class LeftColumn:
-    """A column without a signal, and why."""
-
-    file: str
-    column: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -84,25 +57,6 @@ class Weather:
     file: str
     format: str
     typical: bool = False
-
-
-@dataclass(frozen=True)
-class Contents:
-    """All that a drafted case says.
-
-    name: of the enclosure. rated_kW: by the plateau of the power [kW], None where there is none.
-    power_kW: its largest readings [kW], None where no power was found.
-    site: latitude and longitude [deg], or None.
-    """
-
-    name: str
-    sources: tuple[Source, ...]
-    found: tuple[Assigned, ...]
-    left: dict[tuple[int, str], str]
-    weather: tuple[Weather, ...]
-    rated_kW: float | None
-    power_kW: float | None
-    site: tuple[float, float] | None
 
 
 def draft_case(
@@ -132,7 +86,7 @@ def draft_case(
     weather: list[Weather] = []
     for file in exports:
         try:
-            kind = weather_form(file)
+            kind = form_of(file)
             if kind is not None:
                 weather.append(Weather(_relative(file, out), kind, _is_typical_year(file, kind)))
             else:
@@ -142,23 +96,37 @@ def draft_case(
     together = joined(tables)
     faults += same_layout(together)
     sources: list[Source] = []
+    copies: list[Path] = []
     for export in together:
         try:
-            ready, column, chosen, doubts = prepared(export, turbine)
-            sources.append(replace(source_of(ready, column), said=doubts, turbine=chosen))
+            export = prepared(export, turbine)
+            if export.changes:
+                copies.append(_copy_name(export.file, out, copies))
+            named = copies[-1] if export.changes else export.file
+            sources.append(source_of(export, _relative(named, out)))
         except TableFault as broken:
             faults += [f"{export.file}: {fault}" for fault in broken.faults]
-    if turbine is not None and not faults and not any(one.turbine for one in sources):
+    if turbine is not None and not faults and not any(one.export.turbine for one in sources):
         faults.append(
             f"--turbine {turbine}: expected an export of several turbines, found none; leave it out"
         )
     if faults:
         raise DraftFault("\n".join(faults))
-    found, left = assigned(sources)
-    name = next((one.turbine for one in sources if one.turbine), None)
-    name = name or (sources[0].export.file.name.split(".")[0] if sources else out.stem)
-    power = _power(sources, found)
-    return _written(Contents(name, tuple(sources), tuple(found), left, tuple(weather), *power, site), out)
+    found, left = assigned({one.path: one for one in sources})
+    sources = [_noted(one, sources, found, site) for one in sources]
+    changed = [one.export for one in sources if one.export.changes]
+    for copy, export in zip(copies, changed, strict=True):
+        text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
+        write_text_whole(copy, text)
+    doubts = (
+        f"{one.path}: {doubt}"
+        for one in sources
+        for doubt in (*one.clock.doubts, *one.export.doubts, *one.quality_doubts)
+    )
+    lacks = _lacking(found, bool(weather))
+    made = Draft(str(out), tuple(map(str, copies)), tuple(found), tuple(left), tuple(doubts), lacks)
+    write_text_whole(out, "\n".join((*_lines(made, sources, weather, site), "")))
+    return made
 
 
 def _is_typical_year(file: Path, form: str) -> bool:
@@ -169,54 +137,24 @@ def _is_typical_year(file: Path, form: str) -> bool:
     return len({line.split(b",")[0] for line in lines[8:] if line.count(b",") > 20}) > 1
 
 
-def _written(case: Contents, out: Path) -> Draft:
-    """The draft, after its case file and the copies of tables are written."""
-    copies: list[Path] = []
-    placed: list[Source] = []
-    for number, source in enumerate(case.sources):
-        export, path = source.export, source.export.file
-        if export.changes:
-            path = _copy_name(path, out, copies)
-            copies.append(path)
-            export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
-            text = export.cells.to_csv(index=False, sep=export.separator, lineterminator="\n")
-            write_text_whole(path, text)
-        said = (*source.said, *_zone_doubt(source, case.sources))
-        if source.clock.timezone is None:  # its offsets may contradict its stamps
-            time = source.clock.time
-            said = (*source.said, *summer_time_holes(np.sort(time[np.isfinite(time)])))
-        sun = None
-        for one in (one.best for one in case.found if one.best.source == number):
-            if one.signal == "global_horizontal_irradiance":
-                sun = sun_remark(source.clock.time, source.values[one.column], case.site and case.site[1])
-                break
-        placed.append(replace(source, export=export, path=_relative(path, out), said=said, sun=sun))
-    case = replace(case, sources=tuple(placed))
-    write_text_whole(out, "\n".join((*_lines(case), "")))
-    return Draft(
-        str(out),
-        tuple(map(str, copies)),
-        tuple(
-            DraftedSignal(
-                one.best.signal,
-                placed[one.best.source].path,
-                one.best.column,
-                one.best.unit,
-                one.best.score,
-                one.active,
-                one.compare,
-                one.doubts,
-            )
-            for one in case.found
-        ),
-        tuple(LeftColumn(placed[number].path, column, why) for (number, column), why in case.left.items()),
-        tuple(
-            f"{one.path}: {doubt}"
-            for one in placed
-            for doubt in (*one.clock.doubts, *one.said, *one.quality_doubts)
-        ),
-        _lacking(case),
-    )
+def _noted(
+    source: Source,
+    sources: Sequence[Source],
+    found: Sequence[DraftedSignal],
+    site: tuple[float, float] | None,
+) -> Source:
+    """A source with the doubts of its clock beside others and the sun's remark, in the form of its copy."""
+    export, time = source.export, source.clock.time
+    doubts = (*export.doubts, *_zone_doubt(source, sources))
+    if source.clock.timezone is None:  # its offsets may contradict its stamps
+        doubts = (*doubts, *summer_time_holes(np.sort(time[np.isfinite(time)])))
+    export = replace(export, doubts=doubts)
+    if export.changes:
+        export = replace(export, separator=";" if export.decimal == "," else ",", comment=None)
+    light = (one for one in found if (one.file, one.signal) == (source.path, "global_horizontal_irradiance"))
+    column = next((one.column for one in light), None)
+    sun = None if column is None else sun_remark(time, source.values[column], site and site[1])
+    return replace(source, export=export, sun=sun)
 
 
 def _copy_name(file: Path, out: Path, copies: list[Path]) -> Path:
@@ -239,16 +177,6 @@ def _zone_doubt(source: Source, sources: Sequence[Source]) -> tuple[str, ...]:
     return (f"{others}: state this file's zone if it is not {source.clock.timezone}; a wrong one shifts it",)
 
 
-def _power(sources: list[Source], found: list[Assigned]) -> tuple[float | None, float | None]:
-    """Rated power by the plateau, and the largest readings of the power [kW]."""
-    for one in found:
-        if one.best.signal == "active_power" and one.active and not one.compare:
-            values = sources[one.best.source].values[one.best.column]
-            shown = to_si(values[np.isfinite(values)], one.best.unit, "active_power") / 1e3
-            return rated_power(values, one.best.unit), float(np.quantile(shown, 0.999))
-    return None, None
-
-
 def _relative(file: Path, out: Path) -> str:
     """Path of a file as the case names it."""
     return Path(os.path.relpath(file.absolute(), out.absolute().parent)).as_posix()
@@ -257,16 +185,16 @@ def _relative(file: Path, out: Path) -> str:
 # --- the text of the case --------------------------------------------------------------------
 
 
-def _lacking(case: Contents) -> tuple[str, ...]:
+def _lacking(found: Sequence[DraftedSignal], weather: bool) -> tuple[str, ...]:
     """What a fit needs or would miss, and no active signal of the draft holds."""
-    signals = {one.best.signal for one in case.found if one.active and not one.compare}
+    signals = {one.signal for one in found if one.active and not one.compare}
     lacks = []
-    if not case.weather and "ambient_temperature" not in signals:
+    if not weather and "ambient_temperature" not in signals:
         lacks.append("no ambient temperature was found, and every model needs it: add its export")
     if not any(one.startswith("cabinet_") for one in signals):
         lacks.append("no reading of the cabinet was found; `hygrokf fit` needs one: add its export")
     humid = {one.partition("_")[0] for one in signals if "humidity" in one or "dew_point" in one}
-    if "cabinet" in humid and "ambient" not in humid and not case.weather:
+    if "cabinet" in humid and "ambient" not in humid and not weather:
         lacks.append("no humidity of the air outside was found, which the hygric model needs: add its export")
     if "active_power" not in signals:
         lacks.append(
@@ -276,50 +204,60 @@ def _lacking(case: Contents) -> tuple[str, ...]:
     return tuple(lacks)
 
 
-def _lines(case: Contents) -> Iterator[str]:
+def _lines(
+    draft: Draft,
+    sources: Sequence[Source],
+    weather: Sequence[Weather],
+    site: tuple[float, float] | None,
+) -> Iterator[str]:
     yield "# Drafted by `hygrokf init` from the exports below. Check what is marked `doubt`, then run"
     yield "# `hygrokf check` on this file. docs/reference/case_file.md describes all keys."
-    yield f"name = {_text(case.name)}"
-    if case.rated_kW is not None:
-        yield f"rated_power_kW = {case.rated_kW:g}  # where the power stops rising; see the type plate"
-    elif case.power_kW is not None:
-        yield from _doubt(f"the power shows no plateau; its largest readings are {case.power_kW:.4g} kW")
-        yield "# rated_power_kW = "
+    name = next((one.export.turbine for one in sources if one.export.turbine), None)
+    first = sources[0].export.file.name.split(".")[0] if sources else Path(draft.case).stem
+    yield f"name = {_text(name or first)}"
+    for one in draft.signals:
+        if one.signal == "active_power" and one.active and not one.compare:
+            values = next(source.values[one.column] for source in sources if source.path == one.file)
+            rated_kW = rated_power(values, one.unit)
+            if rated_kW is not None:
+                yield f"rated_power_kW = {rated_kW:g}  # where the power stops rising; see the type plate"
+                continue
+            high = np.quantile(to_si(values[np.isfinite(values)], one.unit, one.signal), 0.999) / 1e3
+            yield from _doubt(f"the power shows no plateau; its largest readings are {high:.4g} kW")
+            yield "# rated_power_kW = "
     yield ""
-    if case.site is None:
+    if site is None:
         yield "# [site]  # gives the height of the sun, and the pressure of the air by altitude_m"
         yield "# latitude_deg = "
         yield "# longitude_deg = "
     else:
         yield "[site]"
-        yield f"latitude_deg = {case.site[0]:g}"
-        yield f"longitude_deg = {case.site[1]:g}"
-    for lack in _lacking(case):
+        yield f"latitude_deg = {site[0]:g}"
+        yield f"longitude_deg = {site[1]:g}"
+    for lack in draft.lacks:
         yield from ("", *_doubt(lack))
-    for number in range(len(case.sources)):
+    for source in sources:
         for compare in (False, True):
-            lines = [one for one in case.found if one.best.source == number and one.compare is compare]
+            lines = [one for one in draft.signals if (one.file, one.compare) == (source.path, compare)]
             if any(one.active for one in lines):
-                yield from ("", *_source(case, number, lines, compare))
+                yield from ("", *_source(draft, source, lines, compare))
             elif not compare:
-                yield from ("", f"# {case.sources[number].path}: no signal was recognised; its columns:")
-                yield from _left(case, number)
-    for weather in case.weather:
-        yield from ("", "[[source]]", f"file = {_text(weather.file)}", f'format = "{weather.format}"')
-        if weather.typical:
+                yield from ("", f"# {source.path}: no signal was recognised; its columns:")
+                yield from _left(draft, source)
+    times = [one.clock.time[np.isfinite(one.clock.time)] for one in sources]
+    for of_weather in weather:
+        yield from ("", "[[source]]", f"file = {_text(of_weather.file)}", f'format = "{of_weather.format}"')
+        if of_weather.typical:
             yield from _doubt("a typical year has no calendar year of its own: the year that it stands for")
             # the calendar year in the middle of the exports
-            times = [float(np.nanmedian(one.clock.time)) for one in case.sources]
-            yield f"year = {stamp_text(times[0])[:4] if times else 2019}"
-    if case.sources:
-        known = [one.clock.time[np.isfinite(one.clock.time)] for one in case.sources]
-        start, end = float(min(map(np.min, known))), float(max(map(np.max, known)))
+            yield f"year = {stamp_text(float(np.median(times[0])))[:4] if times else 2019}"
+    if sources:
+        start, end = float(min(map(np.min, times))), float(max(map(np.max, times)))
         yield from ("", "# [identification]  # the readings after `until` are kept to validate the model")
         yield f'# until = "{stamp_text(86400.0 * round((start + 0.7 * (end - start)) / 86400.0))}"'
 
 
-def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -> Iterator[str]:
-    source = case.sources[number]
+def _source(draft: Draft, source: Source, lines: Sequence[DraftedSignal], compare: bool) -> Iterator[str]:
     clock, export = source.clock, source.export
     finite = clock.time[np.isfinite(clock.time)]
     gone = 1.0 - len(np.unique(finite)) / max(1.0, np.ptp(finite) / clock.step_s + 1.0)
@@ -339,7 +277,7 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
         yield f"time_format = {_text(clock.time_format)}"
     for remark in filter(None, (*clock.remarks, source.sun)):
         yield from _comment(f"# {remark}")
-    for doubt in () if compare else (*clock.doubts, *source.said):
+    for doubt in () if compare else (*clock.doubts, *export.doubts):
         yield from _doubt(doubt)
     if clock.timezone is not None:
         yield f"timezone = {_text(clock.timezone)}"
@@ -348,40 +286,39 @@ def _source(case: Contents, number: int, lines: list[Assigned], compare: bool) -
     usual = {"separator": ",", "decimal": ".", "thousands": "", "comment": None}
     stated = {name: getattr(export, name) for name in usual}
     yield from (f"{name} = {_text(one)}" for name, one in stated.items() if one != usual[name])
-    texts = set().union(*(export.read(one.best.column)[1] for one in lines))
+    texts = set().union(*(export.read(one.column)[1] for one in lines))
     if len(texts) > 8:
         yield from _doubt(f"{len(texts)} different texts among the readings are taken as missing")
     if export.missing or texts:
         yield f"missing = {json.dumps(sorted(texts.union(export.missing)), ensure_ascii=False)}"
     for doubt in () if compare else source.quality_doubts:
         yield from _doubt(doubt)
-    if source.vocabulary.name and any(one.best.column in source.quality for one in lines):
+    if source.vocabulary.name and any(one.column in source.quality for one in lines):
         yield f"vocabulary = {_text(source.vocabulary.name)}"
     if compare:
         yield "compare = true  # only compared with the source above that has the same signal"
     for one in lines:
         yield from _signal(source, one)
     if not compare:
-        yield from _left(case, number)
+        yield from _left(draft, source)
 
 
-def _signal(source: Source, one: Assigned) -> Iterator[str]:
-    best = one.best
+def _signal(source: Source, one: DraftedSignal) -> Iterator[str]:
     for doubt in one.doubts:
         yield from _doubt(doubt)
-    values = source.values[best.column]
+    values = source.values[one.column]
     resolution = detect_resolution(values)
-    lines = source.clock.stamp == "instant" and SIGNALS[best.signal].hold_of_instants == LINEAR
+    lines = source.clock.stamp == "instant" and SIGNALS[one.signal].hold_of_instants == LINEAR
     if lines and resolution and on_change(source.clock.time, values, resolution):
-        yield from _doubt(f"{best.signal} {ON_CHANGE}")
-    note = best.why + (f"; readings in steps of {resolution:g}" if resolution else "")
-    quality = f", quality = {_text(source.quality.get(best.column, ''))}" * (best.column in source.quality)
-    entry = f"signals.{best.signal} = {{ column = {_text(best.column)}, unit = {_text(best.unit)}{quality} }}"
+        yield from _doubt(f"{one.signal} {ON_CHANGE}")
+    note = one.why + (f"; readings in steps of {resolution:g}" if resolution else "")
+    quality = f", quality = {_text(source.quality.get(one.column, ''))}" * (one.column in source.quality)
+    entry = f"signals.{one.signal} = {{ column = {_text(one.column)}, unit = {_text(one.unit)}{quality} }}"
     yield f"{'' if one.active else '# '}{entry}  # {note}"
 
 
-def _left(case: Contents, number: int) -> Iterator[str]:
-    rest = [f"{column} ({why})" for (source, column), why in case.left.items() if source == number]
+def _left(draft: Draft, source: Source) -> Iterator[str]:
+    rest = [f"{one.column} ({one.why})" for one in draft.left if one.file == source.path]
     if rest:
         yield from _comment("# not used: " + ", ".join(rest))
 

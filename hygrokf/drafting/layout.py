@@ -44,10 +44,11 @@ class Export:
 
     file: its path. cells: text of the rows, None where a cell is empty; its columns: `names`, unique.
     names: the header. units: of the row below the header, empty texts where there is none.
-    separator, decimal, thousands, comment: of a text file; doubts: of its marks. missing: texts that are no
-    readings, the row of units included.
+    separator, decimal, thousands, comment: of a text file; doubts: of these and of the selection. missing:
+    texts that are no readings, the row of units included.
     changes: why a case cannot name the file as it stands; a copy is written then.
     label: of the turbine within the names of columns, or "". preamble: text above the header.
+    column: of stamps. turbine: that was selected, None where the file holds one alone.
     """
 
     file: Path
@@ -63,6 +64,8 @@ class Export:
     preamble: str = ""
     thousands: str = ""
     doubts: tuple[str, ...] = ()
+    column: str = ""
+    turbine: str | None = None
 
     def read(self, column: str) -> tuple[np.ndarray, dict[str, Unread]]:
         """Values (N,) of a column in the unit of its header, and the texts that are none, with the reason."""

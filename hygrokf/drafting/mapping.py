@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -205,45 +207,51 @@ COPIED = tuple(f"{place}_{one}" for place in ("cabinet", "ambient") for one in (
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A column that may hold a signal.
+class DraftedSignal:
+    """A column that may hold a signal, or in a draft the column of a signal.
 
-    source: its number among the sources. score: 0 to 1. why: in words. doubts: to confirm.
+    file: path in the case. score: 0 to 1. why: in words. doubts: to confirm. active: whether the case reads
+    it; else it is commented out. compare: whether it is only compared with another source.
     """
 
     signal: str
-    source: int
+    file: str
     column: str
     unit: str
     score: float
     why: str
     doubts: tuple[str, ...] = ()
+    active: bool = False
+    compare: bool = False
+
+    @property
+    def key(self) -> Key:
+        return self.file, self.column
 
 
 @dataclass(frozen=True)
-class Assigned:
-    """The column of a signal.
+class LeftColumn:
+    """A column without a signal, and why."""
 
-    active: whether the case reads it without an edit. compare: whether it is only compared.
-    """
+    file: str
+    column: str
+    why: str
 
-    best: Candidate
-    active: bool
-    compare: bool
-    doubts: tuple[str, ...]
+
+Key: TypeAlias = tuple[str, str]
+"""A column: the path of its source in the case, and its name."""
 
 
 @dataclass(frozen=True)
 class Source:
     """An export whose columns are numbers.
 
-    values: column -> readings (N,), without those of bad quality. named: column -> what its name says. left:
-    column -> why it holds no signal. quality: column -> column of its quality. vocabulary: of these.
-    quality_doubts: about them.
-    said: doubts of the selection. turbine: that was selected, None where the file holds one alone.
-    path: in the case. sun: what the irradiance says of the clock.
+    path: in the case. values: column -> readings (N,), without those of bad quality. named: column -> what
+    its name says. left: column -> why it holds no signal. quality: column -> column of its quality.
+    vocabulary: of these. quality_doubts: about them. sun: what the irradiance says of the clock.
     """
 
+    path: str
     export: Export
     clock: Clock
     values: dict[str, np.ndarray]
@@ -252,21 +260,18 @@ class Source:
     quality: dict[str, str] = field(default_factory=dict)
     vocabulary: QualityVocabulary = UNSTATED
     quality_doubts: tuple[str, ...] = ()
-    said: tuple[str, ...] = ()
-    turbine: str | None = None
-    path: str = ""
     sun: str | None = None
 
     def hourly(self, column: str) -> Hourly:
         return hourly(self.clock.time, self.values[column])
 
 
-def source_of(export: Export, column: str) -> Source:
-    """An export with its clock, its numbers and what its names say; column: of the stamps.
+def source_of(export: Export, path: str) -> Source:
+    """An export with its clock, its numbers and what its names say; path: in the case.
 
     Means over intervals are told by their names, or by what they are of.
     """
-    cells, values = export.cells, dict[str, np.ndarray]()
+    cells, column, values = export.cells, export.column, dict[str, np.ndarray]()
     given = {name: cells[name].notna().sum() for name in cells}
     for name in (one for one in cells if one != column and given[one] >= 2):
         numbers, _ = export.read(name)
@@ -299,8 +304,8 @@ def source_of(export: Export, column: str) -> Source:
     operation = any(one.signal in ("active_power", "wind_speed", "rotor_speed") for one in named.values())
     averaged = any(re.search(r" (avg|ave|mean|mittel\w*) ", one.words) for one in named.values())
     reanalysis = any("ERA5" in one.why for one in named.values())
-    clock = clock_of(export, column, (operation or averaged) and not reanalysis)
-    return Source(export, clock, values, named, left, quality, vocabulary, doubts)
+    clock = clock_of(export, (operation or averaged) and not reanalysis)
+    return Source(path, export, clock, values, named, left, quality, vocabulary, doubts)
 
 
 def _said(export: Export, name: str, unit: str) -> NamedColumn:
@@ -310,173 +315,168 @@ def _said(export: Export, name: str, unit: str) -> NamedColumn:
     return name_says(f"{bare} {word}", unit) if word and not said.signal else said
 
 
-def assigned(sources: list[Source]) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
-    """The column of every signal found, and why each other column holds none."""
-    sure = [one for number in range(len(sources)) for one in _by_name(sources, number)]
-    ambient, power = _best(sure, "ambient_temperature"), _best(sure, "active_power")
+def assigned(sources: Mapping[str, Source]) -> tuple[list[DraftedSignal], list[LeftColumn]]:
+    """The column of every signal found, and why each other column holds none; sources: by path."""
+
+    def series(one: DraftedSignal | None) -> Hourly | None:
+        return None if one is None else sources[one.file].hourly(one.column)
+
+    sure = [one for source in sources.values() for one in _by_name(source)]
+    ambient = _best(sure, "ambient_temperature")
     open_temperatures = _unplaced(sources, "temperature")
-    guesses: list[Candidate] = [*_by_file(sources, open_temperatures)]
-    placed = {(one.source, one.column) for one in guesses}
+    guesses: list[DraftedSignal] = [*_by_file(sources, open_temperatures)]
+    placed = {one.key for one in guesses}
     open_temperatures = [one for one in open_temperatures if one not in placed]
     if ambient is None and not any(one.signal == "ambient_temperature" for one in guesses):
         guesses += _ambient_by_values(sources, open_temperatures, sure)
     ambient = ambient or _best(guesses, "ambient_temperature")
-    outside = None if ambient is None else sources[ambient.source].hourly(ambient.column)
-    load = None if power is None else sources[power.source].hourly(power.column)
-    for number, column in open_temperatures:
-        if ambient is not None and (ambient.source, ambient.column) == (number, column):
+    outside, load = series(ambient), series(_best(sure, "active_power"))
+    for file, column in open_temperatures:
+        if ambient is not None and ambient.key == (file, column):
             continue
-        likeness = like_cabinet(sources[number].hourly(column), outside, load)
-        air = 0.04 if " air " in sources[number].named[column].words else 0.0
+        source = sources[file]
+        likeness = like_cabinet(source.hourly(column), outside, load)
+        air = 0.04 if " air " in source.named[column].words else 0.0
         score = round(0.2 + 0.4 * likeness + air, 3)
-        guesses.append(_candidate(sources, "cabinet_temperature", number, column, score, "by its readings"))
-    inside = _best(sure, "cabinet_temperature")
+        guesses.append(_candidate(source, "cabinet_temperature", column, score, "by its readings"))
+    inside = series(_best(sure, "cabinet_temperature"))
     if inside is not None and outside is not None:
-        guesses += _of_the_cabinet(sources, sources[inside.source].hourly(inside.column), outside)
+        guesses += _of_the_cabinet(sources, inside, outside)
     guesses += _companions(sources, _chosen([*sure, *guesses]))
     found = _paired(sources, _checked([*sure, *guesses], sources))
     return _settled(sources, _of_their_own(sources, found))
 
 
-def _by_name(sources: list[Source], number: int) -> list[Candidate]:
-    found, source = [], sources[number]
+def _by_name(source: Source) -> list[DraftedSignal]:
+    found = []
     for column, named in source.named.items():
         if not named.signal:
             continue
         if _NO_UNIT_HERE.search(words_of(column)):
             source.left[column] = f"may be {named.signal}, in a unit that a case does not know: convert it"
             continue
-        found.append(_candidate(sources, named.signal, number, column, named.score, named.why))
+        found.append(_candidate(source, named.signal, column, named.score, named.why))
     return found
 
 
-def _candidate(
-    sources: list[Source], signal: str, number: int, column: str, score: float, why: str
-) -> Candidate:
-    """A candidate with its unit."""
-    source = sources[number]
+def _candidate(source: Source, signal: str, column: str, score: float, why: str) -> DraftedSignal:
     unit, doubt = unit_by_values(source.values[column], signal, source.named[column].unit)
-    return Candidate(signal, number, column, unit, score, why, () if doubt is None else (doubt,))
+    return DraftedSignal(signal, source.path, column, unit, score, why, () if doubt is None else (doubt,))
 
 
-def _unplaced(sources: list[Source], quantity: str) -> list[tuple[int, str]]:
+def _unplaced(sources: Mapping[str, Source], quantity: str) -> list[Key]:
     """Columns of a quantity whose place their names do not tell."""
     return [
-        (number, column)
-        for number, source in enumerate(sources)
+        (file, column)
+        for file, source in sources.items()
         for column, named in source.named.items()
         if named.quantity == quantity and not named.signal and not named.place
     ]
 
 
-def _by_file(sources: list[Source], columns: list[tuple[int, str]]) -> list[Candidate]:
+def _by_file(sources: Mapping[str, Source], columns: list[Key]) -> list[DraftedSignal]:
     """Columns of loggers, whose place the name of the file tells."""
     found = []
-    folders = {source.export.file.parent for source in sources}
-    for number, column in columns:
-        file = sources[number].export.file
+    folders = {source.export.file.parent for source in sources.values()}
+    for path, column in columns:
+        source = sources[path]
+        file = source.export.file
         place, score = place_of(words_of(file.name.split(".")[0]))
         if not place and len(folders) > 1:
             place, score = place_of(words_of(file.parent.name))
-        if place in ("cabinet", "ambient", "nacelle", "tower") and sum(n == number for n, _ in columns) == 1:
-            quantity = sources[number].named[column].quantity
-            trusted = min(score, SURE)
-            why = "by the name of its file"
-            found.append(_candidate(sources, f"{place}_{quantity}", number, column, trusted, why))
+        alone = sum(one == path for one, _ in columns) == 1
+        if place in ("cabinet", "ambient", "nacelle", "tower") and alone:
+            signal = f"{place}_{source.named[column].quantity}"
+            found.append(_candidate(source, signal, column, min(score, SURE), "by the name of its file"))
     return found
 
 
 def _ambient_by_values(
-    sources: list[Source], columns: list[tuple[int, str]], sure: list[Candidate]
-) -> list[Candidate]:
+    sources: Mapping[str, Source], columns: list[Key], sure: list[DraftedSignal]
+) -> list[DraftedSignal]:
     """Temperatures without a place, by how much they look like that of the outside air."""
     all_of = {one: sources[one[0]].hourly(one[1]) for one in columns}
-    named = [sources[one.source].hourly(one.column) for one in sure if one.signal.endswith("_temperature")]
+    named = [sources[one.file].hourly(one.column) for one in sure if one.signal.endswith("_temperature")]
     found = []
     for one in columns if len(columns) + len(named) > 1 else []:
         others = [*(series for key, series in all_of.items() if key != one), *named]
         score = round(0.2 + 0.4 * like_ambient(all_of[one], others), 3)
         if score >= OUTSIDE:
-            found.append(_candidate(sources, "ambient_temperature", *one, score, "by its readings"))
+            why = "by its readings"
+            found.append(_candidate(sources[one[0]], "ambient_temperature", one[1], score, why))
     return found
 
 
-def _of_the_cabinet(sources: list[Source], inside: Hourly, outside: Hourly) -> list[Candidate]:
+def _of_the_cabinet(sources: Mapping[str, Source], inside: Hourly, outside: Hourly) -> list[DraftedSignal]:
     """Humidities without a place whose probe's temperature follows that of the cabinet, which another file
     names, rather than that outside."""
     found = []
-    for number, column in _unplaced(sources, "relative_humidity"):
-        source = sources[number]
+    for file, column in _unplaced(sources, "relative_humidity"):
+        source = sources[file]
         own = temperatures_of(column, source.values)
         if len(own) == 1 and follows_rather(source.hourly(own[0]), inside, outside):
-            signal, why = "cabinet_relative_humidity", f'"{own[0]}" follows the cabinet temperature'
-            found.append(_candidate(sources, signal, number, column, 0.6, why))
+            why = f'"{own[0]}" follows the cabinet temperature'
+            found.append(_candidate(source, "cabinet_relative_humidity", column, 0.6, why))
     return found
 
 
-def _companions(sources: list[Source], taken: dict[tuple[int, str], Candidate]) -> list[Candidate]:
+def _companions(sources: Mapping[str, Source], taken: Mapping[Key, DraftedSignal]) -> list[DraftedSignal]:
     """Humidities and dew points without a place: that of the temperature of the same probe, or of the same
     logger; a dew point alone in its file is one of the weather."""
-    found: list[Candidate] = []
+    found: list[DraftedSignal] = []
     for quantity in ("relative_humidity", "dew_point_temperature"):
         unplaced = _unplaced(sources, quantity)
         by_file = _by_file(sources, unplaced)
         found += by_file
-        done = {(one.source, one.column) for one in by_file}
-        for number, column in (one for one in unplaced if one not in done):
-            alone = sum(n == number for n, _ in unplaced) == 1
-            beside = [other for (source, other) in taken if source == number]
-            for other in beside:
-                candidate = taken[number, other]
-                place, _, kind = candidate.signal.rpartition("_")
-                same = probe_of(other)[0] == probe_of(column)[0]
-                logger = alone and candidate.why != "by its name" and place in ("cabinet", "ambient")
-                if kind == "temperature" and not candidate.signal.endswith("point_temperature"):
-                    if same or logger:
-                        score, why = min(candidate.score, 0.75), f'beside "{other}"'
-                        signal = f"{place}_{quantity}"
-                        found.append(_candidate(sources, signal, number, column, score, why))
-            if quantity == "dew_point_temperature" and not temperatures_of(column, sources[number].values):
-                signal = f"ambient_{quantity}"
-                found.append(_candidate(sources, signal, number, column, 0.85, "by its name"))
+        done = {one.key for one in by_file}
+        for file, column in (one for one in unplaced if one not in done):
+            source, alone = sources[file], sum(path == file for path, _ in unplaced) == 1
+            for one in (one for one in taken.values() if one.file == file):
+                place, _, kind = one.signal.rpartition("_")
+                same = probe_of(one.column)[0] == probe_of(column)[0]
+                logger = alone and one.why != "by its name" and place in ("cabinet", "ambient")
+                dew_point = one.signal.endswith("point_temperature")
+                if kind == "temperature" and not dew_point and (same or logger):
+                    score, why = min(one.score, 0.75), f'beside "{one.column}"'
+                    found.append(_candidate(source, f"{place}_{quantity}", column, score, why))
+            if quantity == "dew_point_temperature" and not temperatures_of(column, source.values):
+                found.append(_candidate(source, f"ambient_{quantity}", column, 0.85, "by its name"))
     return [one for one in found if one.signal in SIGNALS]
 
 
-def _paired(sources: list[Source], candidates: list[Candidate]) -> list[Candidate]:
+def _paired(sources: Mapping[str, Source], candidates: list[DraftedSignal]) -> list[DraftedSignal]:
     """Candidates in which the temperature of a place is that of its humidity's probe, where it is there."""
     taken, first = _chosen(candidates), []
     for one in taken.values():
-        place, _, quantity = one.signal.rpartition("_relative_")
-        own = temperatures_of(one.column, sources[one.source].values) if quantity == "humidity" else []
+        source, (place, _, quantity) = sources[one.file], one.signal.rpartition("_relative_")
+        own = temperatures_of(one.column, source.values) if quantity == "humidity" else []
         signal = f"{place}_temperature"
         other = next((c for c in taken.values() if c.signal == signal), None)
-        if len(own) != 1 or other is None or (other.source, other.column) == (one.source, own[0]):
+        if len(own) != 1 or other is None or other.key == (one.file, own[0]):
             continue
-        if sources[one.source].named[own[0]].signal in ("", signal):
+        if source.named[own[0]].signal in ("", signal):
             why = f'of the probe of "{one.column}"'
-            first.append(_candidate(sources, signal, one.source, own[0], other.score, why))
-    pairs = {(one.source, one.column) for one in first}
+            first.append(_candidate(source, signal, own[0], other.score, why))
+    pairs = {one.key for one in first}
     # of equal scores the first one is chosen
-    return [*first, *(one for one in candidates if (one.source, one.column) not in pairs)]
+    return [*first, *(one for one in candidates if one.key not in pairs)]
 
 
-def _of_their_own(sources: list[Source], candidates: list[Candidate]) -> list[Candidate]:
+def _of_their_own(sources: Mapping[str, Source], candidates: list[DraftedSignal]) -> list[DraftedSignal]:
     """Candidates without columns of the air outside that repeat the cabinet's own readings, or are computed
     from them; their sources say so."""
     while True:
-        taken = _chosen(candidates)
-        series = [_series(sources[one.source], one) for one in taken.values() if one.signal in COPIED]
-        wrong = {one.source: words for one, words in copies(series)}
+        taken = [one for one in _chosen(candidates).values() if one.signal in COPIED]
+        wrong = {one.signal: words for one, words in copies([_series(sources[c.file], c) for c in taken])}
         if not wrong:
             return candidates
-        for one in list(taken.values()):
-            place = f'{sources[one.source].export.file.name}, column "{one.column}"'
-            if place in wrong:
-                sources[one.source].left[one.column] = wrong[place]
-                candidates = [c for c in candidates if (c.source, c.column) != (one.source, one.column)]
+        keys = {one.key: wrong[one.signal] for one in taken if one.signal in wrong}
+        for (file, column), words in keys.items():
+            sources[file].left[column] = words
+        candidates = [one for one in candidates if one.key not in keys]
 
 
-def _series(source: Source, one: Candidate) -> Series:
+def _series(source: Source, one: DraftedSignal) -> Series:
     time, place = np.unique(source.clock.time, return_index=True)
     known = np.isfinite(time)
     value = to_si(source.values[one.column], one.unit, one.signal)[place]
@@ -484,26 +484,26 @@ def _series(source: Source, one: Candidate) -> Series:
     return Series(one.signal, time[known], value[known], "linear", source=where)
 
 
-def _best(candidates: list[Candidate], signal: str) -> Candidate | None:
+def _best(candidates: list[DraftedSignal], signal: str) -> DraftedSignal | None:
     return max((one for one in candidates if one.signal == signal), key=lambda one: one.score, default=None)
 
 
-def _chosen(candidates: list[Candidate]) -> dict[tuple[int, str], Candidate]:
-    """(source, column) -> the candidate that takes it: best first, each signal and each column once."""
-    taken: dict[tuple[int, str], Candidate] = {}
+def _chosen(candidates: list[DraftedSignal]) -> dict[Key, DraftedSignal]:
+    """The candidate that takes a column: best first, each signal and each column once."""
+    taken: dict[Key, DraftedSignal] = {}
     signals: set[str] = set()
     for one in sorted(candidates, key=lambda one: -one.score):
-        if one.signal not in signals and (one.source, one.column) not in taken:
-            taken[one.source, one.column] = one
+        if one.signal not in signals and one.key not in taken:
+            taken[one.key] = one
             signals.add(one.signal)
     return taken
 
 
-def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candidate]:
+def _checked(candidates: list[DraftedSignal], sources: Mapping[str, Source]) -> list[DraftedSignal]:
     """Candidates with lower scores where their readings cannot be those of the signal."""
     checked = []
     for one in candidates:
-        against = impossible(sources[one.source].values[one.column], one.unit, one.signal)
+        against = impossible(sources[one.file].values[one.column], one.unit, one.signal)
         if against is not None:
             one = replace(one, score=0.3 * one.score, doubts=(*one.doubts, against))
         checked.append(one)
@@ -511,30 +511,28 @@ def _checked(candidates: list[Candidate], sources: list[Source]) -> list[Candida
 
 
 def _settled(
-    sources: list[Source], candidates: list[Candidate]
-) -> tuple[list[Assigned], dict[tuple[int, str], str]]:
+    sources: Mapping[str, Source], candidates: list[DraftedSignal]
+) -> tuple[list[DraftedSignal], list[LeftColumn]]:
     taken = _chosen(candidates)
     outside = next((one for one in taken.values() if one.signal == "ambient_temperature"), None)
     turbine = any(one.signal == "active_power" for one in taken.values())
     found, used = [], set(taken)
     for one in taken.values():
         rest = sorted((c for c in candidates if c.signal == one.signal and c != one), key=lambda c: -c.score)
-        near = tuple(c for c in rest if c.score > one.score - 0.15 and (c.source, c.column) not in used)
-        seconds = tuple(c for c in near if c.source != one.source and c.score >= SURE)
-        near = tuple(c for c in near if c not in seconds)
+        near = [c for c in rest if c.score > one.score - 0.15 and c.key not in used]
+        seconds = [c for c in near if c.file != one.file and c.score >= SURE]
         doubts = [*one.doubts]
         if one.score < SURE:
             doubts.insert(0, f"{one.why}, score {one.score:.2f}")
-        if near:
-            shown = []
-            for c in near[:4]:
-                file = sources[c.source].export.file
-                where = "" if c.source == one.source else f" of {file.parent.name}/{file.name}"
-                shown.append(f'"{c.column}"{where} ({c.score:.2f})')
-            doubts.append(f"next: {', '.join(shown)}")
+        if shown := [
+            f'"{c.column}"{f" of {c.file}" * (c.file != one.file)} ({c.score:.2f})'
+            for c in near
+            if c not in seconds
+        ]:
+            doubts.append(f"next: {', '.join(shown[:4])}")
         if one.signal == "cabinet_temperature" and outside is not None:
-            air = sources[outside.source].hourly(outside.column)
-            inside, beside = sources[one.source].hourly(one.column).beside(air)
+            air = sources[outside.file].hourly(outside.column)
+            inside, beside = sources[one.file].hourly(one.column).beside(air)
             share = np.mean(inside > beside) if len(inside) >= 24 else math.nan
             if share < 0.5:
                 doubts.append(f"warmer than the ambient temperature in only {100 * share:.0f} % of the hours")
@@ -542,17 +540,18 @@ def _settled(
         # among the many temperatures of a turbine, one without a name may be that of any part
         needed = needed and (one.score > 0.65 or not turbine)
         active = one.score >= (NEEDED if needed else USED)
-        poles = flag_word(sources[one.source].export.cells[one.column]) == POLES[0]
+        poles = flag_word(sources[one.file].export.cells[one.column]) == POLES[0]
         if poles and one.signal != "door_open":
             active = False
             doubts.append(f'"open" may be 1 or 0 for {one.signal}: state one = "open" or "closed"')
-        found.append(Assigned(one, active, False, tuple(doubts)))
+        found.append(replace(one, active=active, doubts=tuple(doubts)))
         for second in seconds[:1]:
-            found.append(Assigned(second, True, True, second.doubts))
-            used.add((second.source, second.column))
-    left = {}
-    for number, source in enumerate(sources):
-        for column in (*source.values, *source.left):
-            if (number, column) not in used:
-                left[number, column] = source.left.get(column) or source.named[column].why
-    return found, left
+            found.append(replace(second, active=True, compare=True))
+            used.add(second.key)
+    left = [
+        LeftColumn(file, column, source.left.get(column) or source.named[column].why)
+        for file, source in sources.items()
+        for column in (*source.values, *source.left)
+        if (file, column) not in used
+    ]
+    return found, list(dict.fromkeys(left))

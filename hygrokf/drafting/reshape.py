@@ -29,17 +29,13 @@ _LABEL = re.compile(
 )
 
 
-def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | None, tuple[str, ...]]:
+def prepared(export: Export, turbine: str | None) -> Export:
     """An export that a case can name, after selection of one turbine and reordering of its cells.
 
-    turbine: to select, or None for the first.
-
-    Returns the export, whose `changes` say why a copy is needed; its column of stamps; the turbine selected
-    (None where the file holds one alone); doubts.  Raises TableFault.
+    turbine: to select, or None for the first.  Its `changes` say why a copy is needed.  Raises TableFault.
     """
-    doubts = list(export.doubts)
     column, hours = time_columns(export)
-    export, chosen = _one_turbine(export, column, hours, turbine, doubts)
+    export = _one_turbine(export, column, hours, turbine)
     if hours is not None:
         of_day, ends = time_of_day(export.cells[hours])
         joined = export.cells[column].str.cat(of_day, sep=" ")
@@ -52,16 +48,13 @@ def prepared(export: Export, turbine: str | None) -> tuple[Export, str, str | No
     if was is not None:
         export = _with(export, export.cells.assign(**{column: text}), f"stamps in {was}")
     if not column.strip():
-        export = _with(
-            export, export.cells.rename(columns={column: "time"}), "a column of stamps without a name"
-        )
-        column = "time"
+        cells = export.cells.rename(columns={column: "time"})
+        export, column = _with(export, cells, "a column of stamps without a name"), "time"
     header = dict(zip(export.cells, export.names, strict=False))
     marks = quality_columns(list(export.cells), [one for one in export.cells if one != column]).values()
     if not export.changes and any(export.names.count(header.get(one, one)) > 1 for one in marks):
         export = _with(export, export.cells, "several columns of one name")
-    export, labelled = _one_label(export, column, turbine, doubts)
-    return export, column, chosen or labelled, tuple(doubts)
+    return _one_label(replace(export, column=column), turbine)
 
 
 def joined(exports: list[Export]) -> list[Export]:
@@ -120,23 +113,21 @@ def _with(
     return replace(export, cells=cells, names=names, units=of_names, changes=(*export.changes, change))
 
 
-def _chosen(names: list[str], turbine: str | None, where: str, doubts: list[str]) -> str:
-    """The turbine of an export of several, by default the first, with a doubt.  Raises TableFault."""
+def _selected(export: Export, names: list[str], turbine: str | None, where: str) -> Export:
+    """An export of several turbines with one of them chosen, by default the first, with a doubt.  Raises
+    TableFault."""
     chosen = names[0] if turbine is None else turbine
     if chosen not in names:
         found = f"{', '.join(names[:20])}{suggestion(chosen, names)}"
         raise TableFault(f'{where}: expected the turbine "{chosen}", found {found}')
     if turbine is None:
         rest = ", ".join(names[1:8]) + (" …" if len(names) > 8 else "")
-        doubts.append(
-            f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
-        )
-    return chosen
+        doubt = f'turbine "{chosen}" is the first of {len(names)} ({rest}): --turbine selects another one'
+        export = replace(export, doubts=(*export.doubts, doubt))
+    return replace(export, turbine=chosen)
 
 
-def _one_turbine(
-    export: Export, column: str, hours: str | None, turbine: str | None, doubts: list[str]
-) -> tuple[Export, str | None]:
+def _one_turbine(export: Export, column: str, hours: str | None, turbine: str | None) -> Export:
     """The rows of one turbine, where a column names several."""
     cells = export.cells
     keys = [one for one in cells if one not in (column, hours) and _TURBINE.search(words_of(one))]
@@ -145,12 +136,11 @@ def _one_turbine(
         stamps = [column] if hours is None else [column, hours]
         if not 2 <= len(names) <= 1000 or cells.duplicated(stamps).mean() < 0.3:
             continue
-        chosen = _chosen(names, turbine, f'column "{key}"', doubts)
-        rows = cells[cells[key] == chosen].drop(columns=[key]).reset_index(drop=True)
-        return _with(export, rows, f'rows of turbine "{chosen}" alone'), chosen
-    if turbine is not None and any(cells[key].nunique() == 1 for key in keys):
-        return export, turbine
-    return export, None
+        export = _selected(export, names, turbine, f'column "{key}"')
+        rows = cells[cells[key] == export.turbine].drop(columns=[key]).reset_index(drop=True)
+        return _with(export, rows, f'rows of turbine "{export.turbine}" alone')
+    alone = turbine is not None and any(cells[key].nunique() == 1 for key in keys)
+    return replace(export, turbine=turbine) if alone else export
 
 
 def _wide(export: Export, column: str) -> Export:
@@ -194,22 +184,22 @@ def _wide(export: Export, column: str) -> Export:
     return _with(export, table.where(table.notna(), None), "one row a value", units_of)
 
 
-def _one_label(
-    export: Export, column: str, turbine: str | None, doubts: list[str]
-) -> tuple[Export, str | None]:
+def _one_label(export: Export, turbine: str | None) -> Export:
     """The columns of one turbine, where the names of columns hold several."""
-    labels = {one: found[1] for one in export.cells if one != column and (found := _LABEL.search(one))}
+    cells = export.cells
+    labels = {one: found[1] for one in cells if one != export.column and (found := _LABEL.search(one))}
     stems: dict[str, list[str]] = {}
     for name, label in labels.items():
         stem = name.replace(label, "", 1).strip(" _.-")
         if re.search(r"[A-Za-z]", stem):
             stems.setdefault(stem, []).append(label)
-    several = [found for found in stems.values() if len(found) > 1]
-    if not several:
-        return export, None
-    names = list(dict.fromkeys(label for found in several for label in found))
-    chosen = _chosen(names, turbine, "names of columns", doubts)
-    kept = [one for one in export.cells if labels.get(one) not in names or labels[one] == chosen]
-    units = tuple(given for one, given in zip(export.cells, export.units, strict=True) if one in kept)
+    names = list(dict.fromkeys(label for found in stems.values() if len(found) > 1 for label in found))
+    if not names:
+        return export
+    before = export.turbine
+    export = _selected(export, names, turbine, "names of columns")
+    chosen = export.turbine or ""
+    kept = [one for one in cells if labels.get(one) not in names or labels[one] == chosen]
+    units = tuple(given for one, given in zip(cells, export.units, strict=True) if one in kept)
     # nothing moves in the file: the case names the columns of one turbine
-    return replace(export, cells=export.cells[kept], units=units, label=chosen), chosen
+    return replace(export, cells=cells[kept], units=units, label=chosen, turbine=before or chosen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC
@@ -124,12 +125,12 @@ def as_text(stamps: pandas.Series) -> tuple[pandas.Series, str | None]:
     return text.str.replace(".000000Z", "Z"), f"Unix {'milliseconds' if milli else 'seconds'}"
 
 
-def clock_of(export: Export, column: str, means: bool) -> Clock:
+def clock_of(export: Export, means: bool) -> Clock:
     """The clock of an export.
 
     means: whether the readings are means over intervals.  Raises TableFault where no format reads the stamps.
     """
-    text = export.cells[column]
+    column, text = export.column, export.cells[export.column]
     forms = _forms(text)
     if not forms:
         raise TableFault(
@@ -137,21 +138,25 @@ def clock_of(export: Export, column: str, means: bool) -> Clock:
             f'"{text.dropna().iloc[0]}"; export the time in ISO 8601'
         )
     doubts: list[str] = []
-    remarks: list[str] = []
     form, time = forms[0]
     if len(forms) > 1:
         others = ", ".join(str(one) for one, _ in forms[1:3])
         doubts.append(f"day and month can be exchanged in these stamps; also possible: {others}")
     step, _ = modal_step(np.sort(time[np.isfinite(time)]))
-    aware = form is None and bool(read_stamps(text.iloc[:50]).naive.sum() < 25)
+    holes, whole = _holes(time, step)
     zone: str | None = None
-    holes = _holes(time, step)
-    said = len(doubts)
-    if not aware:
-        zone = _zone(column, export, time, holes, doubts, remarks)
-    assumed = len(doubts) > said and zone == "UTC"
-    stamp = _position(column, time, step, holes, means, doubts, remarks)
-    return Clock(column, form, time, zone, stamp, step, tuple(doubts), tuple(remarks), assumed)
+    remark, assumed = "", False
+    if not (form is None and read_stamps(text.iloc[:50]).naive.sum() < 25):
+        zone, remark, doubt = _zone(export, holes, whole)
+        doubts += [doubt] if doubt else []
+        assumed = bool(doubt) and zone == "UTC"
+    stamp, why = _position(column, time, step, holes, means)
+    if stamp != "instant" and not why:
+        doubts.append(
+            'means over intervals: the file does not state whether stamps are their "start" or "end"'
+        )
+    remarks = tuple(filter(None, (remark, why)))
+    return Clock(column, form, time, zone, stamp, step, tuple(doubts), remarks, assumed)
 
 
 def _forms(text: pandas.Series) -> list[tuple[str | None, np.ndarray]]:
@@ -207,98 +212,68 @@ def _holes(time: np.ndarray, step: float) -> tuple[list[_Hole], int]:
     return holes, whole
 
 
-def _zone(
-    column: str,
-    export: Export,
-    time: np.ndarray,
-    holes: tuple[list[_Hole], int],
-    doubts: list[str],
-    remarks: list[str],
-) -> str:
-    """The zone of stamps without an offset, with what speaks for it."""
+def _zone(export: Export, holes: Sequence[_Hole], whole: int) -> tuple[str, str, str]:
+    """The zone of stamps without an offset, what speaks for it, and what is doubted of it."""
+    column = export.column
     heading = " ".join((column, *export.units[:1])).replace("_", " ")
     named, central = zone_in_header(heading), _CENTRAL_EUROPE.search(heading)
     if named is not None and not central:
-        remarks.append(f'the zone is named in the header "{column}"')
-        return named
+        return named, f'the zone is named in the header "{column}"', ""
     stated = _STATED_ZONE.search(export.preamble)
     if stated is not None:
         with suppress(ValueError):
             offset = None if _CENTRAL_EUROPE.search(stated[1]) else zone_in_header(stated[1])
-            zone = offset or stated[1]
-            zone_named(zone)
-            remarks.append("the zone is stated above the header")
-            return zone
+            zone_named(offset or stated[1])
+            return offset or stated[1], "the zone is stated above the header", ""
     if column in _CLOCKS_OF_MAKES:
-        zone, why = _CLOCKS_OF_MAKES[column]
-        remarks.append(why)
-        return zone
-    found, whole = holes
-    if central and named is not None and not found:
-        if not whole:
-            doubts.append(
-                f'the header "{column}" names Central European Time: {named} is assumed; '
-                'state "Europe/Berlin" if the clock follows summer time'
-            )
-        return named
-    if found and not whole:
-        zone = _ZONES.get(found[0].hour) if not found[0].american else None
-        where = f"the hour from {found[0].hour}:00 is missing where summer time begins"
-        if zone is not None:
-            remarks.append(f"{where}: the clock follows the summer time of {zone} or a zone like it")
-            return zone
-        doubts.append(
-            f"{where}: name the IANA zone of the site, such as America/Chicago; UTC is only assumed"
+        return *_CLOCKS_OF_MAKES[column], ""
+    if central and named is not None and not holes:
+        doubt = (
+            f'the header "{column}" names Central European Time: {named} is assumed; '
+            'state "Europe/Berlin" if the clock follows summer time'
         )
-        return "UTC"
-    if whole and not found:
-        doubts.append(
+        return named, "", "" if whole else doubt
+    if holes and not whole:
+        zone = _ZONES.get(holes[0].hour) if not holes[0].american else None
+        where = f"the hour from {holes[0].hour}:00 is missing where summer time begins"
+        if zone is not None:
+            return zone, f"{where}: the clock follows the summer time of {zone} or a zone like it", ""
+        site = "name the IANA zone of the site, such as America/Chicago; UTC is only assumed"
+        return "UTC", "", f"{where}: {site}"
+    if whole and not holes:
+        return "UTC", "", (
             "no hour is missing where summer time begins: the clock has a fixed offset, which the file does "
             "not state; UTC is assumed"
-        )
-    else:
-        doubts.append("the file does not state the zone of its stamps; UTC is assumed")
-    return "UTC"
+        )  # fmt: skip
+    return "UTC", "", "the file does not state the zone of its stamps; UTC is assumed"
 
 
 def _position(
-    column: str,
-    time: np.ndarray,
-    step: float,
-    holes: tuple[list[_Hole], int],
-    means: bool,
-    doubts: list[str],
-    remarks: list[str],
-) -> str:
-    """The meaning of the stamps: an instant, or the start or end of an interval."""
+    column: str, time: np.ndarray, step: float, holes: Sequence[_Hole], means: bool
+) -> tuple[str, str]:
+    """The meaning of the stamps, an instant or the start or end of an interval, and what says so; of means
+    where nothing does, the start and ""."""
     words = re.sub(r"[_\W]+", " ", column.lower())
-    for stamp, pattern in (
-        ("start", r"\b(start|begin|beginning|beginn|von|from)\b"),
-        ("end", r"\b(end|ende|bis)\b"),
-    ):
-        if re.search(pattern, words):
-            remarks.append(f'the header "{column}" says that stamps are at the {stamp} of the interval')
-            return stamp
+    header = f'the header "{column}" says that stamps are at the {{}} of the interval'
+    if re.search(r"\b(start|begin|beginning|beginn|von|from)\b", words):
+        return "start", header.format("start")
+    if re.search(r"\b(end|ende|bis)\b", words):
+        return "end", header.format("end")
     if not (means and step >= 5.0 * MINUTE_S):
-        return "instant"
+        return "instant", ""
     moments = np.sort(time[np.isfinite(time)])
-    into_day = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
+    begins, ends = np.round(np.mod(moments[[0, -1]], DAY_S) / MINUTE_S)
     minutes = round(step / MINUTE_S) if math.isfinite(step) else 0
-    last_of_day = round(DAY_S / MINUTE_S) - minutes
-    if minutes and holes[0]:
-        stamp = "end" if holes[0][0].end else "start"
-        remarks.append(f"the stamps missing where summer time begins are {stamp}s of intervals")
-        return stamp
-    if minutes and tuple(into_day) == (minutes, 0):
-        remarks.append(
-            "the file begins one step after midnight and ends at midnight: stamps are ends of intervals"
-        )
-        return "end"
-    if minutes and tuple(into_day) == (0, last_of_day):
-        remarks.append("the file begins at midnight and ends one step before: stamps are starts of intervals")
-        return "start"
-    doubts.append('means over intervals: the file does not state whether stamps are their "start" or "end"')
-    return "start"
+    if minutes and holes:
+        stamp = "end" if holes[0].end else "start"
+        return stamp, f"the stamps missing where summer time begins are {stamp}s of intervals"
+    if minutes and (begins, ends) == (minutes, 0):
+        said = "one step after midnight and ends at midnight: stamps are ends of intervals"
+        return "end", f"the file begins {said}"
+    if minutes and (begins, ends) == (0, round(DAY_S / MINUTE_S) - minutes):
+        said = "at midnight and ends one step before: stamps are starts of intervals"
+        return "start", f"the file begins {said}"
+    return "start", ""
 
 
 def sun_remark(time: np.ndarray, irradiance: np.ndarray, longitude_deg: float | None) -> str | None:

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hygrokf.data.ambient import at_times, bridge_h, place_absolute_humidity
-from hygrokf.data.clocks import source_of
 from hygrokf.data.input_paths import centred, input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S, modal_step
@@ -153,8 +152,8 @@ def _relation(name: str, target: Series, inputs: Mapping[str, list[Series]]) -> 
         rows,
         every,
         columns,
-        {signal: source_of(inputs[signal][0]) for signal in columns},
-        source_of(target),
+        {signal: inputs[signal][0].file for signal in columns},
+        target.file,
     )
 
 

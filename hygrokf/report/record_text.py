@@ -15,7 +15,8 @@ from hygrokf.report.terminal import blocks_text
 from hygrokf.weather.clocks import Alignment, Lag
 
 if TYPE_CHECKING:
-    from hygrokf.drafting.draft import Draft, DraftedSignal
+    from hygrokf.drafting.draft import Draft
+    from hygrokf.drafting.mapping import DraftedSignal
 
 NONE = "-"
 WIDTH = 1000
@@ -48,7 +49,7 @@ def record_blocks(found: RecordSummary) -> Iterator[Block]:
         yield Table("", head, rows, left=(0, 1, 2, 4, 5))
     if found.actuators:
         yield Heading("logged actuators", 3)
-        yield Items(tuple(one.statement for one in found.actuators))
+        yield Items(found.actuators)
     for title, said in (("warnings", found.warnings), ("doubts", found.doubts)):
         yield Heading(f"{title}: {len(said) or 'none'}", 3)
         if said:

@@ -61,21 +61,18 @@ UNKNOWN = Bounded(math.nan, math.nan, math.nan)
 class Lag:
     """How much later one series is than the other, over a part of the time.
 
-    weather, mean_day: [s] the two estimates; positive where the first series is late. days: [d] in common.
-    correlation: highest correlation of the series without their mean day.
+    weather, mean_day: [s] the two estimates; positive where the first series is late.
     """
 
     weather: Bounded
     mean_day: Bounded
-    days: float
-    correlation: float
 
 
 @dataclass(frozen=True)
 class Alignment:
     """Comparison of one series with another of the same signal.
 
-    signal: of both. one, other: their files. start_s, end_s: [s] common span. days: [d] in common.
+    signal: of both. one, other: their files.
     offset: [SI unit] mean of one minus other, at their stamps.
     amplitude, other_amplitude: [SI unit] of the daily wave.
     whole: lag over the common span; winter, summer: lag outside and inside summer time, None where too short.
@@ -85,7 +82,6 @@ class Alignment:
     signal: str
     one: str
     other: str
-    days: float
     offset: Bounded
     amplitude: float
     other_amplitude: float
@@ -116,8 +112,7 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
     time = np.arange(start, end, GRID_S)
     x, y = (at_times(each, time, bridge_h(each, BRIDGE_H)) for each in (first, second))
     both = np.isfinite(x) & np.isfinite(y)
-    days = float(both.sum()) * GRID_S / DAY_S
-    if days < FEWEST_D:
+    if both.sum() * GRID_S < FEWEST_D * DAY_S:
         return None
     sums = _sums(time, x, y, america)
     random = np.random.default_rng(0)
@@ -141,7 +136,7 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
     )
     size = 2.0 * GRID_S / (DAY_S * float(np.sum(sums.days)))
     return Alignment(
-        one.signal, one.file, other.file, days, offset, size * abs(np.sum(sums.wave)),
+        one.signal, one.file, other.file, offset, size * abs(np.sum(sums.wave)),
         size * abs(np.sum(sums.other_wave)), whole, winter, summer, change, mean_day_change,
     )  # fmt: skip
 
@@ -264,8 +259,7 @@ def _lag(
     mean_day = _bounded(float(phase[0]), phase[1:])
     if mean_day.high - mean_day.low > WIDEST_H * 3600.0:
         mean_day = UNKNOWN
-    lag = Lag(weather, mean_day, float(sums.days[inside].sum()), float(highest[0]))
-    return lag, (peaks[1:], phase[1:])
+    return Lag(weather, mean_day), (peaks[1:], phase[1:])
 
 
 def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -432,28 +426,37 @@ def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[s
 
     south: whether the site lies in the southern hemisphere, where the seasons are exchanged.
     """
-    return [_sentence(one, south) for one in errors if one.kind in ("constant", "seasonal")]
+    early, late = SEASONS[south]
+    said = []
+    for error in errors:
+        first, second = error.corrections_s
+        against = f"against {error.other}: by their stamps the weather comes {_late(error.winter)}"
+        if error.kind == "constant":
+            said.append(
+                f"the clock of {error.one} runs {pace(first)} {against}; its stamps need {signed(first)}. If "
+                f"{error.other} is right, state {correction_key(first)}"
+            )
+        elif error.kind == "seasonal":
+            said.append(
+                f"the clock of {error.one} runs {pace(first)} {early} and {pace(second)} {late} {against} "
+                f"{early} and {_late(error.summer)} {late}; its stamps need "
+                f"{season_remedy(first, second, south)}"
+            )
+    return said
 
 
-def _sentence(error: ClockError, south: bool) -> str:
-    first, second = error.corrections_s
-    if error.kind == "constant":
-        return (
-            f"the clock of {error.one} runs {pace(first)} against {error.other}: by their stamps the "
-            f"weather comes {_late(error.winter)}; its stamps need {signed(first)}. If {error.other} is "
-            f'right, state clock_correction = "{signed(first).replace(" ", "")}" in that source'
-        )
-    early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
-    return (
-        f"the clock of {error.one} runs {pace(first)} {early} and {pace(second)} {late} against "
-        f"{error.other}: by their stamps the weather comes {_late(error.winter)} {early} and "
-        f"{_late(error.summer)} {late}; its stamps need {season_remedy(first, second, south)}"
-    )
+def correction_key(correction_s: float) -> str:
+    """The key of a case file that corrects a clock."""
+    return f'clock_correction = "{signed(correction_s).replace(" ", "")}" in that source'
+
+
+SEASONS = (("in winter", "in summer"), ("from November to March", "from April to October"))
+"""Winter and summer of the north, in words, in the northern and in the southern hemisphere."""
 
 
 def season_remedy(winter_s: float, summer_s: float, south: bool = False) -> str:
     """What corrects a clock that needs one correction [s] in winter and another one in summer."""
-    early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
+    early, late = SEASONS[south]
     needed = f"{signed(winter_s)} {early} and {signed(summer_s)} {late}"
     # the clock's summer time is the other season in the south
     change = winter_s - summer_s if south else summer_s - winter_s

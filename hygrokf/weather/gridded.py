@@ -10,8 +10,7 @@ from __future__ import annotations
 import io
 import math
 import warnings as python_warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.weather.archive import MOST_BYTES
-from hygrokf.weather.site_weather import GRAVITY, place_text
+from hygrokf.weather.site_weather import GRAVITY, Field, SiteWeather, Variable, place_text, short_name
 
 if TYPE_CHECKING:
     import xarray
@@ -29,43 +28,18 @@ _AXES_OF_PLACE = (("latitude", "lat"), ("longitude", "lon"))
 _PRELIMINARY = ("5", "0005")
 
 
-@dataclass(frozen=True)
-class Field:
-    """One field at one point: values (T,), its name in the file, and the unit that it states, or None."""
-
-    value: np.ndarray
-    name: str
-    unit: str | None = None
+GROUND = Variable(
+    "ambient_pressure", "m2 s-2", part=True, names=("geopotential", "geopotential_at_surface", "PHIS")
+)
+"""The geopotential of the ground, by which its height is known."""
 
 
-@dataclass(frozen=True)
-class PointFields:
-    """Fields of a reanalysis at one point, as in the file.
-
-    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by name.
-    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] height of its ground, or None.
-    place: the point in words. warnings: choices and omissions of the reader.
-    """
-
-    file: str
-    time: np.ndarray
-    fields: Mapping[str, Field]
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    altitude_m: float | None = None
-    place: str = ""
-    warnings: tuple[str, ...] = field(default=())
-
-    @property
-    def site(self) -> Site | None:
-        """The point as a site; None where the file does not state it.  Raises TableFault."""
-        if self.latitude_deg is None or self.longitude_deg is None:
-            return None
-        east = (self.longitude_deg + 180.0) % 360.0 - 180.0
-        try:
-            return Site(self.latitude_deg, east, self.altitude_m)
-        except ValueError as outside:
-            raise TableFault(f"the file's point is impossible: {outside}") from None
+def point_site(latitude_deg: float, longitude_deg: float, altitude_m: float | None = None) -> Site:
+    """A point of a file as a site.  Raises TableFault where it is impossible."""
+    try:
+        return Site(latitude_deg, (longitude_deg + 180.0) % 360.0 - 180.0, altitude_m)
+    except ValueError as outside:
+        raise TableFault(f"the file's point is impossible: {outside}") from None
 
 
 def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
@@ -101,23 +75,23 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
         ) from None
 
 
-def point_fields(
-    dataset: xarray.Dataset, file: str, known: Callable[[str], str | None], site: Site | None = None
-) -> PointFields:
+def point_weather(
+    dataset: xarray.Dataset, file: str, variables: Mapping[str, Variable], site: Site | None = None,
+    shift_s: float = 0.0,
+) -> SiteWeather:  # fmt: skip
     """Fields of a data set at the site.
 
     dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
         other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
         (2m_temperature).
-    file: name for messages. known: the short name of a field, such as "t2m", "z"; None for one that is not
-        used.
+    file: name for messages. variables: of the format. shift_s: [s] from a stamp to the time of its value.
     site: the nearest grid cell with data is used; may be None for a single cell.
 
     Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
     ensemble members, levels.
     """
     time_name = _time_name(dataset)
-    used = {str(name): short for name in dataset.data_vars if (short := known(str(name)))}
+    used = {str(name): short for name in dataset.data_vars if (short := short_name(variables, str(name)))}
     if not used:
         listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
         raise TableFault(f"no field of weather that is known here; found {listed}")
@@ -134,11 +108,9 @@ def point_fields(
         warnings.append(
             f"{preliminary} hours are preliminary (ERA5T): ask again in three months for the final ones"
         )
-    place = ""
     at: tuple[float, float] | None = None
     if latitude is not None and longitude is not None:
         dataset, at = _nearest(dataset, latitude, longitude, site, used)
-        place = place_text(*at, site)
     stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
     for name, short in used.items():
@@ -148,8 +120,11 @@ def point_fields(
             altitude_m = _altitude(one.values, unit)
         elif one.dims == (time_name,):
             fields[short] = Field(one.values.astype(float), name, None if unit is None else str(unit))
-    north, east = at or (None, None)
-    return PointFields(file, stamps, fields, north, east, altitude_m, place, tuple(warnings))
+    return SiteWeather(
+        file, stamps, fields, variables,
+        site=None if at is None else point_site(*at, altitude_m),
+        place="" if at is None else place_text(*at, site), shift_s=shift_s, warnings=warnings,
+    )  # fmt: skip
 
 
 def _altitude(value: np.ndarray, unit: str | None) -> float | None:
@@ -288,7 +263,7 @@ def _filled(
     dataset: xarray.Dataset, latitude: str, longitude: str, used: dict[str, str], shape: tuple[int, int]
 ) -> np.ndarray:
     """Cells (rows, columns) that have a temperature: land reanalyses have none over the sea."""
-    name = next((name for name, short in used.items() if short == "t2m"), None)
+    name = next((name for name, short in used.items() if short in ("t2m", "T2M")), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)
     there = (

@@ -7,52 +7,47 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hygrokf.data.columns import Notation, Places, Table, TableFault, table_of
+from hygrokf.data.columns import Notation, Places, TableFault, table_of
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S, stamp_text
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import SiteWeather, converted, dew_point_of, place_text
+from hygrokf.weather.site_weather import (
+    Field,
+    SiteWeather,
+    Variable,
+    complete,
+    dew_point_of,
+    place_text,
+    short_name,
+)
 
-_PLAIN = {
-    # name: signal, whether it belongs to the hour before its stamp
-    "temperature_2m": ("ambient_temperature", False),
-    "dew_point_2m": ("ambient_dew_point_temperature", False),
-    "surface_pressure": ("ambient_pressure", False),
-    "cloud_cover": ("cloud_cover", False),
-    "shortwave_radiation": ("global_horizontal_irradiance", True),
-    "diffuse_radiation": ("diffuse_horizontal_irradiance", True),
-    "direct_normal_irradiance": ("direct_normal_irradiance", True),
-    "precipitation": ("rain", True),
+_VARIABLES = {
+    "temperature_2m": Variable("ambient_temperature", "°C"),
+    "dew_point_2m": Variable("ambient_dew_point_temperature", "°C", names=("dewpoint_2m",)),
+    "relative_humidity_2m": Variable(
+        "ambient_relative_humidity", "%", part=True, names=("relativehumidity_2m",)
+    ),
+    "surface_pressure": Variable("ambient_pressure", "hPa"),
+    "cloud_cover": Variable("cloud_cover", "%", names=("cloudcover",)),
+    "shortwave_radiation": Variable("global_horizontal_irradiance", "W/m²", mean=True),
+    "diffuse_radiation": Variable("diffuse_horizontal_irradiance", "W/m²", mean=True),
+    "direct_normal_irradiance": Variable("direct_normal_irradiance", "W/m²", mean=True),
+    "precipitation": Variable("rain", "mm", mean=True),
+    # a straight line between two directions may turn the wrong way: they hold
+    "speed": Variable("wind_speed", "km/h"),
+    "direction": Variable("wind_direction", "°"),
 }
-_FORMER = {
-    "dewpoint_2m": "dew_point_2m", "relativehumidity_2m": "relative_humidity_2m", "cloudcover": "cloud_cover",
-}  # fmt: skip
-"""Names of the service before 2023 -> today's."""
+"""Today's names of the service, with those before 2023; speed and direction are of the chosen height."""
 _META = ("latitude", "longitude", "elevation", "utc_offset_seconds")
 _WIND = re.compile(r"wind_?(speed|direction)_(\d+)m")
 PREFERRED_WIND_M = 100.0
 """[m] of several heights of the wind the nearest to this one, on a logarithmic scale, is taken."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What the service answered for one site.
-
-    table: of the columns that are used, its time by the clock of the file. offset_s: [s] of that clock.
-    unit: name -> its unit, that of "time" included.
-    """
-
-    site: Site
-    offset_s: float
-    table: Table
-    unit: Mapping[str, str]
 
 
 def read_open_meteo(path: str | os.PathLike[str]) -> Record:
@@ -71,19 +66,20 @@ def read_open_meteo(path: str | os.PathLike[str]) -> Record:
     """
     file = Path(path)
     one, digest = only_content(file, ("json", "csv"), "JSON or CSV of Open-Meteo")
-    answer = _json_answer(one.data) if one.kind == "json" else _csv_answer(one.data)
-    warnings = list(answer.table.warnings)
-    time = _time(answer, warnings)
-    place = place_text(answer.site.latitude_deg, answer.site.longitude_deg)
-    weather = SiteWeather(file.name, time, place, warnings=warnings)
-    _add_columns(weather, answer)
-    return weather.record(answer.site, digest, "no temperature_2m: ask for it in hourly=…")
+    weather = (_of_json if one.kind == "json" else _of_csv)(file.name, one.data)
+    value = weather.value
+    if "dew_point_2m" not in value and {"temperature_2m", "relative_humidity_2m"} <= set(value):
+        humid = dew_point_of(value["relative_humidity_2m"], value["temperature_2m"])
+        weather.add("ambient_dew_point_temperature", humid, "relative_humidity_2m")
+    record = weather.record(digest)
+    lacking = "no temperature_2m: ask for it in hourly=…"
+    return complete(record, lacking, "dew_point_2m or relative_humidity_2m")
 
 
 # --- layouts ---------------------------------------------------------------------------------
 
 
-def _json_answer(data: bytes) -> Answer:
+def _of_json(file: str, data: bytes) -> SiteWeather:
     try:
         found = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as broken:
@@ -103,10 +99,10 @@ def _json_answer(data: bytes) -> Answer:
     if faults:
         raise TableFault(*faults)
     meta = [found.get(name) for name in _META]
-    return _answer(meta, columns, {str(name): str(unit) for name, unit in units.items()})
+    return _weather(file, meta, columns, {str(name): str(unit) for name, unit in units.items()})
 
 
-def _csv_answer(data: bytes) -> Answer:
+def _of_csv(file: str, data: bytes) -> SiteWeather:
     rows = [cells for _, cells in csv_rows(data, "utf-8-sig")]
     head = [cell.strip() for cell in rows[0]] if rows else []
     if "location_id" in head:
@@ -135,13 +131,17 @@ def _csv_answer(data: bytes) -> Answer:
             f"line {begin + 2 + wrong[0]}: expected {len(names)} cells, found {len(body[wrong[0]])}: "
             "cut short? fetch the file again"
         )
-    return _answer(meta, {name: [row[place] for row in body] for place, name in enumerate(names)}, unit)
+    columns = {name: [row[place] for row in body] for place, name in enumerate(names)}
+    return _weather(file, meta, columns, unit)
 
 
-def _answer(
-    meta: Sequence[str | float | None], columns: Mapping[str, Sequence[Any]], unit: Mapping[str, str]
-) -> Answer:
-    """The answer from latitude, longitude, elevation, offset, and its columns."""
+def _weather(
+    file: str,
+    meta: Sequence[str | float | None],
+    columns: Mapping[str, Sequence[Any]],
+    unit: Mapping[str, str],
+) -> SiteWeather:
+    """The weather of latitude, longitude, elevation and offset of the clock, and of the columns used."""
     import pandas as pd
 
     try:
@@ -156,32 +156,23 @@ def _answer(
     if not -14.0 * HOUR_S <= offset <= 14.0 * HOUR_S:
         raise TableFault(f"utc_offset_seconds: expected -50400 … 50400, found {offset:g}")
     stamps = pd.Series(columns.get("time", []), dtype=object)
-    if not len(stamps):
-        raise TableFault("has no hour in it: fetch it again")
     unix = pd.to_numeric(stamps, errors="coerce")
-    if unix.notna().all():
+    if len(stamps) and unix.notna().all():
         stamps, offset = pd.to_datetime(unix, unit="s"), 0.0
-    used = [
-        name
-        for name in columns
-        if (own := _FORMER.get(name, name)) in {*_PLAIN, "relative_humidity_2m"} or _WIND.fullmatch(own)
-    ]
-    frame = pd.DataFrame({name: columns[name] for name in used})
+    used = {name: short for name in columns if (short := short_name(_VARIABLES, name)) is not None}
+    winds = {name: found for name in columns if (found := _WIND.fullmatch(name))}
+    heights = {int(found[2]) for found in winds.values() if found[1] == "speed"}
+    height = min(heights, key=lambda one: abs(math.log(one / PREFERRED_WIND_M)), default=None)
+    used |= {name: found[1] for name, found in winds.items() if int(found[2]) == height}
+    frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
-    table = table_of(frame, used, stamps, "time", places, Notation(timezone="UTC", decimal="."), {})
-    return Answer(site, offset, table, unit)
-
-
-# --- values ----------------------------------------------------------------------------------
-
-
-def _time(answer: Answer, warnings: list[str]) -> np.ndarray:
-    """Stamps in UTC (T,) [s].  Raises TableFault where they are not hourly."""
-    time = answer.table.time - answer.offset_s
-    if answer.offset_s:
+    table = table_of(frame, list(used), stamps, "time", places, Notation(timezone="UTC", decimal="."), {})
+    fields = {short: Field(table.values[name], name, unit.get(name, "")) for name, short in used.items()}
+    time, warnings = table.time - offset, list(table.warnings)
+    if offset:
         warnings.append(
-            f"stamps are read at the fixed offset {answer.offset_s / HOUR_S:+g} h that the file states, "
-            "in summer and winter; ask for timezone=GMT if a program between has changed them"
+            f"stamps are read at the fixed offset {offset / HOUR_S:+g} h that the file states, in summer and "
+            "winter; ask for timezone=GMT if a program between has changed them"
         )
     steps = np.diff(time)
     if len(steps) and (np.abs(steps - HOUR_S) > 1.0).any():
@@ -191,41 +182,7 @@ def _time(answer: Answer, warnings: list[str]) -> np.ndarray:
             f"{stamp_text(time[place])}: the stamps follow summer time, or hours were removed; ask for "
             "timezone=GMT and hourly=…"
         )
-    return time
-
-
-def _add_columns(weather: SiteWeather, answer: Answer) -> None:
-    """Add the series of the columns that are used."""
-    given = {_FORMER.get(name, name): name for name in answer.table.values}
-
-    def value(own: str, signal: str) -> np.ndarray:
-        name = given[own]
-        return converted(name, answer.table.values[name], answer.unit.get(name, ""), signal, weather.faults)
-
-    def add(own: str, signal: str, number: np.ndarray, **more: Any) -> None:
-        remedy = f"the file states {answer.unit.get(given[own])}; fetch it again"
-        weather.add(signal, number, given[own], remedy=remedy, **more)
-
-    for own, (signal, mean) in _PLAIN.items():
-        if own in given:
-            add(own, signal, value(own, signal), mean=mean)
-    if not {"dew_point_2m", "relative_humidity_2m"} & set(given):
-        weather.warnings.append("no dew_point_2m and no relative_humidity_2m: this weather has no humidity")
-    elif "dew_point_2m" not in given and "temperature_2m" in given:
-        share = value("relative_humidity_2m", "ambient_relative_humidity")
-        kelvin = value("temperature_2m", "ambient_temperature")
-        add("relative_humidity_2m", "ambient_dew_point_temperature", dew_point_of(share, kelvin))
-    winds = {own: match for own in given if (match := _WIND.fullmatch(own))}
-    heights = sorted(
-        {int(match[2]) for match in winds.values() if match[1] == "speed"},
-        key=lambda height: abs(math.log(height / PREFERRED_WIND_M)),
-    )
-    for own, match in winds.items():
-        if heights and int(match[2]) == heights[0]:
-            # a straight line between two directions may turn the wrong way: they hold
-            signal = f"wind_{match[1]}"
-            add(own, signal, value(own, signal), height_m=float(heights[0]))
-    if heights and heights[0] <= 10:
-        weather.warnings.append(
-            f"wind_speed is measured at {heights[0]} m, not at hub height: ask for wind_speed_100m"
-        )
+    return SiteWeather(
+        file, time, fields, _VARIABLES, site=site, place=place_text(latitude, longitude),
+        height_m=None if height is None else float(height), warnings=warnings,
+    )  # fmt: skip

@@ -55,7 +55,7 @@ def read_weather_file(
 ) -> Record:
     """Record of ambient signals of a site from one weather file, in SI units and UTC.
 
-    path: of one of the `FORMATS`. form: its format; None: see `form_of`.
+    path: of one of the `FORMATS`. form: its format; None: by `form_of`.
     site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
     year: calendar year of a typical year. years: in how many from it on it is repeated.
     altitude_m: [m] height of the weather, where the file states none or a wrong one.
@@ -65,7 +65,7 @@ def read_weather_file(
     Raises TableFault with every fault.
     """
     file = Path(path)
-    kind = form or form_of(file)
+    kind = form or form_of(file) or "era5"  # whose reader says what it found
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     record, station_m = _READERS[kind](file, site, year, years), altitude_m
@@ -88,7 +88,7 @@ def read_weather_file(
                 "in this source "
                 "(of a reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
-        if faults or wanted_m is None:
+        if wanted_m is None or station_m is None:
             raise TableFault(*faults)
         return at_altitude(record, wanted_m, station_m, lapse_rate)
     if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
@@ -102,12 +102,7 @@ def read_weather_file(
     return record
 
 
-def form_of(path: Path) -> str:
-    """The format of a weather file, one of `FORMATS`; "era5" where nothing tells it: its reader says so."""
-    return weather_form(path) or "era5"
-
-
-def weather_form(path: Path) -> str | None:
+def form_of(path: Path) -> str | None:
     """The format of a weather file by its name, its first bytes, or the names in a ZIP archive; None for a
     table and for what cannot be read."""
     name = path.name.lower()

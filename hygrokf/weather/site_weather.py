@@ -1,23 +1,20 @@
-"""The weather of a site in the making: columns of its file as series in SI units, faults and warnings; hours
-of a typical year in one calendar year; and the move from the height of a station or grid cell to that of the
-site."""
+"""The weather of a site in the making: the fields of a file, what they hold, and the series that they become;
+and the move from the height of a station or grid cell to that of the site."""
 
 from __future__ import annotations
 
-import calendar
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import fitting_units, from_si, signal_named, to_si, unit_named
-from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_DRY_AIR,
     dew_point,
@@ -26,6 +23,8 @@ from hygrokf.physics.psychrometrics import (
 )
 
 EARTH_RADIUS_KM = 6371.0
+LOW_WIND_M = 50.0
+"""[m] height up to which a wind is said not to be that at the hub."""
 _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("degree_celsius", "degrees_celsius"), ("degC", 1.0)),
     **dict.fromkeys(("m/s", "ms-1"), ("m/s", 1.0)),
@@ -39,6 +38,8 @@ _FURTHER_UNITS: dict[str, tuple[str, float]] = {
     "m": ("mm", 1000.0),
     "inch": ("mm", 25.4),
     **dict.fromkeys(("(0-1)", "dimensionless", "kg/kg", "kgkg-1"), ("1", 1.0)),
+    "tenths": ("1", 0.1),
+    "eighths": ("1", 0.125),
 }
 """Units of weather files, in lower case and without blanks, * and ^: a name in `UNITS`, and how many of it.
 Energies and rates are those of an hour."""
@@ -50,94 +51,163 @@ def unit_in_weather(text: str, signal: str) -> tuple[str, float] | None:
     return (unit, count) if unit is not None and unit in fitting_units(signal) else None
 
 
-def converted(name: str, value: np.ndarray, unit: str, signal: str, faults: list[str]) -> np.ndarray:
-    """Values (T,) of a column in the SI unit of a signal; NaN, and a fault, for an unknown unit."""
-    known = unit_in_weather(unit, signal)
-    if known is not None:
-        return to_si(known[1] * value, known[0], signal)
-    fitting = fitting_units(signal)
-    further = (one for one, (other, _) in _FURTHER_UNITS.items() if other in fitting)
-    listed = ", ".join(dict.fromkeys((*fitting, *further)))
-    faults.append(f'{name}: unknown unit "{unit}"; expected one of {listed}')
-    return np.full(len(value), math.nan)
+class Variable(NamedTuple):
+    """What a field of a format holds.
 
-
-@dataclass
-class SiteWeather:
-    """Series of one file at one place, in the making.
-
-    file: its name. time: [s] (T,). place: in words, or "". remedy: what to do about impossible values.
+    signal: that it is, or in whose unit it is read. unit: where the file states none. mean: whether it is the
+    mean or the sum of the hour that ends at the stamp. part: whether signals are only derived from it.
+    missing: code from which on nines mean that there is no value. names: other names of the field.
     """
 
-    file: str
-    time: np.ndarray
-    place: str = ""
-    remedy: str = "fetch the file again"
-    faults: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    series: list[Series] = field(default_factory=list)
+    signal: str
+    unit: str
+    mean: bool = False
+    part: bool = False
+    missing: float = math.inf
+    names: tuple[str, ...] = ()
 
-    def add(
-        self,
-        signal: str,
-        value: np.ndarray,
-        names: str,
-        *,
-        mean: bool = False,
-        height_m: float | None = None,
-        remedy: str = "",
-    ) -> None:
+
+class Field(NamedTuple):
+    """One field at one place: values (T,), its name in the file, and the unit that it states, or None."""
+
+    value: np.ndarray
+    name: str
+    unit: str | None = None
+
+
+def short_name(variables: Mapping[str, Variable], name: str) -> str | None:
+    """The name among the variables of a format of a field, such as "t2m" for "2m_temperature"; None for one
+    that is not used."""
+    either = {name, name.lower()}
+    return next((short for short, one in variables.items() if either & {short, *one.names}), None)
+
+
+class SiteWeather:
+    """Fields of one file at one place, and the series that are made of them.
+
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: by the name
+    of their format. variables: name -> what it holds. site: the place, or None; place: in words.
+    height_m: [m] of the wind. shift_s: [s] from a stamp to the time that it stands for.
+    """
+
+    def __init__(
+        self, file: str, time: np.ndarray, fields: Mapping[str, Field], variables: Mapping[str, Variable], *,
+        site: Site | None = None, place: str = "", height_m: float | None = None, shift_s: float = 0.0,
+        warnings: Iterable[str] = (),
+    ) -> None:  # fmt: skip
+        if not len(time):
+            raise TableFault("has no hour in it: fetch it again")
+        stamps, rows = np.unique(time, return_index=True)
+        self.file, self.time, self.fields, self.variables = file, stamps + shift_s, fields, variables
+        self.site, self.place, self.height_m = site, place, height_m
+        self.warnings, self.faults, self.series = list(warnings), list[str](), list[Series]()
+        self.value: dict[str, np.ndarray] = {}  # [SI unit] (T,) by name
+        self.repeated = len(time) - len(stamps)
+        if self.repeated:
+            self.warnings.append(f"{self.repeated} stamps occur more than once; the first of each kept")
+        for name, one in fields.items():
+            raw = np.asarray(one.value, dtype=float)[rows]
+            if (endless := np.isinf(raw)).any():
+                said = f"{int(endless.sum())} values are infinite, taken as missing"
+                self.warnings.append(f"{one.name}: {said}")
+            self.value[name] = self._converted(name, np.where(endless, np.nan, raw))
+
+    def _converted(self, name: str, value: np.ndarray) -> np.ndarray:
+        """Values (T,) of a field in the SI unit of its signal; NaN, and a fault, for an unknown unit."""
+        variable, one = self.variables[name], self.fields[name]
+        unit = variable.unit if one.unit is None else one.unit
+        if (known := unit_in_weather(unit, variable.signal)) is not None:
+            return to_si(known[1] * value, known[0], variable.signal)
+        fitting = fitting_units(variable.signal)
+        further = (text for text, (other, _) in _FURTHER_UNITS.items() if other in fitting)
+        listed = ", ".join(dict.fromkeys((*fitting, *further)))
+        self.faults.append(f'{one.name}: unknown unit "{unit}"; expected one of {listed}')
+        return np.full(len(value), math.nan)
+
+    def add(self, signal: str, value: np.ndarray, *names: str) -> None:
         """Add a series; or a warning where there is no value, or a fault where the values are impossible.
 
-        value: (T,) [SI unit], NaN = missing. names: of its columns, in messages. mean: whether it is the mean
-            or the sum of the hour that ends at the stamp.
+        value: (T,) [SI unit], NaN = missing. names: of the fields that it is made of.
         """
         known, row = value[np.isfinite(value)], signal_named(signal)
+        fields, variables = [self.fields[name] for name in names], [self.variables[name] for name in names]
+        named = " and ".join(one.name for one in fields)
         if not len(known):
-            self.warnings.append(f"{names}: no value at this point, {signal} is left out")
+            self.warnings.append(f"{named}: no value at this point, {signal} is left out")
             return
         low, high = np.quantile(known, [0.02, 0.98])
         if not (row.low <= low and high <= row.high):
             unit = "" if row.display == "1" else f" {row.display}"
             low, high = from_si(np.array([low, high]), row.display, row)
-            beyond = f"{signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
-            self.faults.append(f"{names}: {beyond}: {remedy or self.remedy}")
-        else:
-            column = names if names.startswith("column ") else f'column "{names}"'
-            source = f"{self.file}, {column}" + (f" at {self.place}" if self.place else "")
-            interval_s = HOUR_S if mean else 0.0
-            self.series.append(
-                Series(signal, self.time, value, interval_s=interval_s, source=source, height_m=height_m)
+            stated = (
+                f'the unit "{one.unit}"' if one.unit else f"no unit, so {variable.unit} was taken"
+                for one, variable in zip(fields, variables, strict=True)
+            )  # fmt: skip
+            self.faults.append(
+                f"{named}: {signal} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible: the file "
+                f"states {' and '.join(dict.fromkeys(stated))}; correct it, or fetch the file again if its "
+                "columns are shifted"
             )
+            return
+        if row.dimension == "irradiance" or signal == "rain":
+            value = np.maximum(value, 0.0)  # NaN stays NaN
+        column = named if named.startswith("column ") else f'column "{named}"'
+        source = f"{self.file}, {column}" + (f" at {self.place}" if self.place else "")
+        interval_s = HOUR_S if variables[0].mean else 0.0
+        height_m = self.height_m if signal.startswith("wind_") else None
+        self.series.append(
+            Series(signal, self.time, value, interval_s=interval_s, source=source, height_m=height_m)
+        )
 
-    def add_wind(self, east: np.ndarray, north: np.ndarray, names: str, **stated: Any) -> None:
-        """Add speed and direction of a wind [m/s] (T,) that blows towards east and north; stated: as for
-        `add`."""
-        # where the wind comes from, clockwise from north
-        direction = np.mod(np.arctan2(-east, -north), 2.0 * math.pi)
-        for signal, value in (("wind_speed", np.hypot(east, north)), ("wind_direction", direction)):
-            self.add(signal, value, names, **stated)
+    def add_wind(self, winds: Sequence[tuple[float, str, str]]) -> None:
+        """Add speed and direction of the first wind that the file holds: its height [m], and the names of the
+        fields [m/s] in which it blows towards east and north."""
+        for height_m, *pair in winds:
+            if set(pair) <= set(self.value):
+                east, north = (self.value[name] for name in pair)
+                self.height_m = height_m
+                self.add("wind_speed", np.hypot(east, north), *pair)
+                # where the wind comes from, clockwise from north
+                self.add("wind_direction", np.mod(np.arctan2(-east, -north), 2.0 * math.pi), *pair)
+                return
 
-    def record(self, site: Site | None, sha256: str, lacking: str = "") -> Record:
-        """The record.  Raises TableFault with every fault.
-
-        site: of the weather. sha256: of the file. lacking: the fault of a file without temperature.
-        """
-        of = {one.signal: one.value for one in self.series}
-        if lacking and not self.faults and "ambient_temperature" not in of:
-            self.faults.append(lacking)
+    def record(self, sha256: str) -> Record:
+        """The record, with the fields that are signals themselves where none is derived; sha256: of the file.
+        Raises TableFault with every fault."""
+        for name, (signal, _, _, part, *_) in self.variables.items():
+            if name in self.value and not part and all(one.signal != signal for one in self.series):
+                self.add(signal, self.value[name], name)
         if self.faults:
             raise TableFault(*self.faults)
+        of = {one.signal: one for one in self.series}
         if {"ambient_temperature", "ambient_dew_point_temperature"} <= set(of):
-            above = of["ambient_dew_point_temperature"] - of["ambient_temperature"]
+            above = of["ambient_dew_point_temperature"].value - of["ambient_temperature"].value
             share = np.mean(above[np.isfinite(above)] > 0.5) if np.isfinite(above).any() else 0.0
             if share > 0.01:
                 self.warnings.append(
                     f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the "
                     "two swapped?"
                 )
+        if "wind_speed" in of and (self.height_m or math.inf) <= LOW_WIND_M:
+            mean = "; speed of the hour's mean wind" * (of["wind_speed"].interval_s > 0.0)
+            self.warnings.append(f"wind_speed is measured at {self.height_m:g} m, not at hub height{mean}")
         origin = ((self.file, sha256),)
-        return Record(self.file, tuple(self.series), site, warnings=tuple(self.warnings), provenance=origin)
+        return Record(
+            self.file, tuple(self.series), self.site, warnings=tuple(self.warnings), provenance=origin
+        )
+
+
+def complete(record: Record, no_temperature: str, ask: str) -> Record:
+    """A record with a temperature; a warning, with what to ask for, where it has no humidity.
+
+    Raises TableFault with `no_temperature`.
+    """
+    if "ambient_temperature" not in record:
+        raise TableFault(no_temperature)
+    if "ambient_dew_point_temperature" in record:
+        return record
+    lacking = f"no dew point: this weather has no humidity; ask for {ask}"
+    return dataclasses.replace(record, warnings=(*record.warnings, lacking))
 
 
 def dew_point_of(share: np.ndarray, temperature: np.ndarray) -> np.ndarray:
@@ -172,96 +242,6 @@ def place_text(latitude_deg: float, longitude_deg: float, site: Site | None = No
     return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
 
 
-WIND_HEIGHT_M = 10.0
-"""[m] height of the wind in files of typical years."""
-SHIFTED = "the columns are shifted, or in other units"
-"""What impossible values mean in files of typical years."""
-WIND_WARNING = "wind_speed is measured at 10 m, not at hub height"
-
-
-def placed_in_years(
-    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own: str
-) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """Hours moved to each of several calendar years: their stamps, their columns, and warnings.
-
-    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first one,
-    1900 … 2200. years: how many. own: the years of the file in words, "" where it is that year.
-
-    29 February is a repetition of the 28th where a year needs it and the file has none; it is left out
-    where the year has none.  Raises TableFault for a year out of range.
-    """
-    last = year + years - 1
-    if not 1900 <= year <= last <= 2200:
-        raise TableFault(f"year must lie within 1900 … 2200, found {year if last > 2200 >= year else last}")
-    months, days = stamps[:, 1], stamps[:, 2]
-    leap_day = (months == 2) & (days == 29)
-    before = np.flatnonzero((months == 2) & (days == 28))
-    rows, placed, repeated, said = [], [], [], []
-    for one in range(year, last + 1):
-        keep, day = np.arange(len(days)), days
-        if calendar.isleap(one) and not leap_day.any() and len(before) == 24:
-            keep, day = np.insert(keep, before[-1] + 1, before), np.insert(day, before[-1] + 1, 24 * [29])
-            repeated.append(str(one))
-        elif not calendar.isleap(one) and leap_day.any():
-            keep, day = keep[~leap_day], day[~leap_day]
-            said.append(f"{one} is not a leap year: 29 February is left out")
-        rows.append(keep)
-        placed.append(np.column_stack([np.full(len(day), one), months[keep], day, stamps[keep, 3]]))
-    if own:
-        span = f"{year}" if years == 1 else f"{year} … {last}"
-        said.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
-    if repeated:
-        leap = "is a leap year" if len(repeated) == 1 else "are leap years"
-        said.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
-    kept = np.concatenate(rows)
-    return np.concatenate(placed), {name: one[kept] for name, one in columns.items()}, said
-
-
-def local_seconds(stamps: np.ndarray) -> np.ndarray:
-    """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
-    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
-    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
-    return days * DAY_S + stamps[:, 3] * HOUR_S
-
-
-def hours_table(
-    lines: Sequence[tuple[int, Sequence[str]]],
-    width: int,
-    used: Sequence[int],
-    date: Callable[[np.ndarray], Iterable[float]],
-    faults: list[str],
-    exact: bool = False,
-) -> np.ndarray:
-    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
-
-    lines: number and cells. width: of a line at least, or with `exact` of every line.
-    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
-    """
-    table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
-    wrong = []
-    for row, (number, cells) in zip(table, lines, strict=True):
-        try:
-            if len(cells) < width or (exact and len(cells) > width):
-                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
-            for column in used:
-                if column < len(cells) and cells[column].strip():
-                    row[column] = float(cells[column])
-                    if not np.isfinite(row[column]):
-                        raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
-            year, month, day, hour = (int(one) for one in date(row))
-            if not 1 <= hour <= 24:
-                raise ValueError(f"expected an hour 1 … 24, found {hour}")
-            if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
-                raise ValueError(f"expected a date, found {year}, {month}, {day}")
-            if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
-                raise ValueError(f"month {month} has no day {day}")
-        except ValueError as reason:
-            wrong.append(f"line {number}: {reason}")
-    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
-    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
-    return table
-
-
 GRAVITY = 9.80665
 """[m/s²] standard acceleration of free fall; reanalyses use it for geopotential too."""
 LAPSE_RATE = 0.0065
@@ -286,13 +266,10 @@ def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = L
     return (1.0 - lapse_rate * rise_m / kelvin) ** (GRAVITY / (GAS_CONSTANT_DRY_AIR * lapse_rate))
 
 
-def at_altitude(
-    record: Record, altitude_m: float, from_m: float | None = None, lapse_rate: float = LAPSE_RATE
-) -> Record:
+def at_altitude(record: Record, altitude_m: float, from_m: float, lapse_rate: float = LAPSE_RATE) -> Record:
     """A weather record moved to the height of the site.
 
-    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record; None:
-        that of its site.
+    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record.
     lapse_rate: [K/m] decrease of temperature with height, -0.02 … 0.02.
 
     Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) is
@@ -301,16 +278,11 @@ def at_altitude(
     how often.  Sun, wind, cloud and rain do not change.  The lapse rate is a mean: that of single hours
     differs, in winter inversions even in sign.
 
-    Raises ValueError where the record's height is not known, or a number is out of its range.
+    Raises ValueError for a lapse rate out of its range.
     """
-    station_m = from_m
-    if station_m is None and record.site is not None:
-        station_m = record.site.altitude_m
-    if station_m is None:
-        raise ValueError(f"{record.name}: the height of this weather is not known; state it")
     if not -0.02 <= lapse_rate <= 0.02:
         raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
-    rise = altitude_m - station_m
+    rise = altitude_m - from_m
     site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
     moved, warnings = [], []
     for one in record.series:
@@ -337,7 +309,7 @@ def at_altitude(
         moved.append(dataclasses.replace(one, value=value))
     warnings.insert(
         0,
-        f"converted from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
+        f"converted from {from_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic "
         "pressure, "
         "mixing ratio kept",
     )

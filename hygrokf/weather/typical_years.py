@@ -4,10 +4,11 @@ Time."""
 
 from __future__ import annotations
 
+import calendar
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,45 +16,38 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
-from hygrokf.data.signals import to_si
 from hygrokf.data.table_readers import csv_rows
-from hygrokf.data.timestamps import HOUR_S
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import (
-    ZERO_CELSIUS_K,
     dew_point,
     vapour_pressure,
     vapour_pressure_from_humidity_ratio,
 )
 from hygrokf.weather.archive import only_content
-from hygrokf.weather.site_weather import (
-    SHIFTED,
-    WIND_HEIGHT_M,
-    WIND_WARNING,
-    SiteWeather,
-    dew_point_of,
-    hours_table,
-    local_seconds,
-    place_text,
-    placed_in_years,
-)
+from hygrokf.weather.site_weather import Field, SiteWeather, Variable, complete, dew_point_of, place_text
 
+WIND_HEIGHT_M = 10.0
+"""[m] height of the wind in files of typical years."""
+_DEW_POINT = "ambient_dew_point_temperature"
 _HEADER = 8
-_COLUMNS = {
-    # signal: column (from 0), unit, code from which a value is missing, hold
-    "ambient_temperature": (6, "degC", 99.9, "instant"),
-    "ambient_dew_point_temperature": (7, "degC", 99.9, "instant"),
-    "ambient_relative_humidity": (8, "%", 999.0, "instant"),
-    "ambient_pressure": (9, "Pa", 999999.0, "instant"),
-    "global_horizontal_irradiance": (13, "W/m2", 9999.0, "hour"),
-    "direct_normal_irradiance": (14, "W/m2", 9999.0, "hour"),
-    "diffuse_horizontal_irradiance": (15, "W/m2", 9999.0, "hour"),
-    "wind_direction": (20, "deg", 999.0, "instant"),
-    "wind_speed": (21, "m/s", 999.0, "instant"),
-    "cloud_cover": (22, "1", 99.0, "instant"),
-    "rain": (33, "mm", 999.0, "hour"),
+_EPW = {
+    f"column {number}": variable
+    for number, variable in {
+        7: Variable("ambient_temperature", "degC", missing=99.9),
+        8: Variable(_DEW_POINT, "degC", missing=99.9),
+        9: Variable("ambient_relative_humidity", "%", part=True, missing=999.0),
+        10: Variable("ambient_pressure", "Pa", missing=999999.0),
+        14: Variable("global_horizontal_irradiance", "W/m2", mean=True, missing=9999.0),
+        15: Variable("direct_normal_irradiance", "W/m2", mean=True, missing=9999.0),
+        16: Variable("diffuse_horizontal_irradiance", "W/m2", mean=True, missing=9999.0),
+        21: Variable("wind_direction", "deg", missing=999.0),
+        22: Variable("wind_speed", "m/s", missing=999.0),
+        23: Variable("cloud_cover", "tenths", missing=99.0),
+        34: Variable("rain", "mm", mean=True, missing=999.0),
+    }.items()
 }
 _FEWEST_COLUMNS = 22
-_NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
+_NINES = (9.0, 99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
 def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int = 1) -> Record:
@@ -77,45 +71,61 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None, years: int =
     content, digest = only_content(file, ("epw",), "an EPW file, whose first line begins with LOCATION")
     rows = [cells for _, cells in csv_rows(content.data, "utf-8-sig")]
     faults: list[str] = []
-    site, zone_h, place = _location(rows[0], faults)
-    calendar, value = _hours(rows, faults)
+    site, zone_h = _location(rows[0], faults)
+    table = _hours(rows, faults)
     if faults:
         raise TableFault(*faults)
-    written = np.unique(calendar[:, 0])
-    warnings: list[str] = []
+    stamps = table[:, :4].astype(int)
+    written = np.unique(stamps[:, 0])
     if year is None and len(written) > 1:
         raise TableFault(
             f"is a typical year composed of months from {written[0]} … {written[-1]}; state the calendar "
             "year to assign to it, such as year = 2019"
         )
+    same = year is None or (years == 1 and list(written) == [year])
+    own = "" if same else f"{written[0]} … {written[-1]}"
+    columns = {f"column {place}": column for place, column in enumerate(table.T, 1)}
+    weather = _weather(file.name, stamps, columns, _EPW, site, zone_h, year, years, own, _HEADER)
+    _add_epw_dew_point(weather)
+    lacking = "no dry-bulb temperature: all values of column 7 are missing"
+    return complete(weather.record(digest), lacking, "a file with dew points or relative humidity")
+
+
+def _weather(
+    file: str, stamps: np.ndarray, columns: Mapping[str, np.ndarray], variables: Mapping[str, Variable],
+    site: Site | None, zone_h: float, year: int | None, years: int, own: str, header: int,
+) -> SiteWeather:  # fmt: skip
+    """The weather of hours, moved to calendar years.  Raises TableFault where they are not consecutive.
+
+    stamps, columns, years, own: as for `placed_in_years`; year: too, or None for the years as written.
+    zone_h: [h] of the clock. header: number of its lines.
+    """
+    warnings: list[str] = []
     if year is not None:
-        same = years == 1 and list(written) == [year]
-        own = "" if same else f"{written[0]} … {written[-1]}"
-        calendar, value, warnings = placed_in_years(calendar, value, year, years, own)
-    time = local_seconds(calendar) - zone_h * HOUR_S
+        stamps, columns, warnings = placed_in_years(stamps, columns, year, years, own)
+    time = local_seconds(stamps) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise TableFault(f"line {repeated + _HEADER + 1}: the hours must be consecutive, this hour is not")
-    weather = SiteWeather(file.name, time, place, SHIFTED, warnings=warnings)
-    _add_epw_columns(weather, value)
-    return weather.record(site, digest, "no dry-bulb temperature: all values of column 7 are missing")
+        raise TableFault(f"line {repeated + header + 1}: the hours must be consecutive, this hour is not")
+    fields = {}
+    for name, variable in variables.items():
+        if name in columns:
+            # codes vary in their number of nines; other large values point to a wrong unit
+            codes = [one for one in _NINES if one >= variable.missing - 1e-9]
+            absent = np.isclose(columns[name][:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
+            value = np.where(absent, np.nan, columns[name])
+            if np.isfinite(value).any():
+                fields[name] = Field(value, name)
+    place = "" if site is None else place_text(site.latitude_deg, site.longitude_deg)
+    if site is not None and site.altitude_m is not None:
+        place += f" {site.altitude_m:g} m"
+    return SiteWeather(
+        file, time, fields, variables, site=site, place=place, height_m=WIND_HEIGHT_M, warnings=warnings
+    )
 
 
-def _add_epw_columns(weather: SiteWeather, value: Mapping[str, np.ndarray]) -> None:
-    """Add the series of values (T,) in the file's units."""
-    si = {one: to_si(number, _COLUMNS[one][1], one) for one, number in value.items()}
-    si["ambient_dew_point_temperature"] = _epw_dew_point(si, weather)
-    for signal, number in si.items():
-        if signal != "ambient_relative_humidity" and np.isfinite(number).any():
-            column, _, _, kind = _COLUMNS[signal]
-            height_m = WIND_HEIGHT_M if signal.startswith("wind_") else None
-            weather.add(signal, number, f"column {column + 1}", mean=kind != "instant", height_m=height_m)
-    if np.isfinite(si["wind_speed"]).any():
-        weather.warnings.append(WIND_WARNING)
-
-
-def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:
-    """Site, time zone [h] and the place in words, from the first line."""
+def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float]:
+    """Site and time zone [h] of the first line."""
     cells = [cell.strip() for cell in row]
     names = ("latitude", "longitude", "time zone", "elevation")
     try:
@@ -125,21 +135,19 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
             f"line 1: expected LOCATION with {', '.join(names)} in cells 7 to 10, found "
             f"{', '.join(cells[6:10]) or 'none'}"
         )
-        return None, 0.0, ""
+        return None, 0.0
     if not -14.0 <= zone <= 14.0:
         faults.append(f"line 1: expected a time zone within -14 … 14 h, found {zone:g}")
     try:
-        site = Site(latitude, longitude, altitude)
+        return Site(latitude, longitude, altitude), zone
     except ValueError as outside:
         faults.append(f"line 1: {outside}")
-        return None, zone, ""
-    return site, zone, f"{place_text(latitude, longitude)} {altitude:g} m"
+        return None, zone
 
 
-def _hours(rows: list[list[str]], faults: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Year, month, day, hour 1…24 (T, 4) as written, and signal -> (T,) in the unit of `_COLUMNS`, NaN =
-    missing; the faults of the lines are added to `faults`."""
-    nothing = np.zeros((0, 4), dtype=int), dict[str, np.ndarray]()
+def _hours(rows: list[list[str]], faults: list[str]) -> np.ndarray:
+    """The columns (T, C), of which the first are year, month, day, hour 1…24; adds their faults."""
+    nothing = np.zeros((0, _FEWEST_COLUMNS))
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
         faults.append(
@@ -152,26 +160,16 @@ def _hours(rows: list[list[str]], faults: list[str]) -> tuple[np.ndarray, dict[s
         faults.append(f"line {_HEADER}: expected 1 record an hour, found {hourly or 'none'}")
         return nothing
     body = [row for row in rows[_HEADER:] if any(cell.strip() for cell in row)]
-    used = sorted({0, 1, 2, 3, *(column for column, *_ in _COLUMNS.values())})
+    used = [0, 1, 2, 3, *(int(name.removeprefix("column ")) - 1 for name in _EPW)]
     before = len(faults)
-    numbered = list(enumerate(body, _HEADER + 1))
-    table = hours_table(numbered, _FEWEST_COLUMNS, used, lambda row: row[:4], faults)
-    if len(faults) > before:
-        return nothing
+    table = hours_table(
+        list(enumerate(body, _HEADER + 1)), _FEWEST_COLUMNS, used, lambda row: row[:4], faults
+    )
     expected = _expected_hours(periods)
-    if expected is not None and len(body) not in (expected, expected + 24):
+    if len(faults) == before and expected is not None and len(body) not in (expected, expected + 24):
         remedy = "the file is cut short; fetch it again" if len(body) < expected else "lines occur twice"
         faults.append(f"expected {expected} hours after its DATA PERIODS, found {len(body)}: {remedy}")
-    value = {}
-    for signal, (column, _, missing, _) in _COLUMNS.items():
-        if column < table.shape[1]:
-            raw = table[:, column]
-            # codes vary in their number of nines; other large values point to a wrong unit
-            codes = [one for one in _NINES if one >= missing - 1e-9]
-            absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
-            scale = 10.0 if signal == "cloud_cover" else 1.0
-            value[signal] = np.where(absent, np.nan, raw) / scale
-    return table[:, :4].astype(int), value
+    return table
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
@@ -184,13 +182,14 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
     return 24 * ((last - first).days + 1) if last >= first else None
 
 
-def _epw_dew_point(si: Mapping[str, np.ndarray], weather: SiteWeather) -> np.ndarray:
-    """Dew points (T,) [K], missing ones from relative humidity."""
-    share, own = si["ambient_relative_humidity"], si["ambient_dew_point_temperature"]
-    made = dew_point_of(share, si["ambient_temperature"])
+def _add_epw_dew_point(weather: SiteWeather) -> None:
+    """Add the dew points, missing ones from relative humidity."""
+    nothing = np.full(len(weather.time), math.nan)
+    warm, own, share = (weather.value.get(f"column {number}", nothing) for number in (7, 8, 9))
+    made = dew_point_of(share, warm)
     lacking = np.isnan(own) & np.isfinite(made)
     if not lacking.any():
-        return own
+        return
     highest = 100.0 * float(np.nanmax(share))
     if highest <= 1.5:
         weather.faults.append(
@@ -200,7 +199,8 @@ def _epw_dew_point(si: Mapping[str, np.ndarray], weather: SiteWeather) -> np.nda
     weather.warnings.append(
         f"{int(lacking.sum())} dew points are missing; they were computed from relative humidity over water"
     )
-    return np.where(lacking, made, own)
+    name = "column 8" if "column 8" in weather.fields else "column 9"
+    weather.add(_DEW_POINT, np.where(lacking, made, own), name)
 
 
 ZONE_H = 1.0
@@ -208,15 +208,16 @@ ZONE_H = 1.0
 HOURS = 8760
 END_OF_HEADER = "***"
 _NEEDED = ("MM", "DD", "HH", "t", "p", "x", "RF")
-_MISSING = {"WR": 999.0, "N": 9.0}
-_SIGNALS = {
-    # signal: column, unit, whether it holds over the hour
-    "ambient_temperature": ("t", "degC", False),
-    "ambient_pressure": ("p", "hPa", False),
-    "wind_direction": ("WR", "deg", False),
-    "wind_speed": ("WG", "m/s", False),
-    "cloud_cover": ("N", "1", False),
-    "diffuse_horizontal_irradiance": ("D", "W/m2", True),
+_TRY = {
+    "t": Variable("ambient_temperature", "degC"),
+    "p": Variable("ambient_pressure", "hPa"),
+    "WR": Variable("wind_direction", "deg", missing=999.0),
+    "WG": Variable("wind_speed", "m/s"),
+    "N": Variable("cloud_cover", "eighths", missing=9.0),
+    "B": Variable("global_horizontal_irradiance", "W/m2", mean=True, part=True),
+    "D": Variable("diffuse_horizontal_irradiance", "W/m2", mean=True),
+    "x": Variable("cloud_cover", "1", part=True),
+    "RF": Variable("ambient_relative_humidity", "%", part=True),
 }
 
 
@@ -263,18 +264,16 @@ def read_try(path: str | os.PathLike[str], year: int | None = None, years: int =
     if faults:
         raise TableFault(*faults)
     column = {name: table[:, place] for place, name in enumerate(names)}
-    stamps = np.column_stack(
-        [np.full(len(table), year), *(column[name] for name in ("MM", "DD", "HH"))]
-    ).astype(int)
-    stamps, column, said = placed_in_years(stamps, column, year, years, "a test reference year")
-    warnings += said
-    time = local_seconds(stamps) - ZONE_H * HOUR_S
-    if (np.abs(np.diff(time) - HOUR_S) > 1.0).any():
-        place = int(np.argmax(np.abs(np.diff(time) - HOUR_S) > 1.0))
-        raise TableFault(f"hour {place + 2} of the year: the hours must be consecutive, this one is not")
-    weather = SiteWeather(file.name, time, remedy=SHIFTED, warnings=warnings)
-    _add_try_columns(weather, column)
-    return weather.record(site, digest)
+    stamps = np.column_stack([np.full(len(table), year), *(column[one] for one in ("MM", "DD", "HH"))])
+    own = "a test reference year"
+    weather = _weather(file.name, stamps.astype(int), column, _TRY, site, ZONE_H, year, years, own, end + 1)
+    weather.warnings[:0] = warnings
+    value = weather.value
+    if {"B", "D"} <= set(value):
+        weather.add("global_horizontal_irradiance", value["B"] + value["D"], "B", "D")
+    if {"x", "RF", "p", "t"} <= set(value):
+        weather.add(_DEW_POINT, _try_dew_point(weather), "x", "RF", "p", "t")
+    return complete(weather.record(digest), "no temperature: all values of t are missing", "x and RF")
 
 
 def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> np.ndarray:
@@ -292,41 +291,109 @@ def _table(lines: list[str], end: int, names: list[str], faults: list[str]) -> n
     )
 
 
-def _add_try_columns(weather: SiteWeather, column: Mapping[str, np.ndarray]) -> None:
-    """Add the series of columns (T,)."""
-    for signal, (name, unit, held) in _SIGNALS.items():
-        raw = column.get(name, np.full(len(weather.time), math.nan))
-        raw = np.where(raw == _MISSING.get(name, math.inf), math.nan, raw) / (8.0 if name == "N" else 1.0)
-        if np.isfinite(raw).any():
-            height_m = WIND_HEIGHT_M if signal.startswith("wind_") else None
-            weather.add(signal, to_si(raw, unit, signal), f'column "{name}"', mean=held, height_m=height_m)
-    if {"B", "D"} <= set(column):
-        sun = np.maximum(column["B"] + column["D"], 0.0)
-        weather.add("global_horizontal_irradiance", sun, 'column "B and D"', mean=True)
-    humid = _try_dew_point(column, weather.warnings)
-    weather.add("ambient_dew_point_temperature", humid, 'column "x, RF, p and t"')
-    weather.warnings.append(WIND_WARNING)
-
-
-def _try_dew_point(column: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:
+def _try_dew_point(weather: SiteWeather) -> np.ndarray:
     """Dew point over water (T,) [K] from mixing ratio or relative humidity, whichever is rounded more
     finely."""
-    ratio = np.where(column["x"] > 0.0, 1e-3 * column["x"], math.nan)
-    share = np.where(column["RF"] > 0.0, 0.01 * column["RF"], math.nan)
-    by_ratio = np.asarray(vapour_pressure_from_humidity_ratio(ratio, 100.0 * column["p"]))
-    by_share = np.asarray(vapour_pressure(np.minimum(share, 1.0), column["t"] + ZERO_CELSIUS_K))
+    x, rf, pressure, kelvin = (weather.value[name] for name in ("x", "RF", "p", "t"))
+    ratio, share = np.where(x > 0.0, 1e-3 * x, math.nan), np.where(rf > 0.0, rf, math.nan)
+    by_ratio = np.asarray(vapour_pressure_from_humidity_ratio(ratio, pressure))
+    by_share = np.asarray(vapour_pressure(np.minimum(share, 1.0), kelvin))
     apart = np.abs(by_ratio / by_share - 1.0)
     apart = apart[np.isfinite(apart)]
     if len(apart) and float(np.median(apart)) > 0.05:
-        warnings.append(
+        weather.warnings.append(
             f"x and RF differ by {100 * float(np.median(apart)):.0f} % in the vapour pressure: are the "
             "columns shifted?"
         )
     # x is written to 0.1 g/kg, RF to 1 %
-    finer = np.where(np.isfinite(by_ratio), 0.1 / np.fmax(column["x"], 1e-3), math.inf) < 1.0 / np.fmax(
-        column["RF"], 1e-3
-    )
+    finer = np.where(np.isfinite(by_ratio), 0.1 / np.fmax(x, 1e-3), math.inf) < 0.01 / np.fmax(rf, 1e-5)
     return np.asarray(dew_point(np.where(finer | ~np.isfinite(by_share), by_ratio, by_share)))
+
+
+# --- hours of typical years -----------------------------------------------------------------
+
+
+def placed_in_years(
+    stamps: np.ndarray, columns: Mapping[str, np.ndarray], year: int, years: int, own: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Hours moved to each of several calendar years: their stamps, their columns, and warnings.
+
+    stamps: (T, 4) year, month, day, hour 1…24 as written. columns: of numbers (T,). year: the first one,
+    1900 … 2200. years: how many. own: the years of the file in words, "" where it is that year.
+
+    29 February is a repetition of the 28th where a year needs it and the file has none; it is left out
+    where the year has none.  Raises TableFault for a year out of range.
+    """
+    last = year + years - 1
+    if not 1900 <= year <= last <= 2200:
+        raise TableFault(f"year must lie within 1900 … 2200, found {year if last > 2200 >= year else last}")
+    months, days = stamps[:, 1], stamps[:, 2]
+    leap_day = (months == 2) & (days == 29)
+    before = np.flatnonzero((months == 2) & (days == 28))
+    rows, placed, repeated, said = [], [], [], []
+    for one in range(year, last + 1):
+        keep, day = np.arange(len(days)), days
+        if calendar.isleap(one) and not leap_day.any() and len(before) == 24:
+            keep, day = np.insert(keep, before[-1] + 1, before), np.insert(day, before[-1] + 1, 24 * [29])
+            repeated.append(str(one))
+        elif not calendar.isleap(one) and leap_day.any():
+            keep, day = keep[~leap_day], day[~leap_day]
+            said.append(f"{one} is not a leap year: 29 February is left out")
+        rows.append(keep)
+        placed.append(np.column_stack([np.full(len(day), one), months[keep], day, stamps[keep, 3]]))
+    if own:
+        span = f"{year}" if years == 1 else f"{year} … {last}"
+        said.append(f"hours of {own} stand in {span}: a typical year, not the weather of {span}")
+    if repeated:
+        leap = "is a leap year" if len(repeated) == 1 else "are leap years"
+        said.insert(0, f"{', '.join(repeated)} {leap}: 28 February is repeated as 29 February")
+    kept = np.concatenate(rows)
+    return np.concatenate(placed), {name: one[kept] for name, one in columns.items()}, said
+
+
+def local_seconds(stamps: np.ndarray) -> np.ndarray:
+    """Ends of hours (T, 4) as seconds since 1970-01-01T00:00 of the local clock (T,) [s]."""
+    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
+    return days * DAY_S + stamps[:, 3] * HOUR_S
+
+
+def hours_table(
+    lines: Sequence[tuple[int, Sequence[str]]],
+    width: int,
+    used: Sequence[int],
+    date: Callable[[np.ndarray], Iterable[float]],
+    faults: list[str],
+    exact: bool = False,
+) -> np.ndarray:
+    """The hours (T, columns) of lines, NaN where a cell is empty; the faults of the first lines are added.
+
+    lines: number and cells. width: of a line at least, or with `exact` of every line.
+    used: columns of numbers. date: year, month, day and hour 1 … 24 of a row.
+    """
+    table = np.full((len(lines), max([width, *(len(cells) for _, cells in lines)])), np.nan)
+    wrong = []
+    for row, (number, cells) in zip(table, lines, strict=True):
+        try:
+            if len(cells) < width or (exact and len(cells) > width):
+                raise ValueError(f"expected {'' if exact else 'at least '}{width} cells, found {len(cells)}")
+            for column in used:
+                if column < len(cells) and cells[column].strip():
+                    row[column] = float(cells[column])
+                    if not np.isfinite(row[column]):
+                        raise ValueError(f"cell {column + 1}: expected a number, found {cells[column]}")
+            year, month, day, hour = (int(one) for one in date(row))
+            if not 1 <= hour <= 24:
+                raise ValueError(f"expected an hour 1 … 24, found {hour}")
+            if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
+                raise ValueError(f"expected a date, found {year}, {month}, {day}")
+            if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
+                raise ValueError(f"month {month} has no day {day}")
+        except ValueError as reason:
+            wrong.append(f"line {number}: {reason}")
+    more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
+    faults += [*wrong[:2], *(one + more for one in wrong[2:3])]
+    return table
 
 
 # --- the place -------------------------------------------------------------------------------

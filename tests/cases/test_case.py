@@ -361,9 +361,9 @@ def test_humidity_with_sentinels_is_still_seen_to_be_a_fraction(folder):
 
 
 @pytest.mark.parametrize("factor", [1e-3, 2.0])
-def test_doubtful_power_is_a_warning(folder, factor):
+def test_doubtful_power_is_a_doubt(folder, factor):
     change(folder, "scada", P=columns(2)["P"] * factor)
-    assert any("rated_power_kW right?" in one for one in read(folder).warnings)
+    assert any("are its unit and the rated power right?" in one for one in all_doubts(read(folder)))
 
 
 def test_sources_that_share_no_time_show_both_spans(folder):

@@ -16,9 +16,9 @@ from builders.faults import faults_of
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Site
 from hygrokf.weather import archive
-from hygrokf.weather.gridded import point_fields
+from hygrokf.weather.gridded import point_weather
 from hygrokf.weather.reading import read_weather_file
-from hygrokf.weather.reanalysis import point_record, read_era5, short_name
+from hygrokf.weather.reanalysis import ERA5, derive_era5, read_era5
 
 if TYPE_CHECKING:
     import xarray
@@ -31,7 +31,9 @@ def faults(path: Path, site: Site | None = SITE) -> str:
 
 
 def era5_record(dataset: xarray.Dataset, site: Site = SITE) -> Record:
-    return point_record(point_fields(dataset, "data set", short_name, site))
+    weather = point_weather(dataset, "data set", ERA5, site)
+    derive_era5(weather)
+    return weather.record("")
 
 
 def assert_middle_cell(record, hours: int = made.HOURS, tolerance: float = 1e-4) -> None:
