@@ -27,11 +27,11 @@ from hygrokf.identification.fit import write_fit
 from hygrokf.live import config
 from hygrokf.live.config import SurfaceForm, TrackForm, TurbineForm, WanderingForm, read_config
 from hygrokf.live.mapping_form import MappingForm, SignalForm
-from hygrokf.live.notification.form import MailForm, WebhookForm
+from hygrokf.live.notification.transports import Mail, Webhook
 from hygrokf.live.plan import WANDERING
+from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.local import FileForm
-from hygrokf.live.sources.mqtt_form import MqttForm
-from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
+from hygrokf.live.sources.opcua_form import Server
 from hygrokf.live.sources.postgres import PostgresForm
 from hygrokf.live.sources.stream import SourceKeys
 from hygrokf.live.tracking import LogLines
@@ -132,9 +132,9 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
         (document("live_mapping.md"), (MappingForm,)),
         (OPERATION, (FileForm, PageForm)),
         (document("live_page.md"), (PageForm,)),
-        (document("live_mqtt.md"), (MqttForm,)),
-        (document("live_notify.md"), (MailForm, WebhookForm)),
-        (document("live_opcua.md"), (ServerForm, SecurityForm)),
+        (document("live_mqtt.md"), (Broker,)),
+        (document("live_notify.md"), (Mail, Webhook)),
+        (document("live_opcua.md"), (Server,)),
         (document("live_postgres.md"), (PostgresForm,)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",

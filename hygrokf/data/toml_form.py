@@ -113,6 +113,17 @@ def entry_name(read: Callable[[str], Any] = str) -> Any:
     return dataclasses.field(metadata={OF_ENTRY: True, STATED: Key(read=read)})
 
 
+@dataclass(frozen=True, kw_only=True)
+class FolderKeys:
+    """A table that names files, whose paths are relative to the `folder` of its own file."""
+
+    folder: Path = field(default=Path(), metadata={OF_ENTRY: True})
+
+    def path(self, key: str) -> Path | None:
+        """The file that a key names; None for none."""
+        return self.folder / getattr(self, key) if getattr(self, key) else None
+
+
 def across(*keys: str) -> Callable[[Check], Check]:
     """Mark a method of a form that checks these keys, if none of them is missing or at fault.
 

@@ -19,16 +19,16 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.mapping_form import MappingForm, expect_one_place, source_forms, source_mappings, texts
-from hygrokf.live.notification.form import channel_of
-from hygrokf.live.notification.notices import Channel
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.transports import channel_of
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.restart_advice import heating_sd
 from hygrokf.live.sources.local import FileForm, InputForm
-from hygrokf.live.sources.mqtt_form import MqttForm
-from hygrokf.live.sources.opcua_form import OpcUaForm
+from hygrokf.live.sources.opcua import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.postgres import PostgresForm
+from hygrokf.live.sources.sparkplug import MqttForm
 from hygrokf.live.sources.stream import SourceKeys, Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
@@ -84,8 +84,8 @@ def stream_of(
         place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
         return None
     own = replace(place, faults=[])
-    form = read_form(kind, table, own)
-    made = form.stream(folder, replace(mapping, weather=form.weather, revision=form.revision), own)
+    form = read_form(kind, table, own, folder=folder)
+    made = form.stream(replace(mapping, weather=form.weather, revision=form.revision), own)
     if made is not None and form.reach_limit_s is not None:
         made.reach_limit_s = form.reach_limit_s
     place.faults.extend(own.faults)

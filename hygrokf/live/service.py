@@ -23,7 +23,8 @@ from typing import TypeVar
 from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, isolation_steps, make_forecast
-from hygrokf.live.notification.notices import Channel, look_again, notices_of
+from hygrokf.live.notification.channel import Channel
+from hygrokf.live.notification.notices import look_again, notices_of
 from hygrokf.live.sources.stream import Delivery, Reach, Stream, pause_s
 from hygrokf.live.storage.database import REPLACED, StoreReplaced
 from hygrokf.live.storage.retention import Retention

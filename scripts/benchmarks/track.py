@@ -163,7 +163,8 @@ def served(
 ) -> Iterator[tuple[Service, Watched]]:
     """A service on the broker's messages that has taken in what its store holds; with a `ca` over TLS."""
     watched = Watched()
-    broker = Broker("127.0.0.1", port, ca is not None, ("scada/#",), "tracker", ca=ca)
+    scheme = "mqtt" if ca is None else "mqtts"
+    broker = Broker(f"{scheme}://127.0.0.1:{port}", ("scada/#",), client_id="tracker", ca=str(ca or ""))
     stream = Mqtt(broker, cases.mapping(list(turbines)))
     service = Service(turbines, [stream], store, watched.settle)
     runner = threading.Thread(target=service.run)

@@ -16,10 +16,9 @@ from builders.waiting import eventually
 
 from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.notification import sender as sending
-from hygrokf.live.notification.notices import Channel, notices_of
+from hygrokf.live.notification.notices import notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook
-from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.storage.outbox import waiting
 from hygrokf.live.storage.store import open_store
 from validation.counts import markdown
@@ -71,7 +70,7 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
     store = open_store(url)
     (folder / "hook.secret").write_text("whsec_" + base64.b64encode(SECRET).decode())
     server = MailServer() if kind == "mail" else WebhookServer(SECRET)
-    channel = Channel(kind, _transport(kind, server.port, folder))
+    channel = _channel(kind, server.port, folder)
     server.start()
     sender, restarts, number = Sender(channel, url), 0, 0
     sender.start()
@@ -120,12 +119,12 @@ def _outages(kind: str, count: int, seed: int, folder: Path, random: np.random.G
     )  # fmt: skip
 
 
-def _transport(kind: str, port: int, folder: Path) -> Mail | Webhook:
+def _channel(kind: str, port: int, folder: Path) -> Mail | Webhook:
     if kind == "mail":
-        to = ("ops@farm.example", "night@farm.example")
-        return Mail("127.0.0.1", port, "tracker@farm.example", to, unencrypted=True, timeout_s=0.5)
-    secret = Secret(folder / "hook.secret", key="secret")
-    return Webhook("127.0.0.1", port, "/hook", False, secret, timeout_s=0.5)
+        ends = {"sender": "tracker@farm.example", "to": ("ops@farm.example", "night@farm.example")}
+        return Mail(name=kind, url=f"smtp://127.0.0.1:{port}", unencrypted=True, timeout_s=0.5, **ends)
+    url = f"http://127.0.0.1:{port}/hook"
+    return Webhook(name=kind, url=url, folder=folder, secret_file="hook.secret", timeout_s=0.5)
 
 
 def one(kind: str, seed: int, *, count: int = 100) -> dict:

@@ -20,11 +20,10 @@ def started(url: str, port: int) -> subprocess.Popen[bytes]:
 
 def send(url: str, port: str) -> None:
     from hygrokf.live.notification import sender
-    from hygrokf.live.notification.notices import Channel
     from hygrokf.live.notification.transports import Webhook
 
     sender.POLL_S = 0.01
-    sender.Sender(Channel("hook", Webhook("127.0.0.1", int(port), tls=False)), url).start()
+    sender.Sender(Webhook(name="hook", url=f"http://127.0.0.1:{port}"), url).start()
     threading.Event().wait()
 
 

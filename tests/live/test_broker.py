@@ -23,8 +23,8 @@ from hygrokf.live.sources.broker import (
     tls_words,
     unreachable,
 )
-from hygrokf.live.sources.mqtt_form import MqttForm, default_client_id
 from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.sparkplug import MqttForm
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"
@@ -32,7 +32,8 @@ SECRET = "pa55-4711"
 
 def read(folder: Path, text: str) -> tuple[Broker | None, list[str]]:
     place = Place("[[source]] 1")
-    broker = read_form(MqttForm, tomllib.loads(text), place).broker(folder, place)
+    broker = read_form(MqttForm, tomllib.loads(text), place, folder=folder)
+    broker.stream(MAPPING, place)
     return None if place.faults else broker, place.faults
 
 
@@ -54,23 +55,23 @@ def folder(tmp_path: Path) -> Path:
 def test_a_short_table(tmp_path: Path) -> None:
     found, faults = read(tmp_path, 'url = "mqtt://broker.example"\ntopics = ["scada/+/cabinet"]')
     assert faults == []
-    assert (found.host, found.port, found.tls, found.expiry_s) == ("broker.example", 1883, False, EXPIRY_S)
-    assert (found.topics, found.alarms, found.user) == (("scada/+/cabinet",), "", "")
+    assert found.where == "broker.example:1883" and not found.tls and found.session_expiry_s == EXPIRY_S
+    assert (found.topics, found.alarms, found.user_name) == (("scada/+/cabinet",), "", "")
     assert found.password.read() is None and found.context() is None and not list(found.cautions())
-    assert found.url == f"mqtt://broker.example:1883?client_id={found.client_id}"
+    assert found.session_url == f"mqtt://broker.example:1883?client_id={found.session}"
 
 
 def test_a_whole_table(folder: Path) -> None:
     found, faults = read(
         folder,
-        'url = "mqtts://the%20reader@[::1]:8884"\ntopics = ["$share/hygrokf/scada/#", "a/b", "a/b"]\nalarms '
+        'url = "mqtts://the%20reader@[::1]:8884"\ntopics = ["$share/hygrokf/scada/#", "a/b"]\nalarms '
         '= "hygrokf/alarms"\nclient_id = "tracker 1"\nsession_expiry = "2d"\npassword_file = "secret"\nca = '
         '"ca.crt"\ncertificate = "client.crt"\nkey = "client.key"',
     )
     assert faults == []
-    assert (found.host, found.port, found.tls, found.user) == ("::1", 8884, True, "the reader")
-    assert (found.topics, found.expiry_s) == (("$share/hygrokf/scada/#", "a/b"), 172_800.0)
-    assert found.url == "mqtts://[::1]:8884?client_id=tracker%201" and found.password.read() == SECRET
+    assert (found.where, found.tls, found.user_name) == ("[::1]:8884", True, "the reader")
+    assert (found.topics, found.session_expiry_s) == (("$share/hygrokf/scada/#", "a/b"), 172_800.0)
+    assert found.session_url == "mqtts://[::1]:8884?client_id=tracker%201" and found.password.read() == SECRET
     context = found.context()
     assert context.check_hostname and context.verify_mode.name == "CERT_REQUIRED"
     assert SECRET not in repr(found)
@@ -80,13 +81,12 @@ def test_the_session_is_the_same_after_a_restart_and_another_one_elsewhere(tmp_p
     text = 'url = "mqtt://broker.example"\ntopics = ["a"]'
     (tmp_path / "other").mkdir()
     names = [
-        read(tmp_path, text)[0].client_id,
-        read(tmp_path, text.replace('"a"', '"b"'))[0].client_id,
-        read(tmp_path / "other", text)[0].client_id,
-        read(tmp_path, text.replace("broker.", "another."))[0].client_id,
+        read(tmp_path, text)[0].session,
+        read(tmp_path, text.replace('"a"', '"b"'))[0].session,
+        read(tmp_path / "other", text)[0].session,
+        read(tmp_path, text.replace("broker.", "another."))[0].session,
     ]
     assert names[0] == names[1] and len(set(names)) == 3
-    assert names[0] == default_client_id("mqtt:broker.example:1883", tmp_path)
     assert all(name.startswith("hygrokf-") and len(name) <= 37 for name in names)
 
 

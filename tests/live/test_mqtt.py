@@ -42,7 +42,6 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.broker import Broker
-from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import Field, PayloadMapping
@@ -85,8 +84,9 @@ def messages(record: Record) -> list[tuple[str, str]]:
 
 
 def stream_of(found: Mosquitto, mapping: PayloadMapping = MAPPING, **changes: object) -> Mqtt:
-    settings = {"topics": ("scada/#",), "client_id": "tracker", "tls": False} | changes
-    return Mqtt(Broker("127.0.0.1", found.port, **settings), mapping)
+    settings = {"topics": ("scada/#",), "client_id": "tracker"} | changes
+    scheme = "mqtts" if settings.pop("tls", False) else "mqtt"
+    return Mqtt(Broker(f"{scheme}://127.0.0.1:{found.port}", **settings), mapping)
 
 
 class Taken:
@@ -210,7 +210,8 @@ from builders.live_case import live_record, live_turbine, without_preheating
 
 port, folder, store, where, seed, days = sys.argv[1:]
 record = without_preheating(live_record(Path(folder), seed=int(seed), days=float(days)))
-stream = Mqtt(Broker("127.0.0.1", int(port), False, ("scada/#",), "tracker"), record_mapping(record, "T1"))
+broker = Broker(f"mqtt://127.0.0.1:{port}", ("scada/#",), client_id="tracker")
+stream = Mqtt(broker, record_mapping(record, "T1"))
 commit, rounds = Store.commit, []
 
 def held(self, batch):
@@ -444,7 +445,7 @@ def test_a_broker_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_name_that_is_not_resolved() -> None:
-    stream = Mqtt(Broker("no-such-host.invalid", 1883, False, ("a",), "tracker"), MAPPING)
+    stream = Mqtt(Broker("mqtt://no-such-host.invalid", ("a",), client_id="tracker"), MAPPING)
     with running(stream, until="lost"):
         assert "its name cannot be resolved" in stream.state[1]
 
@@ -464,7 +465,7 @@ def test_a_server_that_is_no_broker_is_told() -> None:
 
         runner = threading.Thread(target=closing)
         runner.start()
-        stream = Mqtt(Broker("127.0.0.1", server.getsockname()[1], False, ("a",), "tracker"), MAPPING)
+        stream = Mqtt(Broker(f"mqtt://127.0.0.1:{server.getsockname()[1]}", ("a",)), MAPPING)
         with running(stream, until="lost"):
             assert "TLS (mqtts://)?" in stream.state[1] or "closed the connection" in stream.state[1]
         server.shutdown(socket.SHUT_RDWR)
@@ -478,7 +479,7 @@ def test_user_and_password(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     secret.write_text("not it 4711\n")
     users = password_file(tmp_path, "reader", "right 0815")
     with mosquitto(tmp_path, "allow_anonymous false", f"password_file {users}") as found:
-        stream = stream_of(found, user="reader", password=Secret(secret))
+        stream = stream_of(found, user="reader", password_file=str(secret))
         with running(stream, until="lost"):
             assert "not authorised" in stream.state[1] or "password is wrong" in stream.state[1]
             # the file is read anew for every attempt
@@ -496,7 +497,7 @@ def test_a_password_from_the_environment(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("BROKER_PASSWORD", "right 0815")
     users = password_file(tmp_path, "reader", "right 0815")
     with mosquitto(tmp_path, "allow_anonymous false", f"password_file {users}") as found:
-        with running(stream_of(found, user="reader", password=Secret(variable="BROKER_PASSWORD"))):
+        with running(stream_of(found, user="reader", password_env="BROKER_PASSWORD")):
             pass
 
 
@@ -517,7 +518,7 @@ def test_a_denied_subscription_is_lost_and_asked_for_again(
     settings = dynamic_security(tmp_path, "reader", "right", denied="secret/#")
     with mosquitto(tmp_path, *settings) as found:
         stream = stream_of(
-            found, user="reader", password=Secret(variable="BROKER_PASSWORD"), topics=("secret/#", "scada/#")
+            found, user="reader", password_env="BROKER_PASSWORD", topics=("secret/#", "scada/#")
         )
         with running(stream, until="lost") as taken, peer(found, "reader", "right") as other:
             assert "denies a subscription (secret/#: not authorised" in stream.state[1]

@@ -7,7 +7,7 @@ import json
 import math
 import re
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,23 +28,10 @@ from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.doctor.check import file_checks
 from hygrokf.live.doctor.examination import channel_checks
 from hygrokf.live.notification import sender as module
-from hygrokf.live.notification.notices import (
-    Channel,
-    ChannelFault,
-    Content,
-    Drop,
-    Message,
-    Send,
-    Situation,
-    Wait,
-    acknowledge,
-    decide,
-    look_again,
-    notices_of,
-)
+from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
+from hygrokf.live.notification.notices import acknowledge, decide, look_again, notices_of
 from hygrokf.live.notification.sender import Sender
 from hygrokf.live.notification.transports import Mail, Webhook, secret_bytes
-from hygrokf.live.sources.endpoint import Secret
 from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, open_store
@@ -62,25 +49,22 @@ def an_alarm(number: int = 0, severity: str = "warning", **more: object) -> Alar
     return Alarm(name, "T1", "condensation", severity, began, "water condenses", "dry it", **more)
 
 
-class Silent:
-    """A transport that only keeps what it was given."""
+@dataclass(frozen=True, kw_only=True)
+class Silent(Channel):
+    """A channel that only keeps what it was given."""
 
-    where = "nowhere"
-
-    def __init__(self) -> None:
-        self.messages: list[Message] = []
+    name: str = "ops"
+    url: str = ""
+    messages: list[Message] = field(default_factory=list)
 
     def send(self, message: Message) -> None:
         self.messages.append(message)
-
-    def probe(self) -> str:
-        return "it answers"
 
     def cautions(self) -> list[str]:
         return []
 
 
-SILENT = Channel("ops", Silent())
+SILENT = Silent()
 
 
 # -- which notices are written, and when they are due --------------------------------------------------------
@@ -116,12 +100,12 @@ def test_the_end_is_for_those_who_were_told_of_the_beginning() -> None:
     (end,) = notices_of([replace(worse, ended=T0 + 9.0)], [channel], T0, T0)
     begin = written(replace(worse, severity="warning"), T0, channel)
     ended = replace(worse, ended=T0 + 9.0)
-    assert isinstance(decide(end, channel, known(ended, replace(begin, sent=T0))), Send)
-    assert isinstance(decide(end, channel, known(ended)), Drop)
+    assert isinstance(decide(end, channel, **known(ended, replace(begin, sent=T0))), Content)
+    assert isinstance(decide(end, channel, **known(ended)), str)
 
 
-def known(alarm: Alarm | None, *others: Notice, shelved: bool = False, now: float = T0 + 100.0) -> Situation:
-    return Situation(alarm, others, shelved, now, now)
+def known(alarm: Alarm | None, *others: Notice, shelved: bool = False, now: float = T0 + 100.0) -> dict:
+    return {"alarm": alarm, "others": others, "shelved": shelved, "now": now, "record_now": now}
 
 
 def written(alarm: Alarm, at: float = T0, channel: Channel = SILENT) -> Notice:
@@ -136,27 +120,28 @@ def test_what_becomes_of_a_beginning() -> None:
     short, long = replace(alarm, ended=T0 + 50.0), replace(alarm, ended=T0 + 5000.0)
     worse = replace(alarm, severity="alarm")
     sent = replace(begin, sent=T0)
-    assert isinstance(decide(begin, held, known(alarm)), Send)
-    assert isinstance(decide(begin, held, known(short, written(short, T0 + 50.0))), Drop)
+    assert isinstance(decide(begin, held, **known(alarm)), Content)
+    assert isinstance(decide(begin, held, **known(short, written(short, T0 + 50.0))), str)
     # a server was away while the alarm stood long enough
-    assert isinstance(decide(begin, held, known(long, written(long, T0 + 5000.0), now=T0 + 9000.0)), Send)
-    assert isinstance(decide(begin, held, known(long, now=T0 + 3 * DAY_S)), Drop)
-    assert isinstance(decide(begin, held, known(None)), Drop)
-    assert isinstance(decide(begin, held, known(replace(alarm, acknowledged=T0 + 1.0))), Drop)
-    assert decide(begin, held, known(alarm, shelved=True)) == Wait(T0 + 160.0)
-    assert isinstance(decide(begin, held, known(long, shelved=True)), Drop)
-    found = decide(written(worse), held, known(worse, sent))
-    assert isinstance(found, Send) and found.content.event == "worsened"
-    assert isinstance(decide(begin, held, known(worse, replace(written(worse), sent=T0))), Drop)
+    late = known(long, written(long, T0 + 5000.0), now=T0 + 9000.0)
+    assert isinstance(decide(begin, held, **late), Content)
+    assert isinstance(decide(begin, held, **known(long, now=T0 + 3 * DAY_S)), str)
+    assert isinstance(decide(begin, held, **known(None)), str)
+    assert isinstance(decide(begin, held, **known(replace(alarm, acknowledged=T0 + 1.0))), str)
+    assert decide(begin, held, **known(alarm, shelved=True)) == T0 + 160.0
+    assert isinstance(decide(begin, held, **known(long, shelved=True)), str)
+    found = decide(written(worse), held, **known(worse, sent))
+    assert isinstance(found, Content) and found.event == "worsened"
+    assert isinstance(decide(begin, held, **known(worse, replace(written(worse), sent=T0))), str)
 
 
 def test_an_end_is_sent_only_after_its_beginning() -> None:
     alarm = Alarm("a", "T1", "condensation", "warning", T0, "", "", ended=T0 + 50.0)
     begin, end = written(replace(alarm, ended=None)), written(alarm, T0 + 50.0)
-    assert isinstance(decide(end, SILENT, known(alarm, replace(begin, sent=T0))), Send)
-    assert isinstance(decide(end, SILENT, known(alarm, replace(begin, sent=T0, failure="dropped"))), Drop)
-    assert isinstance(decide(end, SILENT, known(alarm)), Drop)
-    assert decide(end, SILENT, known(alarm, replace(begin, due=T0 + 500.0))) == Wait(T0 + 500.0)
+    assert isinstance(decide(end, SILENT, **known(alarm, replace(begin, sent=T0))), Content)
+    assert isinstance(decide(end, SILENT, **known(alarm, replace(begin, sent=T0, failure="dropped"))), str)
+    assert isinstance(decide(end, SILENT, **known(alarm)), str)
+    assert decide(end, SILENT, **known(alarm, replace(begin, due=T0 + 500.0))) == T0 + 500.0
 
 
 # -- the sender on a store -----------------------------------------------------------------------------------
@@ -171,8 +156,7 @@ def events(messages: list[Message]) -> list[str]:
 
 
 def test_what_people_do_is_sent_to_those_who_were_told(store_url: str) -> None:
-    transport = Silent()
-    channel = replace(SILENT, transport=transport)
+    channel = Silent()
     sender, store = Sender(channel, store_url), open_store(store_url)
     alarm = an_alarm()
     raised(store, channel, alarm)
@@ -192,9 +176,9 @@ def test_what_people_do_is_sent_to_those_who_were_told(store_url: str) -> None:
     assert acknowledge(store, alarm.id, "Ä. Berg", now + 10.0, "defect", channels=[channel]) == "T1"
     raised(store, channel, replace(alarm, ended=time.time()))
     sender.send_due(store)
-    assert events(transport.messages) == ["began", "acknowledged", "due again", "acknowledged", "ended"]
+    assert events(channel.messages) == ["began", "acknowledged", "due again", "acknowledged", "ended"]
     sender.send_due(store)
-    assert len(transport.messages) == 5 and outbox.waiting(store) == {}
+    assert len(channel.messages) == 5 and outbox.waiting(store) == {}
     store.close()
 
 
@@ -202,8 +186,7 @@ def test_a_shelved_alarm_waits_for_the_end_of_its_shelf(
     store_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hygrokf.live.notification.notices.SHELVED_S", 0.0)
-    transport = Silent()
-    channel = replace(SILENT, transport=transport)
+    channel = Silent()
     clock = [time.time()]
     sender, store = Sender(channel, store_url, lambda: clock[0]), open_store(store_url)
     store.shelve(Shelf("T1", "condensation", clock[0] + 600.0, clock[0], "me"))
@@ -212,10 +195,10 @@ def test_a_shelved_alarm_waits_for_the_end_of_its_shelf(
     sender.send_due(store)
     raised(store, channel, replace(goes, ended=time.time()))
     sender.send_due(store)
-    assert transport.messages == []
+    assert channel.messages == []
     clock[0] += 601.0
     sender.send_due(store)
-    assert [list(one.contents) for one in transport.messages] == [["ops:T1:condensation:1:warning"]]
+    assert [list(one.contents) for one in channel.messages] == [["ops:T1:condensation:1:warning"]]
     store.close()
 
 
@@ -228,8 +211,7 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
             if len(self.messages) < 2:
                 raise ChannelFault("refused", reached=True)
 
-    transport = Failing()
-    channel = replace(SILENT, transport=transport, digest_s=1e-3)
+    channel = Failing(digest_s=1e-3)
     sender, store = Sender(channel, store_url), open_store(store_url)
     raised(store, channel, *map(an_alarm, range(3)))
     time.sleep(2e-3)
@@ -238,9 +220,9 @@ def test_a_digest_is_one_message_that_stays_the_same(store_url: str, monkeypatch
     time.sleep(2e-3)
     sender.send_due(store)
     sender.send_due(store)
-    first, again, *rest = transport.messages
+    first, again, *rest = channel.messages
     assert (first.key, first.contents) == (again.key, again.contents) and len(first.contents) == 3
-    assert {len(one.contents) for one in rest} == {1} and len({one.key for one in transport.messages}) == 3
+    assert {len(one.contents) for one in rest} == {1} and len({one.key for one in channel.messages}) == 3
     assert outbox.waiting(store) == {} and sender.failures == 1
     store.close()
 
@@ -250,8 +232,7 @@ def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
 ) -> None:
     from hygrokf.live.storage.store import StoreFault
 
-    transport = Silent()
-    channel = replace(SILENT, transport=transport)
+    channel = Silent()
     url = f"sqlite:{tmp_path / 'live.db'}"
     sender, store = Sender(channel, url), open_store(url)
     raised(store, channel, an_alarm())
@@ -268,27 +249,29 @@ def test_an_accepted_message_is_not_sent_again_when_the_store_fails(
     assert outbox.waiting(store) == {"ops": 1}
     again = Sender(channel, url)  # as after a crash before the commit
     again._pass()
-    assert transport.messages[0] == transport.messages[1]
+    assert channel.messages[0] == channel.messages[1]
     again._close()
-    del transport.messages[1:]
+    del channel.messages[1:]
     fails[0] = False
     sender._pass()
-    assert outbox.waiting(store) == {} and len(transport.messages) == 1
+    assert outbox.waiting(store) == {} and len(channel.messages) == 1
     sender._close()
     store.close()
 
 
 # -- receivers that fail -------------------------------------------------------------------------------------
 def mail_to(server: MailServer, **more: object) -> Mail:
-    settings = {"unencrypted": True, "timeout_s": 0.6, **more}
-    return Mail("127.0.0.1", server.port, "tracker@farm.example", ("ops@farm.example",), **settings)
+    settings = {"name": "mail", "unencrypted": True, "timeout_s": 0.6, **more}
+    start = "smtps://" if settings.pop("tls", False) else "smtp://"
+    url = f"{start}{settings.pop('user', '')}127.0.0.1:{server.port}"
+    return Mail(url=url, sender="tracker@farm.example", to=("ops@farm.example",), **settings)
 
 
 def hook_to(server: WebhookServer, folder: Path, **more: object) -> Webhook:
     (folder / "secret").write_text(f"{SECRET_TEXT}\n")
-    secret = Secret(folder / "secret", key="secret")
-    settings = {"tls": False, "secret": secret, "timeout_s": 0.6, **more}
-    return Webhook("127.0.0.1", server.port, "/hook?key=geheim", **settings)
+    settings = {"name": "hook", "folder": folder, "secret_file": "secret", "timeout_s": 0.6, **more}
+    start = "https" if settings.pop("tls", False) else "http"
+    return Webhook(url=f"{start}://127.0.0.1:{server.port}/hook?key=geheim", **settings)
 
 
 @pytest.mark.parametrize("kind", ["mail", "webhook"])
@@ -321,8 +304,8 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.mark.parametrize("tls", [True, False])
 def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "password").write_text(f"{PASSWORD}\n")
-    secured = {"unencrypted": False, "tls": tls, "user": USER, "timeout_s": 10.0}
-    right = {**secured, "password": Secret(tmp_path / "password"), "ca": pair[0]}
+    secured = {"unencrypted": False, "tls": tls, "user": f"{USER}@", "timeout_s": 10.0}
+    right = {**secured, "folder": tmp_path, "password_file": "password", "ca": str(pair[0])}
     with MailServer(*pair, tls=tls, login=True) as server:
         mail = mail_to(server, **right)
         assert "TLSv1.3" in mail.probe() and USER in mail.probe() and not server.accepted.messages
@@ -332,7 +315,7 @@ def test_mail_over_tls_with_a_login(tls: bool, pair: tuple[Path, Path], tmp_path
         assert sent["Subject"] == "[hygrokf] T1: condensation (warning, began)"
         assert "water condenses" in sent.get_payload(decode=True).decode()
         (tmp_path / "wrong").write_text("falsch")
-        for settings in ({**right, "password": Secret(tmp_path / "wrong")}, {**right, "ca": None}):
+        for settings in ({**right, "password_file": "wrong"}, {**right, "ca": ""}):
             for attempt in (mail_to(server, **settings).probe, lambda s=settings: mail_to(
                 server, **s).send(Message("test"))):  # fmt: skip
                 with pytest.raises(ChannelFault) as fault:
@@ -368,7 +351,7 @@ def test_a_refused_address_does_not_hold_up_the_others_for_long() -> None:
 def test_a_webhook_over_tls_is_signed(pair: tuple[Path, Path], tmp_path: Path) -> None:
     alarm = an_alarm()
     with WebhookServer(SECRET, *pair) as server:
-        hook = hook_to(server, tmp_path, tls=True, ca=pair[0], timeout_s=10.0)
+        hook = hook_to(server, tmp_path, tls=True, ca=str(pair[0]), timeout_s=10.0)
         assert "TLSv1.3" in hook.probe() and not server.accepted.messages
         message = Message.of({"n1": Content("began", alarm)})
         hook.send(message)
@@ -393,7 +376,7 @@ def test_what_a_webhook_refuses_says_nothing_secret(tmp_path: Path) -> None:
             assert fault.value.reached and str(status) in str(fault.value)
             assert "geheim" not in str(fault.value) + repr(hook_to(server, tmp_path))
     with pytest.raises(ChannelFault) as fault:
-        replace(hook_to(server, tmp_path), port=free_port()).send(Message("k"))
+        replace(hook_to(server, tmp_path), url=f"http://127.0.0.1:{free_port()}").send(Message("k"))
     assert not fault.value.reached
     for text in ("short", "whsec_AAAA", SECRET_TEXT.removeprefix("whsec_"), "whsec_!"):
         with pytest.raises(ChannelFault) as fault:
@@ -452,10 +435,10 @@ url = "file:live.csv"
 def test_channels_of_a_tracker_s_file(folder: Path) -> None:
     first, second = read(folder, MAIL.format(mail=25) + HOOK.format(hook=80)).channels
     assert (first.hold_off_s, first.digest_s, first.kinds) == (600.0, 3600.0, ("condensation",))
-    assert first.transport == Mail("127.0.0.1", 25, "Tracker <tracker@farm.example>", ("ops@farm.example",),
-                                   unencrypted=True)  # fmt: skip
-    assert isinstance(second.transport, Webhook) and second.transport.signing_key() == SECRET
-    assert second.transport.path == "/alarms?key=geheim" and second.transport.timeout_s == 2.0
+    assert isinstance(first, Mail) and (first.where, first.unencrypted) == ("127.0.0.1:25", True)
+    assert (first.sender, first.to) == ("Tracker <tracker@farm.example>", ("ops@farm.example",))
+    assert isinstance(second, Webhook) and second.signing_key() == SECRET
+    assert second.address.path == "/alarms?key=geheim" and second.timeout_s == 2.0
 
 
 @pytest.mark.parametrize(
@@ -516,8 +499,8 @@ def test_an_alarm_of_a_tracker_arrives(
     url = f"sqlite:{tmp_path / 'live.db'}"
     with MailServer() as mail, WebhookServer(SECRET) as hook:
         channels = (
-            Channel("mail", mail_to(mail, timeout_s=5.0), kinds=("condensation",)),
-            Channel("hook", hook_to(hook, tmp_path), kinds=("condensation",)),
+            mail_to(mail, timeout_s=5.0, kinds=("condensation",)),
+            hook_to(hook, tmp_path, kinds=("condensation",)),
         )
         hook.fail("refuse")
         stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"))
@@ -548,7 +531,7 @@ def test_a_killed_sender_repeats_at_most_what_it_was_sending(kills: int, tmp_pat
     random, url, each = np.random.default_rng(5), f"sqlite:{tmp_path / 'live.db'}", 60
     with WebhookServer() as hook:
         hook.slow_s = 0.005
-        channel = Channel("hook", hook_to_port(hook.port))
+        channel = Webhook(name="hook", url=f"http://127.0.0.1:{hook.port}")
         store, count = open_store(url), each * (kills + 1)
         raised(store, channel, *map(an_alarm, range(count)))
         for kill in range(kills + 1):
@@ -564,10 +547,6 @@ def test_a_killed_sender_repeats_at_most_what_it_was_sending(kills: int, tmp_pat
                 process.wait()
         assert len(hook.accepted.keys) == count and hook.accepted.repeated <= kills
         store.close()
-
-
-def hook_to_port(port: int) -> Webhook:
-    return Webhook("127.0.0.1", port, tls=False)
 
 
 def test_the_doctor_s_command_sends_a_test_message(folder: Path) -> None:

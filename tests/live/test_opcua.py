@@ -27,7 +27,7 @@ from builders.stream_case import Collected
 from builders.waiting import PATIENCE_S, eventually
 
 from hygrokf.data.record import Record
-from hygrokf.data.toml_form import Place, keys_of, read_form
+from hygrokf.data.toml_form import Place, keys_of
 from hygrokf.live.config import stream_of
 from hygrokf.live.service import Service
 from hygrokf.live.sources import opcua as module
@@ -35,10 +35,10 @@ from hygrokf.live.sources import opcua_client
 from hygrokf.live.sources import stream as streams
 from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.opcua_client import ConnectionFault, Node, Rates, User, node_fault, sample_of
-from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
+from hygrokf.live.sources.opcua_client import node_fault, sample_of
+from hygrokf.live.sources.opcua_form import Node, Server
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.stream import BackOff, SourceKeys
+from hygrokf.live.sources.stream import BackOff, SourceFault, SourceKeys
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
@@ -48,7 +48,11 @@ from builders.opcua_peer import NAMESPACE, Peer
 
 T0 = 1.7e9
 GOOD, BAD, UNCERTAIN, OVERFLOWED = 0x00000000, 0x808C0000, 0x40900000, 0x00000480
-RATES = Rates(sampling_s=0.0, publishing_s=0.05, queue=5_000)
+RATES = {"sampling_s": 0.0, "publishing_s": 0.05, "queue": 5_000}
+
+
+def server(url: str, nodes: list[Node], **stated: object) -> Server:
+    return Server(url, {one.id: one for one in nodes}, **{**RATES, **stated})
 MAPPING = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),
@@ -112,7 +116,9 @@ def started() -> Iterator[Callable[..., Started]]:
         mapping = PayloadMapping(
             MAPPING.fields, quality="quality", use_uncertain=False, turbines={"T07": "T07"}
         )
-        made = OpcUa(url, rows, mapping, **{"rates": RATES, **more})
+        stated, faults = server(url, rows, **more), Place()
+        made = OpcUa(stated, mapping, stated.security_from(faults))
+        assert faults.faults == []
         running.append(Started(made, None if place is None else json.dumps(place)))
         return running[-1]
 
@@ -142,7 +148,7 @@ class Tracked:
             mapping.fields, quality="quality", use_uncertain=False, turbines=mapping.turbines
         )
         nodes = [Node(f"ns=2;s={prefix}.{name}", "T1", name) for name in mapping.fields]
-        self.stream = OpcUa(url, nodes, plain, RATES)
+        self.stream = OpcUa(server(url, nodes), plain)
         self.store = f"sqlite:{store}"
         self.service = Service({"T1": turbine}, [self.stream], self.store)
         self.thread = threading.Thread(target=self.service.run)
@@ -361,7 +367,7 @@ def test_the_first_start_reads_back_as_far_as_is_stated(peer: Peer, named, start
 
 @pytest.mark.parametrize("place", ["{", "[1]", '{"other": 1}', '{"%s": "soon"}', '{"%s": 1e12}'])
 def test_a_place_that_says_nothing_is_no_place(place: str) -> None:
-    stream = OpcUa("opc.tcp://localhost", [Node("i=1", "T07", "Tcab")], MAPPING)
+    stream = OpcUa(server("opc.tcp://localhost", [Node("i=1", "T07", "Tcab")]), MAPPING)
     assert stream._times_reached(place.replace("%s", "i=1")) == {}
     assert stream._times_reached('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
 
@@ -411,7 +417,7 @@ def test_a_slow_service_is_waited_for_and_the_connection_holds(peer: Peer, named
         gate.wait(PATIENCE_S)
         got.append(one.content["time"])
 
-    stream = OpcUa(peer.url, [Node(tcab, "T07", "Tcab")], MAPPING, RATES)
+    stream = OpcUa(server(peer.url, [Node(tcab, "T07", "Tcab")]), MAPPING)
     stream.start(None, put)
     try:
         eventually(lambda: stream.state[0] == "connected")
@@ -615,17 +621,9 @@ def secured(tmp_path_factory: pytest.TempPathFactory, papers: Path) -> Iterator[
         yield made
 
 
-def security(papers: Path, **stated: object) -> dict:
-    """What a table's security gives a stream."""
-    place = Place("[[source]] 1")
-    found, user = security_of(read_form(SecurityForm, stated, place), "127.0.0.1", papers, place)
-    assert place.faults == []
-    return {"security": found, "user": user}
-
-
 def test_an_encrypted_connection_of_a_user(secured: Peer, papers: Path, started) -> None:
     run = started(
-        secured.url, {"ns=2;s=Tcab": "Tcab"}, place={"ns=2;s=Tcab": T0}, **security(papers, **SIGNED_ON)
+        secured.url, {"ns=2;s=Tcab": "Tcab"}, place={"ns=2;s=Tcab": T0}, folder=papers, **SIGNED_ON
     )
     run.wait(lambda: run.values() == [(1, 31.0)] and run.stream.state == ("connected", secured.url))
 
@@ -663,19 +661,15 @@ def test_what_does_not_fit_is_said_in_words(
     """No value comes, and no secret shows in the state, the log or what is printed of the stream's parts."""
     monkeypatch.setattr(opcua_client, "ANSWER_S", 2.0)
     table = {key: value for key, value in {**SIGNED_ON, **stated}.items() if value is not None}
-    parts = security(papers, **table)
     with caplog.at_level(logging.DEBUG):
-        run = started(secured.url, {"ns=2;s=Tcab": "Tcab"}, **parts)
+        run = started(secured.url, {"ns=2;s=Tcab": "Tcab"}, folder=papers, **table)
         run.wait(lambda: said in run.stream.state[1])
         assert run.stream.state[0] == "lost" and run.contents == []
         run.stream.stop()
     key = (papers / "tracker.key").read_text().splitlines()[2]
+    parts = run.stream.server, run.stream._security
     shown = f"{caplog.text} {[vars(r) for r in caplog.records]} {run.stream.state} {parts}"
     assert not [secret for secret in ("pa55", "guess7", key) if secret in shown]
-
-
-def test_a_user_s_password_is_not_shown() -> None:
-    assert "pa55" not in repr(User("hygrokf", "pa55"))
 
 
 # -- the tracker's file --------------------------------------------------------------------------------------
@@ -711,8 +705,9 @@ def test_a_whole_table(papers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert stream.url == "opc.tcp://scada.example:4840/plant"
     assert stream.nodes == (Node("ns=2;s=T07.CabinetTemp", "T07", "Tcab"),)
     assert stream.mapping.use_uncertain and stream.mapping.turbines == {"T07": "T07"}
-    assert (stream._rates, stream._look_back_s) == (Rates(0.0, 0.5, 50), 259200.0)
-    assert stream._user == User("me", "pa55 word")
+    stated = stream.server
+    assert (stated.sampling_s, stated.publishing_s, stated.queue) == (0.0, 0.5, 50)
+    assert (stated.look_back_s, stated.user, stated.password.read()) == (259200.0, "me", "pa55 word")
     assert (stream._security.policy, stream._security.mode) == ("Aes128Sha256RsaOaep", "Sign")
     assert stream._security.application_uri == "urn:plant:tracker"
     assert made(PLAIN).state == ("idle", "not started")
@@ -793,10 +788,11 @@ def test_the_page_of_the_docs_states_every_key_and_its_example_is_read(papers: P
     )
     place = Place()
     stream = stream_of(example["source"][0], place, tmp_path, mapping)
-    assert place.faults == [] and len(stream.nodes) == 2 and stream._user == User("hygrokf", "pa55 word")
+    assert place.faults == [] and len(stream.nodes) == 2
+    assert (stream.server.user, stream.server.password.read()) == ("hygrokf", "pa55 word")
     assert not [
         key
-        for key in {*keys_of(ServerForm), *keys_of(SecurityForm)} - {*keys_of(SourceKeys)}
+        for key in {*keys_of(Server)} - {*keys_of(SourceKeys)}
         if not re.search(rf"[`.]{key}[`\]]|^{key} = ", page, re.MULTILINE)
     ]
 
@@ -814,7 +810,7 @@ def test_without_asyncua_the_extra_is_named(started, monkeypatch: pytest.MonkeyP
     assert said in faults(PLAIN)
     run = started("opc.tcp://localhost:4840", {"i=1": "Tcab"})
     run.wait(lambda: run.stream.state[0] == "lost" and said in run.stream.state[1])
-    with pytest.raises(ConnectionFault, match="hygrokf"):
+    with pytest.raises(SourceFault, match="hygrokf"):
         node_fault("i=1")
 
 

@@ -68,8 +68,13 @@ def values(record: Record) -> list[tuple[float, str, float]]:
 
 def stream_of(found: Mosquitto, record: Record, rebirth_requests: bool = False) -> Sparkplug:
     mapping = replace(record_mapping(record, "T1"), turbine="{4}")
-    session = Broker("127.0.0.1", found.port, False, ("spBv1.0/Farm/#",), "tracker")
-    return Sparkplug(session, mapping, rebirth_requests)
+    session = Broker(
+        f"mqtt://127.0.0.1:{found.port}",
+        ("spBv1.0/Farm/#",),
+        client_id="tracker",
+        rebirth_requests=rebirth_requests,
+    )
+    return Sparkplug(session, mapping)
 
 
 def edge_node(found: Mosquitto, record: Record, **how: object) -> EdgeNode:

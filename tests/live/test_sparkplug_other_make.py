@@ -92,8 +92,8 @@ class Read:
 
 @contextmanager
 def followed(broker: Mosquitto, rebirth_requests: bool, memories: dict[str, object]) -> Iterator[Read]:
-    session = Broker("127.0.0.1", broker.port, False, ("spBv1.0/Farm/#",), "tracker")
-    stream = Sparkplug(session, MAPPING, rebirth_requests)
+    session = Broker(broker.url, ("spBv1.0/Farm/#",), rebirth_requests=rebirth_requests)
+    stream = Sparkplug(session, MAPPING)
     stream.recall(memories)
     read = Read(stream)
     stream.start(None, read)

@@ -13,7 +13,6 @@ from builders.page_case import Case, filled, opened
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Alarm, Batch
-from hygrokf.live.notification.notices import Channel
 from hygrokf.live.notification.transports import Webhook
 from hygrokf.live.service import Service
 from hygrokf.live.storage.outbox import alarm_of, beginning_with
@@ -21,7 +20,7 @@ from hygrokf.live.web.application import Page
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, serve
 
-CHANNEL = Channel("duty", Webhook("127.0.0.1", 9))
+CHANNEL = Webhook(name="duty", url="https://127.0.0.1:9")
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ from hygrokf.live.doctor.check import (
 )
 from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import StoreContents, store_checks
-from hygrokf.live.notification.notices import Channel, ChannelFault, Message
+from hygrokf.live.notification.channel import Channel, ChannelFault, Message
 from hygrokf.live.plan import AMBIENT_HUMIDITIES, Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import Reading, Tracker, record_of
@@ -140,12 +140,12 @@ def channel_checks(channels: Sequence[Channel], send: bool) -> list[Check]:
 
 def _channel_checks(channel: Channel, send: bool) -> Iterator[Check]:
     about = f"notify {channel.name}"
-    for caution in channel.transport.cautions():
+    for caution in channel.cautions():
         yield doubt(about, caution, "use TLS and a secret where others could listen")
     try:
-        yield ok(about, f"{channel.transport.where}: {channel.transport.probe()}")
+        yield ok(about, f"{channel.where}: {channel.probe()}")
         if send:
-            channel.transport.send(Message(secrets.token_hex(16)))  # without contents it is a test
+            channel.send(Message(secrets.token_hex(16)))  # without contents it is a test
             yield ok(about, "a test message was accepted")
     except ChannelFault as found:
         yield fault(about, str(found), _MEND)

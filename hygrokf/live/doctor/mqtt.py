@@ -88,7 +88,7 @@ def mqtt_checks(
     the source; `keep`: what to do where the broker does not keep the messages.
     """
     broker, mapping = source.broker, source.mapping
-    about = f"source {broker.url}"
+    about = f"source {source.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
@@ -97,10 +97,8 @@ def mqtt_checks(
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
             return
-        yield ok(
-            about,
-            f"connected{' by TLS' if broker.tls else ''}{f' as user {broker.user}' if broker.user else ''}",
-        )
+        user = f" as user {broker.user_name}" if broker.user_name else ""
+        yield ok(about, f"connected{' by TLS' * broker.tls}{user}")
         yield from _certificate(link, about)
         retained, read = PayloadStatistics(mapping), contents or source.reader()
 
@@ -129,7 +127,8 @@ def doctor_session(broker: Broker) -> Broker:
     A shared subscription is replaced by a plain one, because messages dealt to it would be missing elsewhere.
     """
     topics = tuple(dict.fromkeys(plain_filter(one) for one in broker.topics))
-    return replace(broker, client_id=f"hygrokf-doctor-{secrets.token_hex(4)}", expiry_s=0.0, topics=topics)
+    own = f"hygrokf-doctor-{secrets.token_hex(4)}"
+    return replace(broker, client_id=own, session_expiry_s=0.0, topics=topics)
 
 
 def plain_filter(topics: str) -> str:

@@ -29,7 +29,8 @@ from hygrokf.live.doctor.mqtt import mqtt_checks, sparkplug_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.opcua_client import Connection, ConnectionFault, HistoryFault, Node, Sample
+from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
+from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
 from hygrokf.live.sources.sparkplug import Sparkplug
@@ -70,7 +71,7 @@ async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) 
         checks += payload_checks(about, statistics, "values")
         found = stamp_check(about, statistics.lag_s, fresh=False)
         return checks + ([found] if found else [])
-    except ConnectionFault as error:
+    except SourceFault as error:
         return [fault(about, str(error), REACH_SERVER)]
     finally:
         await connection.close()
@@ -80,7 +81,7 @@ async def _clock(connection: Connection, about: str) -> list[Check]:
     before = time.time()
     try:
         shown = await connection.server_time()
-    except ConnectionFault:  # the tracker does not need to read the clock
+    except SourceFault:  # the tracker does not need to read the clock
         return []
     return [server_check(about, shown - 0.5 * (before + time.time()))]
 

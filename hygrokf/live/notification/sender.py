@@ -16,20 +16,8 @@ from contextlib import suppress
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.batch import Notice
-from hygrokf.live.notification.notices import (
-    Channel,
-    ChannelFault,
-    Content,
-    Drop,
-    Message,
-    Send,
-    Situation,
-    Wait,
-    as_text,
-    content_of,
-    decide,
-    prefix,
-)
+from hygrokf.live.notification.channel import Channel, ChannelFault, Content, Message
+from hygrokf.live.notification.notices import as_text, content_of, decide, prefix
 from hygrokf.live.sources.stream import pause_s
 from hygrokf.live.storage import outbox
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -78,7 +66,7 @@ class Sender:
 
     def start(self) -> None:
         """Begin to send."""
-        for caution in self.channel.transport.cautions():
+        for caution in self.channel.cautions():
             LOG.warning(caution, extra={"channel": self.channel.name})
         self._thread = threading.Thread(target=self._run, name=f"notify {self.channel.name}", daemon=True)
         self._thread.start()
@@ -177,20 +165,15 @@ class Sender:
         for notice in fresh:
             alarm = content_of(notice).alarm
             others = outbox.beginning_with(store, self.channel.name, prefix(self.channel.name, alarm.id))
-            known = Situation(
-                outbox.alarm_of(store, alarm.id),
-                [one for one in others if one.id != notice.id],
-                (alarm.turbine, alarm.kind) in shelves,
-                now,
-                record_now,
-            )
-            found = decide(notice, self.channel, known)
-            if isinstance(found, Send):
-                sent[notice.id] = found.content
-            elif isinstance(found, Drop):
-                dropped.append((notice.id, found.reason))
-            elif isinstance(found, Wait):
-                postponed.append((notice.id, found.until))
+            others = [one for one in others if one.id != notice.id]
+            known, shelved = outbox.alarm_of(store, alarm.id), (alarm.turbine, alarm.kind) in shelves
+            outcome = decide(notice, self.channel, known, others, shelved, now, record_now)
+            if isinstance(outcome, Content):
+                sent[notice.id] = outcome
+            elif isinstance(outcome, str):
+                dropped.append((notice.id, outcome))
+            else:
+                postponed.append((notice.id, outcome))
         outbox.drop(store, dropped, now)
         outbox.postpone(store, postponed)
         return sent
@@ -211,7 +194,7 @@ class Sender:
         """
         names, now = tuple(message.contents), time.time()
         try:
-            self.channel.transport.send(message)
+            self.channel.send(message)
         except ChannelFault as fault:
             self.failures += 1
             if str(fault) != self.failure:  # log once, not at every attempt

@@ -1,5 +1,5 @@
-"""Transports of notices: mail by SMTP with TLS from the start (`smtps:`) or by STARTTLS (`smtp:`), and
-webhooks, a POST of JSON that is signed as Standard Webhooks says.
+"""Where notices go, each a [[notify]] of the tracker's file: mail by SMTP with TLS from the start (`smtps:`)
+or by STARTTLS (`smtp:`), and webhooks, a POST of JSON that is signed as Standard Webhooks says.
 
 A message's key is the Message-ID of a mail.  If the connection breaks after the text is sent and before the
 server's answer arrives, nobody can tell whether the server has accepted it (RFC 1047): it is sent again with
@@ -21,65 +21,131 @@ import re
 import smtplib
 import socket
 import ssl
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from email.message import EmailMessage
 from email.policy import SMTP
 from email.utils import formatdate, parseaddr
 from pathlib import Path
+from typing import ClassVar
 
-from hygrokf.live.notification.notices import (
-    ChannelFault,
-    Message,
-    data,
-    ended_after,
-    subject,
-    text,
-)
+from hygrokf.data.timestamps import duration
+from hygrokf.data.toml_form import Place, across, read_form, setting
+from hygrokf.errors import suggestion
+from hygrokf.live.notification.channel import Channel, ChannelFault, Message, data, subject, text
 from hygrokf.live.sources.broker import unreachable
-from hygrokf.live.sources.endpoint import NO_SECRET, Secret, bracketed, is_loopback, tls_context
+from hygrokf.live.sources.endpoint import PasswordKeys, Secret, is_loopback, tls_context
 from hygrokf.live.sources.stream import SourceFault
 
+_ADDRESS = 'an address such as "ops@farm.example"'
 PATIENT = 3
 """Attempts in which a temporarily refused address (greylisting) holds up the others."""
 
 
-@dataclass(frozen=True)
-class Mail:
-    """A mail server with sender and receivers.
+@contextmanager
+def _exchange(where: str) -> Iterator[None]:
+    """All that may go wrong within this context becomes a ChannelFault."""
+    try:
+        yield
+    except ChannelFault:
+        raise
+    except SourceFault as fault:
+        raise ChannelFault(str(fault)) from None
+    except smtplib.SMTPAuthenticationError as fault:
+        raise ChannelFault(f"{where}: user or password is wrong ({fault.smtp_code})") from None
+    except smtplib.SMTPResponseException as fault:
+        refusal = f"{where}: it refuses: {_answer(fault.smtp_code, fault.smtp_error)}"
+        raise ChannelFault(refusal, reached=True) from None
+    except (smtplib.SMTPServerDisconnected, http.client.IncompleteRead, ConnectionResetError):
+        raise ChannelFault(f"{where}: it closed the connection, or did not answer in time") from None
+    except http.client.HTTPException as fault:
+        raise ChannelFault(f"{where}: its answer is no HTTP ({type(fault).__name__})") from None
+    except smtplib.SMTPException as fault:
+        raise ChannelFault(f"{where}: {fault}") from None
+    except (OSError, ValueError) as fault:
+        raise ChannelFault(unreachable(fault, where)) from None
 
-    `tls`: from the start, else STARTTLS unless `unencrypted`; `ca`: trusted CAs, None for those of the
-    system; `timeout_s`: limit [s] of one whole exchange.
-    """
 
-    host: str
-    port: int
-    sender: str
-    to: tuple[str, ...]
-    tls: bool = False
-    unencrypted: bool = False
-    user: str = ""
-    password: Secret = NO_SECRET
-    ca: Path | None = None
-    timeout_s: float = 60.0
+@contextmanager
+def _ended_after(seconds: float, connection: smtplib.SMTP | http.client.HTTPConnection) -> Iterator[None]:
+    """Within this context a connection is broken after a time [s], which limits exchanges whose single steps
+    never time out."""
+
+    def cut() -> None:
+        with suppress(OSError, AttributeError):
+            if connection.sock is not None:
+                connection.sock.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(seconds, cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _secured(connection: smtplib.SMTP | http.client.HTTPConnection) -> str:
+    sock = connection.sock
+    return f" over TLS ({sock.version()})" if isinstance(sock, ssl.SSLSocket) else ", unencrypted"
+
+
+def _is_address(text: str) -> bool:
+    address = parseaddr(text)[1]
+    user, at, host = address.rpartition("@")
+    return bool(user and at and host) and text.isprintable() and text.isascii() and " " not in address
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mail(PasswordKeys, Channel):
+    """A [[notify]] by mail; `timeout_s`: limit [s] of one whole exchange."""
+
+    url: str = setting(help="smtp://[USER@]HOST[:PORT] for STARTTLS, or smtps:// for TLS from the start")
+    sender: str = setting(help="the sender's address", fits=_is_address, expected=_ADDRESS)
+    to: tuple[str, ...] = setting(
+        help="receivers", expected='a list of addresses such as ["ops@farm.example"]',
+        fits=lambda to: bool(to) and all(map(_is_address, to)),
+    )  # fmt: skip
+    unencrypted: bool = setting(False, "whether the server is reached without TLS")
+    timeout_s: float = setting(60.0, "of one message", read=duration, least=1.0, most=600.0,
+                               expected="1 s to 10 min")  # fmt: skip
+
+    @across("password_file", "password_env", "url")
+    def login(self) -> str | None:
+        if self.password.is_stated != bool(self.address.user):
+            return "user and password belong together: smtp://USER@HOST and password_file or password_env"
+        try:
+            if f"{self.address.user}{self.password.read() or ''}".isascii():
+                return None
+        except SourceFault as fault:
+            return str(fault)
+        return "user and password must be ASCII, as Python's SMTP client sends no other"
+
+    @across("unencrypted", "url", "password_file", "password_env")
+    def secured(self) -> Iterator[str]:
+        if self.unencrypted and self.tls:
+            yield "unencrypted does not go with smtps://: keep one"
+        if self.unencrypted and self.password.is_stated:
+            yield "unencrypted: a password is only sent over TLS"
 
     @property
-    def where(self) -> str:
-        return f"{bracketed(self.host)}:{self.port}"
+    def tls(self) -> bool:
+        """Whether TLS is used from the start."""
+        return self.url.startswith("smtps:")
 
     def cautions(self) -> Iterator[str]:
-        if self.unencrypted and not is_loopback(self.host):
+        if self.unencrypted and not is_loopback(self.address.host):
             yield f"mail goes to {self.where} unencrypted"
 
     def probe(self) -> str:
         """Connect, encrypt and log in."""
         with self._session() as smtp:
             smtp.noop()
-            secured = f"TLS ({smtp.sock.version()})" if isinstance(smtp.sock, ssl.SSLSocket) else ""
-        user = f", accepts the user {self.user}" if self.user else ""
-        return f"it answers{f' over {secured}' if secured else ', unencrypted'}{user}"
+            user = f", accepts the user {self.address.user}" if self.address.user else ""
+            return f"it answers{_secured(smtp)}{user}"
 
     def send(self, message: Message) -> None:
         """Send a message to all receivers."""
@@ -88,10 +154,10 @@ class Mail:
 
     @contextmanager
     def _session(self) -> Iterator[smtplib.SMTP]:
-        """A session of at most `timeout_s`, logged in; all that may go wrong in it becomes a ChannelFault."""
-        try:
+        """A session of at most `timeout_s`, logged in.  Raises ChannelFault."""
+        with _exchange(self.where):
             smtp = self._open()
-            with ended_after(self.timeout_s, smtp):
+            with _ended_after(self.timeout_s, smtp):
                 try:
                     self._log_in(smtp)
                     yield smtp
@@ -101,29 +167,15 @@ class Mail:
                             smtp.sock.settimeout(2.0)
                             smtp.quit()
                     smtp.close()
-        except ChannelFault:
-            raise
-        except SourceFault as fault:
-            raise ChannelFault(str(fault)) from None
-        except smtplib.SMTPAuthenticationError as fault:
-            raise ChannelFault(f"{self.where}: user or password is wrong ({fault.smtp_code})") from None
-        except smtplib.SMTPResponseException as fault:
-            said = _answer(fault.smtp_code, fault.smtp_error)
-            raise ChannelFault(f"{self.where}: it refuses: {said}", reached=True) from None
-        except smtplib.SMTPServerDisconnected:
-            raise ChannelFault(f"{self.where}: it closed the connection, or did not answer in time") from None
-        except smtplib.SMTPException as fault:
-            raise ChannelFault(f"{self.where}: {fault}") from None
-        except (OSError, ValueError) as fault:
-            raise ChannelFault(unreachable(fault, self.where)) from None
 
     def _open(self) -> smtplib.SMTP:
         name = re.sub(r"[^A-Za-z0-9.-]", "", socket.gethostname()) or "hygrokf"
-        if self.tls:
-            return smtplib.SMTP_SSL(
-                self.host, self.port, name, timeout=self.timeout_s, context=tls_context(self.ca)
-            )
-        return smtplib.SMTP(self.host, self.port, name, timeout=self.timeout_s)
+        host, port = self.address.host, self.address.port
+        if not self.tls:
+            return smtplib.SMTP(host, port, name, timeout=self.timeout_s)
+        return smtplib.SMTP_SSL(
+            host, port, name, timeout=self.timeout_s, context=tls_context(self.path("ca"))
+        )
 
     def _log_in(self, smtp: smtplib.SMTP) -> None:
         smtp.ehlo_or_helo_if_needed()
@@ -132,12 +184,12 @@ class Mail:
                 raise ChannelFault(
                     f"{self.where}: it offers no STARTTLS: use smtps://, or state unencrypted = true"
                 )
-            smtp.starttls(context=tls_context(self.ca))
+            smtp.starttls(context=tls_context(self.path("ca")))
             smtp.ehlo()
-        if self.user:
+        if self.address.user:
             if not smtp.has_extn("auth"):
                 raise ChannelFault(f"{self.where}: it offers no login: check the port, or omit the user")
-            smtp.login(self.user, self.password.read() or "")
+            smtp.login(self.address.user, self.password.read() or "")
 
     def _deliver(self, smtp: smtplib.SMTP, message: Message) -> None:
         code, said = smtp.mail(parseaddr(self.sender)[1])
@@ -181,89 +233,84 @@ MAKE_ONE = (
 )
 
 
-@dataclass(frozen=True)
-class Webhook:
-    """A receiver of messages.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Webhook(Channel):
+    """A [[notify]] by a webhook, whose path may itself be a secret and appears in no message; `timeout_s`:
+    limit [s] of one whole exchange."""
 
-    `path` may itself be a secret and appears in no message; `timeout_s`: limit [s] of one whole exchange.
-    """
+    REFUSED: ClassVar = {
+        "secret": "a secret must not be in this file: name a file as secret_file, or an environment "
+        "variable as secret_env"
+    }
+    url: str = setting(help="https://HOST[:PORT]/PATH")
+    secret_file: str = setting("", "file with the secret that signs, as its only line")
+    secret_env: str = setting("", "environment variable with the secret")
+    timeout_s: float = setting(10.0, "of one message", read=duration, least=1.0, most=120.0,
+                               expected="1 s to 2 min")  # fmt: skip
 
-    host: str
-    port: int
-    path: str = field(default="/", repr=False)
-    tls: bool = True
-    secret: Secret = NO_SECRET
-    ca: Path | None = None
-    timeout_s: float = 10.0
+    @across("url")
+    def no_user(self) -> str | None:
+        wrong = "url: user and password do not belong here; sign by secret_file"
+        return wrong if self.address.user else None
+
+    @across("secret_file", "secret_env")
+    def one_secret(self) -> str | None:
+        if self.secret_file and self.secret_env:
+            return "secret_file and secret_env: keep one"
+        try:
+            self.signing_key()
+        except (SourceFault, ChannelFault) as fault:
+            return str(fault)
+        return None
 
     @property
-    def where(self) -> str:
-        return f"{bracketed(self.host)}:{self.port}"
+    def tls(self) -> bool:
+        return self.url.startswith("https:")
 
     def cautions(self) -> Iterator[str]:
-        if not self.tls and not is_loopback(self.host):
+        if not self.tls and not is_loopback(self.address.host):
             yield f"notices go to {self.where} unencrypted: use https://"
-        if not self.secret.is_stated:
+        if not (self.secret_file or self.secret_env):
             yield f"notices to {self.where} are not signed: name a secret_file"
 
     def signing_key(self) -> bytes | None:
-        """The present secret, None for none.  Raises ChannelFault."""
-        try:
-            found = self.secret.read()
-        except SourceFault as fault:
-            raise ChannelFault(str(fault)) from None
-        return None if found is None else secret_bytes(found, self.secret.variable or str(self.secret.file))
+        """The present secret, None for none.  Raises SourceFault, ChannelFault."""
+        stated = Secret(self.path("secret_file"), self.secret_env, "secret").read()
+        return None if stated is None else secret_bytes(stated, self.secret_env or self.secret_file)
 
     def probe(self) -> str:
         """Connect and encrypt; nothing is posted."""
-        secret = self.signing_key()
-        connection = self._connection()
-        try:
+        with self._connected() as (connection, secret):
             connection.connect()
-            secured = connection.sock.version() if isinstance(connection.sock, ssl.SSLSocket) else None
-        except (OSError, ValueError) as fault:
-            raise ChannelFault(unreachable(fault, self.where)) from None
-        finally:
-            connection.close()
-        signed = "signed" if secret else "not signed"
-        return f"it answers{f' over TLS ({secured})' if secured else ', unencrypted'}; notices are {signed}"
+            return f"it answers{_secured(connection)}; notices are {'signed' if secret else 'not signed'}"
 
     def send(self, message: Message) -> None:
         """Post a message; only an answer of 200 to 299 accepts it."""
         body = json.dumps(data(message), ensure_ascii=False, allow_nan=False).encode()
         headers = {"Content-Type": "application/json", "User-Agent": "hygrokf"}
-        headers |= signature(message.key, body, time.time(), self.signing_key())
-        connection = self._connection()
-        try:
-            with ended_after(self.timeout_s, connection):
-                connection.request("POST", self.path, body, headers)
-                answer = connection.getresponse()
-                answer.read(READ)
-        except (OSError, ValueError, http.client.HTTPException) as fault:
-            raise ChannelFault(self._words(fault)) from None
-        finally:
-            connection.close()
-        if 300 <= answer.status < 400:
-            said = f"{self.where}: it redirects ({answer.status}): state the final url"
-            raise ChannelFault(said, reached=True)
+        with self._connected() as (connection, secret), _ended_after(self.timeout_s, connection):
+            headers |= signature(message.key, body, time.time(), secret)
+            connection.request("POST", self.address.path, body, headers)
+            answer = connection.getresponse()
+            answer.read(READ)
         if not 200 <= answer.status < 300:
-            raise ChannelFault(f"{self.where}: it answers {answer.status} {answer.reason}", reached=True)
+            final = ": state the final url" if answer.status < 400 else ""
+            refusal = f"{self.where}: it answers {answer.status} {answer.reason}{final}"
+            raise ChannelFault(refusal, reached=True)
 
-    def _words(self, fault: Exception) -> str:
-        if isinstance(fault, http.client.IncompleteRead | ConnectionResetError):
-            return f"{self.where}: it closed the connection before its answer was complete"
-        if isinstance(fault, http.client.HTTPException):
-            return f"{self.where}: its answer is no HTTP ({type(fault).__name__})"
-        return unreachable(fault, self.where)
-
-    def _connection(self) -> http.client.HTTPConnection:
-        if not self.tls:
-            return http.client.HTTPConnection(self.host, self.port, timeout=self.timeout_s)
-        try:
-            context = tls_context(self.ca)
-        except SourceFault as fault:
-            raise ChannelFault(str(fault)) from None
-        return http.client.HTTPSConnection(self.host, self.port, timeout=self.timeout_s, context=context)
+    @contextmanager
+    def _connected(self) -> Iterator[tuple[http.client.HTTPConnection, bytes | None]]:
+        """A connection, not opened yet, and the present secret.  Raises ChannelFault."""
+        with _exchange(self.where):
+            secret, host, port = self.signing_key(), self.address.host, self.address.port
+            connection = http.client.HTTPConnection(host, port, timeout=self.timeout_s)
+            if self.tls:
+                context = tls_context(self.path("ca"))
+                connection = http.client.HTTPSConnection(host, port, timeout=self.timeout_s, context=context)
+            try:
+                yield connection, secret
+            finally:
+                connection.close()
 
 
 def signature(key: str, body: bytes, now: float, secret: bytes | None) -> dict[str, str]:
@@ -283,3 +330,30 @@ def secret_bytes(text: str, place: str) -> bytes:
         if text.startswith(MARK) and len(found) >= LEAST_BYTES:
             return found
     raise ChannelFault(f"expected {MARK} and at least {LEAST_BYTES} bytes in base64 in {place}; {MAKE_ONE}")
+
+
+KINDS: Mapping[str, type[Mail] | type[Webhook]] = {
+    "smtp": Mail, "smtps": Mail, "https": Webhook, "http": Webhook,
+}  # fmt: skip
+"""Scheme of a URL -> kind of channel."""
+
+
+def channel_of(
+    table: Mapping[str, object], place: Place, folder: Path, turbines: Collection[str]
+) -> Channel | None:
+    """The channel of a `[[notify]]` table; None if the table is faulty, with the faults in `place`.
+
+    Nothing is connected yet.  Paths are relative to `folder`.
+    """
+    url = table.get("url")
+    scheme = url.partition(":")[0] if isinstance(url, str) else ""
+    if scheme not in KINDS:
+        place.fault(f"url must begin with one of {', '.join(f'{one}:' for one in KINDS)}, found {scheme!r}")
+        return None
+    own = replace(place, faults=[])
+    channel: Mail | Webhook = read_form(KINDS[scheme], table, own, folder=folder)
+    unknown = [] if own.faults else [one for one in channel.turbines if one not in turbines]
+    if unknown:
+        own.fault(f"turbines: no turbine is named {unknown[0]!r}{suggestion(unknown[0], turbines)}")
+    place.faults.extend(own.faults)
+    return None if own.faults else channel

@@ -6,27 +6,40 @@ certificates are read again for every connection, so that a renewed one needs no
 
 from __future__ import annotations
 
+import hashlib
 import os
 import socket
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from urllib.parse import quote
 
-from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.timestamps import DAY_S, duration
+from hygrokf.data.toml_form import across, setting
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.endpoint import (
-    NO_SECRET,
     OTHERS_READ,
-    Secret,
+    Address,
+    PasswordKeys,
+    address_of,
     bracketed,
     is_loopback,
     tls_context,
 )
+from hygrokf.live.sources.sparkplug_node import NAMESPACE
+from hygrokf.live.sources.stream import SourceKeys
 
 EXPIRY_S = 7.0 * DAY_S
 """[s] a broker keeps the session of a disconnected tracker."""
+PORTS = {"mqtt": 1883, "mqtts": 8883}
+"""Scheme of a URL -> default port."""
+LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
+LONGEST_NAME = 100
+_TLS = ("ca", "certificate", "key")
+_TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
+MAPPED, SPARKPLUG = "mapped", "sparkplug-b"
+FORMATS = (MAPPED, SPARKPLUG)
+"""Payloads that the mapping reads as they are, or messages of Sparkplug B."""
 LONGEST_TOPIC = 65_535
 """Longest topic [bytes in UTF-8]."""
 _CERTIFICATE_ERRORS = {
@@ -74,56 +87,6 @@ _REASONS = {
 """MQTT 5 reason code -> message; other codes are reported by their names."""
 
 
-@dataclass(frozen=True)
-class Broker:
-    """A broker and a session on it.
-
-    `topics`: topic filters; `alarms`: topic below which alarms are published, "" for none; `expiry_s`: time
-    [s] the session outlives a connection; `ca`: file of trusted CAs, None for those of the system.
-    """
-
-    host: str
-    port: int
-    tls: bool
-    topics: tuple[str, ...]
-    client_id: str
-    expiry_s: float = EXPIRY_S
-    alarms: str = ""
-    user: str = ""
-    password: Secret = NO_SECRET
-    ca: Path | None = None
-    certificate: Path | None = None
-    key: Path | None = None
-
-    @property
-    def where(self) -> str:
-        """HOST:PORT as in a URL."""
-        return f"{bracketed(self.host)}:{self.port}"
-
-    @property
-    def url(self) -> str:
-        """The source's URL with broker and session, but without user and password."""
-        return f"{'mqtts' if self.tls else 'mqtt'}://{self.where}?client_id={quote(self.client_id)}"
-
-    def context(self) -> ssl.SSLContext | None:
-        """TLS context that verifies chain and host name of the broker's certificate; None without TLS.
-        Raises SourceFault."""
-        if not self.tls:
-            return None
-        context = tls_context(self.ca, self.certificate, self.key)
-        context.sslsocket_class = _ClosingSocket
-        return context
-
-    def cautions(self) -> Iterator[str]:
-        """Warnings about settings that work but are unsafe."""
-        for name, path in (("password_file", self.password.file), ("key", self.key)):
-            if path is not None and os.name == "posix" and path.exists():
-                if path.stat().st_mode & OTHERS_READ:
-                    yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
-        if self.user and not self.tls and not is_loopback(self.host):
-            yield f"user and password go to {self.where} in plain text: use mqtts://"
-
-
 class _ClosingSocket(ssl.SSLSocket):
     """A socket that closes itself if the handshake fails, because paho then loses its reference to it."""
 
@@ -162,6 +125,154 @@ def alarm_topic(prefix: str, alarm: Alarm) -> str:
     name = alarm.id.removeprefix(f"{alarm.turbine}:").rpartition(":")[0]
     kind = name if name.startswith(alarm.kind) else alarm.kind
     return f"{prefix}/{quote(alarm.turbine, safe='')}/{quote(kind.replace(' ', '_'), safe='')}"
+
+
+# -- the session ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Broker(PasswordKeys, SourceKeys):
+    """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS: a broker and a session on it."""
+
+    url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
+    topics: tuple[str, ...] = setting((), "topic filters", expected=_TOPICS, empty=True)
+    alarms: str = setting("", "topic below which alarms are published")
+    client_id: str | None = setting(
+        None,
+        "name of the session at the broker",
+        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable(),
+        expected=f"text of 1 to {LONGEST_NAME} printable characters",
+    )
+    session_expiry_s: float = setting(
+        EXPIRY_S,
+        "for how long the broker keeps the session of an absent tracker",
+        read=duration,
+        least=LEAST_EXPIRY_S,
+        most=MOST_EXPIRY_S,
+        expected="1 min or more (and fit into 32 bits): for so long the broker keeps what comes while the "
+        "tracker is away",
+    )
+    user: str | None = setting(None, "if it is not in the url", empty=True)
+    ca: str = setting("", "certificates of the CAs to trust, PEM")
+    certificate: str = setting("", "of this client, PEM")
+    key: str = setting("", "of the certificate, PEM, without a passphrase")
+
+    format: str = setting(MAPPED, "of the messages", choices=FORMATS)
+    rebirth_requests: bool = setting(False, "whether edge nodes are asked for their birth certificates")
+
+    @across("url")
+    def url_form(self) -> str | None:
+        return self.address.fault
+
+    @across("topics")
+    def filters(self) -> Iterator[str]:
+        if not self.topics:
+            yield f"topics must be {_TOPICS}, found none"
+        for one in self.topics:
+            if (wrong := filter_fault(one)) is not None:
+                yield f"topics: {wrong}, found {one!r}"
+
+    @across("alarms")
+    def alarms_topic(self) -> str | None:
+        wrong, own = filter_fault(self.alarms) if self.alarms else None, self.alarms
+        if own.startswith(("$", "/")) or own.endswith("/") or "+" in own or "#" in own:
+            wrong = (
+                'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
+            )
+        return None if wrong is None else f"alarms: {wrong}, found {self.alarms!r}"
+
+    @across("user", "url")
+    def one_user(self) -> str | None:
+        if self.user is None or not self.address.user:
+            return None
+        return "user stands in the url and as a key: keep one"
+
+    @across("password_file", "password_env", "user")
+    def password_of_user(self) -> str | None:
+        if not self.password.is_stated or self.user or self.address.user:
+            return None
+        return "a password needs its user: add user, or mqtt://USER@HOST"
+
+    @across(*_TLS)
+    def tls_files(self) -> Iterator[str]:
+        if not self.tls and (given := [key for key in _TLS if getattr(self, key)]):
+            yield f"{', '.join(given)}: only with TLS; write mqtts:// or take this away"
+        if bool(self.certificate) != bool(self.key):
+            yield "certificate and key belong together: both, or neither"
+
+    @across("format", "rebirth_requests")
+    def requests_of_sparkplug(self) -> str | None:
+        if self.format == SPARKPLUG or not self.rebirth_requests:
+            return None
+        return f'rebirth_requests: only with format = "{SPARKPLUG}"'
+
+    @across("format", "weather")
+    def readings_of_sparkplug(self) -> str | None:
+        wrong = self.format == SPARKPLUG and self.weather
+        return f'weather: not with format = "{SPARKPLUG}"' if wrong else None
+
+    @across("format", "topics")
+    def topics_of_sparkplug(self) -> Iterator[str]:
+        for one in self.topics if self.format == SPARKPLUG else ():
+            levels = one.split("/")
+            if levels[0] == "$share":
+                yield f"topics: a share has gaps in the sequence of every edge node, found {one!r}"
+            elif levels[0] != NAMESPACE or ("#" not in levels[1:3] and levels[2:3] != ["+"]):
+                yield (
+                    f"topics: births, data and deaths are needed: write {NAMESPACE}/GROUP/# or "
+                    f"{NAMESPACE}/GROUP/+/NODE/#, found {one!r}"
+                )
+
+    @property
+    def address(self) -> Address:
+        """The parts of the url."""
+        return address_of(self.url, PORTS)
+
+    @property
+    def where(self) -> str:
+        """HOST:PORT as in a URL."""
+        return f"{bracketed(self.address.host)}:{self.address.port}"
+
+    @property
+    def tls(self) -> bool:
+        return self.url.startswith("mqtts:")
+
+    @property
+    def user_name(self) -> str:
+        return self.user or self.address.user
+
+    @property
+    def session(self) -> str:
+        """The name of the session, by default `hygrokf-HOST-DIGEST`: stable across restarts on this machine,
+        but different for each folder and broker."""
+        if self.client_id:
+            return self.client_id
+        scheme, host, port, *_ = self.address
+        here = "".join(c for c in socket.gethostname().partition(".")[0] if c.isalnum() and c.isascii())[:20]
+        names = f"{scheme}:{host}:{port} {self.folder.resolve()}"
+        return f"hygrokf-{here}-{hashlib.sha256(names.encode()).hexdigest()[:8]}"
+
+    @property
+    def session_url(self) -> str:
+        """The source's URL with broker and session, but without user and password."""
+        return f"{self.address.scheme}://{self.where}?client_id={quote(self.session)}"
+
+    def context(self) -> ssl.SSLContext | None:
+        """TLS context that verifies chain and host name of the broker's certificate; None without TLS.
+        Raises SourceFault."""
+        if not self.tls:
+            return None
+        context = tls_context(*map(self.path, _TLS))
+        context.sslsocket_class = _ClosingSocket
+        return context
+
+    def cautions(self) -> Iterator[str]:
+        """Warnings about settings that work but are unsafe."""
+        for name in ("password_file", "key"):
+            path = self.path(name)
+            if path is not None and os.name == "posix" and path.exists():
+                if path.stat().st_mode & OTHERS_READ:
+                    yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
+        if self.user_name and not self.tls and not is_loopback(self.address.host):
+            yield f"user and password go to {self.where} in plain text: use mqtts://"
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 from urllib.parse import unquote, urlsplit
 
-from hygrokf.data.toml_form import across, setting
+from hygrokf.data.toml_form import FolderKeys, across, setting
 from hygrokf.live.sources.stream import SourceFault
 
 OTHERS_READ = 0o004
@@ -130,11 +130,8 @@ class Secret:
         return found
 
 
-NO_SECRET = Secret()
-
-
 @dataclass(frozen=True, kw_only=True)
-class PasswordKeys:
+class PasswordKeys(FolderKeys):
     """The keys of every table that needs a password, which never stands in the tracker's file itself."""
 
     REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
@@ -147,9 +144,6 @@ class PasswordKeys:
         return "password_file and password_env: keep one" if both else None
 
     @property
-    def has_password(self) -> bool:
-        return bool(self.password_file or self.password_env)
-
-    def password(self, folder: Path) -> Secret:
-        """Where the password is; a path is relative to a folder."""
-        return Secret(folder / self.password_file if self.password_file else None, self.password_env)
+    def password(self) -> Secret:
+        """Where the password is."""
+        return Secret(self.path("password_file"), self.password_env)

@@ -371,14 +371,14 @@ class FileForm(SourceKeys):
             return None
         return "late and repeated need a speed: they are for playing back"
 
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
+    def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
         """The stream; None with a fault where a file to be played back has no rows."""
         if RECEIVED in mapping.time:
             place.fault(
                 f'time = "{RECEIVED}" is for sources that send by themselves; rows of a file need a time: '
                 "state another time in its [source.mapping]"
             )
-        path = folder / self.url.removeprefix("file:").removeprefix("//")
+        path = self.folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:
             return TailedFile(path, mapping, self.follow)
         try:
@@ -400,8 +400,7 @@ class InputForm(SourceKeys):
 
     url: str = setting(help="stdin")
 
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
-        """The stream."""
+    def stream(self, mapping: PayloadMapping, place: Place) -> Stream:
         return StandardInput(mapping)
 
 

@@ -58,7 +58,7 @@ class Mqtt(Stream):
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.broker = broker
-        self.url = broker.url
+        self.url = broker.session_url
         self._place = "\n".join(broker.topics)
         self._link: Link | None = None
         self._known = False

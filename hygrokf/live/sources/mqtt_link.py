@@ -110,7 +110,7 @@ class Link:
 
         made = piecewise_client()(
             CallbackAPIVersion.VERSION2,
-            client_id=self.broker.client_id,
+            client_id=self.broker.session,
             protocol=MQTTv5,
             manual_ack=True,
             reconnect_on_failure=False,
@@ -134,20 +134,20 @@ class Link:
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
-        broker = self.broker
-        if broker.user:
-            self.client.username_pw_set(broker.user, broker.password.read())
+        broker, address = self.broker, self.broker.address
+        if broker.user_name:
+            self.client.username_pw_set(broker.user_name, broker.password.read())
         context = broker.context()
         if context is not None:
             self.client.tls_set_context(context)
         wanted = Properties(PacketTypes.CONNECT)
-        wanted.SessionExpiryInterval = int(broker.expiry_s)
+        wanted.SessionExpiryInterval = int(broker.session_expiry_s)
         wanted.ReceiveMaximum = OPEN_MOST
         wanted.MaximumPacketSize = PACKET_MOST
         self.client.connect(
-            broker.host, broker.port, keepalive=KEEPALIVE_S, clean_start=False, properties=wanted
+            address.host, address.port, keepalive=KEEPALIVE_S, clean_start=False, properties=wanted
         )
-        self._thread = threading.Thread(target=self._run, name=f"{broker.url} network", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"{broker.session_url} network", daemon=True)
         self._thread.start()
 
     def acknowledge(self, identifier: int | None) -> None:
@@ -192,7 +192,7 @@ class Link:
             return SourceState("lost", words)
         if not self.answered:
             return SourceState("waiting", f"connecting to {where}")
-        said = f"connected to {where} as {self.broker.client_id}"
+        said = f"connected to {where} as {self.broker.session}"
         if not self._heard:
             said += (
                 "; no message has arrived yet: if this lasts, check topics and rights, because a broker may "
@@ -248,11 +248,11 @@ class Link:
             self.lose(f"{self.broker.where}: {reason_words(reason_code.value, str(reason_code))}")
             return
         self.accepted, self.resumed = True, flags.session_present
-        kept = getattr(properties, "SessionExpiryInterval", None)
-        if kept is not None and kept < int(self.broker.expiry_s):
+        kept, asked = getattr(properties, "SessionExpiryInterval", None), int(self.broker.session_expiry_s)
+        if kept is not None and kept < asked:
             LOG.warning(
                 "the broker keeps the session for less time than requested",
-                extra={"source": self.broker.url, "requested_s": int(self.broker.expiry_s), "kept_s": kept},
+                extra={"source": self.broker.session_url, "requested_s": asked, "kept_s": kept},
             )
         if self._dropped and self.resumed:
             client.unsubscribe(list(self._dropped))
@@ -325,7 +325,7 @@ class Link:
         else:
             self.lose(
                 f"{where}: the connection was lost; if this repeats, look for another process with the "
-                f"client_id {self.broker.client_id}"
+                f"client_id {self.broker.session}"
             )
 
 

@@ -14,29 +14,16 @@ import json
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hygrokf.data.structured import Json, JsonObject
-from hygrokf.live.sources.opcua_client import (
-    Connection,
-    ConnectionFault,
-    HistoryFault,
-    Node,
-    Rates,
-    Sample,
-    Security,
-    User,
-    library,
-)
+from hygrokf.data.toml_form import Place
+from hygrokf.errors import suggestion
+from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample, library, node_fault
+from hygrokf.live.sources.opcua_form import Node, Security, Server
 from hygrokf.live.sources.payload import EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.payload_values import AHEAD_S
-from hygrokf.live.sources.stream import (
-    PAUSE_S,
-    Delivery,
-    SourceState,
-    Stream,
-    several,
-)
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Stream, several
 
 LOG = logging.getLogger("hygrokf.track")
 FIRST_S = 2.0
@@ -50,29 +37,19 @@ BATCH = 500
 class OpcUa(Stream):
     """A subscription to nodes of one server, in its own asyncio loop.
 
-    `look_back_s` [s]: how far back to read the history of a node that was never read before.  Each sample
-    becomes a payload with the names turbine, time, quality and the node's field; the mapping states which
-    qualities count.
+    Each sample becomes a payload with the names turbine, time, quality and the node's field; the mapping
+    states which qualities count.
     """
 
     ordered_by = "server time stamp"
     is_server = True
 
-    def __init__(
-        self,
-        url: str,
-        nodes: Sequence[Node],
-        mapping: PayloadMapping,
-        rates: Rates | None = None,
-        look_back_s: float = 0.0,
-        security: Security | None = None,
-        user: User | None = None,
-    ) -> None:
+    def __init__(self, server: Server, mapping: PayloadMapping, security: Security | None = None) -> None:
         super().__init__(mapping)
-        self.url = url
-        self.nodes = tuple(nodes)
-        self._rates, self._look_back_s = rates or Rates(), look_back_s
-        self._security, self._user = security, user
+        self.url = server.endpoint
+        self.server = server
+        self.nodes = tuple(server.nodes.values())
+        self._security = security
         self._put: Callable[[Delivery], None] = lambda one: None
         self._reached: dict[str, float] = {}
         self._since_s = 0.0
@@ -103,7 +80,7 @@ class OpcUa(Stream):
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         self._put = put
         self._reached = self._reached or self._times_reached(place)
-        self._since_s = self._since_s or time.time() - self._look_back_s
+        self._since_s = self._since_s or time.time() - self.server.look_back_s
         library()
         asyncio.run(self._follow())
 
@@ -126,7 +103,7 @@ class OpcUa(Stream):
     # -- connections -----------------------------------------------------------------------------------------
     def connection(self) -> Connection:
         """A connection to the server, not open yet."""
-        return Connection(self.url, self._rates, self._security, self._user)
+        return Connection(self.server, self._security)
 
     async def _follow(self) -> None:
         """Serve one connection until it is lost or the stream is stopped."""
@@ -135,8 +112,8 @@ class OpcUa(Stream):
             await connection.open()
             LOG.info("connected", extra={"source": self.url})
             await self._serve(connection)
-        except ConnectionFault as fault:
-            raise ConnectionFault(f"{self.url}: {fault}") from None
+        except SourceFault as fault:
+            raise SourceFault(f"{self.url}: {fault}") from None
         finally:
             await connection.close()
 
@@ -173,7 +150,7 @@ class OpcUa(Stream):
         first: dict[Node, float | None] = {}
         samples: list[Sample] = []
         awaited = set(nodes) - set(self._refused)
-        end = time.monotonic() + self._rates.publishing_s + FIRST_S
+        end = time.monotonic() + self.server.publishing_s + FIRST_S
         while awaited - set(first) and time.monotonic() < end and not self._ended.is_set():
             came = await connection.samples(PAUSE_S)
             samples += came
@@ -318,3 +295,48 @@ def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:
     # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]
     return f"{words}: {several(found)}" if found else ""
+
+
+# -- from the tracker's file ---------------------------------------------------------------------------------
+_PLAIN = ("turbine", "time", "quality")
+
+
+@dataclass(frozen=True)
+class OpcUaForm(Server):
+    """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
+
+    def stream(self, mapping: PayloadMapping, place: Place) -> OpcUa:
+        """The stream; faults of its nodes and files go to `place`."""
+        security = self.security_from(place)
+        for look in (self.password.read, lambda: _check_nodes(self.nodes, mapping, place)):
+            try:
+                look()
+            except SourceFault as fault:
+                place.fault(str(fault))
+        turbines = {one.turbine: one.turbine for one in self.nodes.values()}
+        own = mapping.of_own_payloads(self.uncertain and mapping.use_uncertain, turbines)
+        return OpcUa(self, own, security)
+
+
+def _check_nodes(nodes: Mapping[str, Node], mapping: PayloadMapping, place: Place) -> None:
+    """Faults of nodes that the mapping does not know, or that stand for one field twice.
+
+    Raises SourceFault without asyncua.
+    """
+    turbines = tuple(set(mapping.turbines.values()))
+    taken: dict[tuple[str, str], str] = {}
+    for id, one in nodes.items():
+        inside = place.inside("nodes", entry=repr(id))
+        if (wrong := node_fault(id)) is not None:
+            inside.fault(wrong)
+        for key, value, known, where in (
+            ("turbine", one.turbine, turbines, "[[turbine]]"),
+            ("field", one.field, tuple(mapping.fields), "[mapping.signals]"),
+        ):
+            if value and value not in known:
+                inside.fault(f"{key}: {where} has no {value!r}{suggestion(value, known)}")
+        if one.field in _PLAIN:
+            inside.fault(f"a field must not be named {one.field!r} here: rename it in [mapping.signals]")
+        other = taken.setdefault((one.turbine, one.field), id)
+        if other != id:
+            inside.fault(f"{other!r} already is {one.field} of {one.turbine}")

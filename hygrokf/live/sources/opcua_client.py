@@ -14,13 +14,14 @@ import socket
 import time
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.errors import HygrokfError
+from hygrokf.live.sources.opcua_form import HELD, Node, Security, Server
 from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
@@ -51,25 +52,12 @@ REMEDIES = {
 }
 
 
-class ConnectionFault(SourceFault):
-    """A connection failed or was lost; the message says why."""
-
-
 class HistoryFault(HygrokfError):
     """A node's history could not be read; `word`: the server's reason; `final`: asking again is useless."""
 
     def __init__(self, word: str) -> None:
         super().__init__(word)
         self.final = word in NO_HISTORY
-
-
-@dataclass(frozen=True)
-class Node:
-    """A variable of the server: its id as text, its turbine, and its field of the mapping."""
-
-    id: str
-    turbine: str
-    field: str
 
 
 @dataclass(frozen=True)
@@ -91,29 +79,19 @@ class Sample:
     served: float = math.nan
 
 
-@dataclass(frozen=True)
-class Rates:
-    """Requested sampling and publishing intervals [s], and the server's `queue` of samples per node between
-    publications."""
-
-    sampling_s: float = 1.0
-    publishing_s: float = 1.0
-    queue: int = 100
-
-
 def library() -> ModuleType:
-    """The module asyncua, an optional dependency.  Raises ConnectionFault if it is missing."""
+    """The module asyncua, an optional dependency.  Raises SourceFault if it is missing."""
     try:
         import asyncua
     except ImportError:
-        raise ConnectionFault("OPC UA needs asyncua: pip install 'hygrokf[opcua]'") from None
+        raise SourceFault("OPC UA needs asyncua: pip install 'hygrokf[opcua]'") from None
     # its relevant log entries are also raised as exceptions; its debug output contains passwords
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     return asyncua
 
 
 def node_fault(text: str) -> str | None:
-    """An error message for an invalid node id, else None.  Raises ConnectionFault without asyncua."""
+    """An error message for an invalid node id, else None.  Raises SourceFault without asyncua."""
     ua = library().ua
     try:
         found = ua.NodeId.from_string(text)
@@ -157,7 +135,7 @@ def name_of(fault: Exception) -> str:
 
 def words_of(fault: Exception) -> str:
     """Message for an exception of asyncua or the network."""
-    if isinstance(fault, ConnectionFault):
+    if isinstance(fault, SourceFault):
         return str(fault)
     if isinstance(fault, ConnectionRefusedError):
         return "nothing listens there"
@@ -184,37 +162,11 @@ KEEP_ALIVE_S = 10.0
 """[s] without changes after which the server sends a keep-alive."""
 LIFETIME_S = 120.0
 """[s] the server keeps session and subscription of a lost client."""
-HELD = 20_000
-"""Largest number of waiting samples."""
 AT_ONCE = 500
 """Nodes per subscription request."""
 PAGE = 1_000
 """Samples per history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
-
-
-@dataclass(frozen=True)
-class Security:
-    """Signing and encryption between this client's key pair and one server's certificate (all DER).
-
-    `application_uri`: URI in the client's certificate; `valid_until`: end of that certificate's validity [s].
-    """
-
-    policy: str
-    mode: str
-    certificate: bytes = field(repr=False)
-    key: bytes = field(repr=False)
-    server_certificate: bytes = field(repr=False)
-    application_uri: str
-    valid_until: float
-
-
-@dataclass(frozen=True)
-class User:
-    """User name and password for the login."""
-
-    name: str
-    password: str = field(repr=False)
 
 
 class Connection:
@@ -224,15 +176,12 @@ class Connection:
     in any case.
     """
 
-    def __init__(
-        self, url: str, rates: Rates, security: Security | None = None, user: User | None = None
-    ) -> None:
-        self.url = url
+    def __init__(self, server: Server, security: Security | None) -> None:
         self.unfiltered = False
         """Whether the server reports changes only and omits repeated equal values."""
         self.dropped: set[Node] = set()
         """Nodes that lost samples because the queue here was full; the caller empties the set."""
-        self._rates, self._security, self._user = rates, security, user
+        self._server, self._security = server, security
         self._ua = library().ua
         self._client: Client | None = None
         self._subscription: Subscription | None = None
@@ -245,7 +194,7 @@ class Connection:
 
     # -- the session -----------------------------------------------------------------------------------------
     async def open(self) -> None:
-        """Connect, log in and create an empty subscription.  Raises ConnectionFault."""
+        """Connect, log in and create an empty subscription.  Raises SourceFault."""
         try:
             client = self._client = await self._new_client()
             await client.connect()
@@ -255,7 +204,7 @@ class Connection:
         except Exception as fault:  # asyncua raises many exceptions, also while decoding
             words = await self._explain(fault)
             await self.close()
-            raise ConnectionFault(words) from None
+            raise SourceFault(words) from None
 
     @property
     def _open_client(self) -> Client:
@@ -274,7 +223,7 @@ class Connection:
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
-        client: Client = library().Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
+        client: Client = library().Client(self._server.endpoint, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
         client.name = client.description = f"hygrokf on {socket.gethostname()}"
         client.session_timeout = int(1e3 * LIFETIME_S)
         client.connection_lost_callback = self._note_loss
@@ -288,9 +237,9 @@ class Connection:
                 server_certificate=CertProperties(s.server_certificate, "der"),
                 mode=self._ua.MessageSecurityMode[s.mode],
             )
-        if self._user is not None:
-            client.set_user(self._user.name)
-            client.set_password(self._user.password)
+        if self._server.user:
+            client.set_user(self._server.user)
+            client.set_password(self._server.password.read() or "")
         return client
 
     async def _create_subscription(self, client: Client) -> None:
@@ -299,9 +248,9 @@ class Connection:
         from asyncua.common.subscription import Subscription
 
         wanted = self._ua.CreateSubscriptionParameters()
-        wanted.RequestedPublishingInterval = 1e3 * self._rates.publishing_s
-        wanted.RequestedMaxKeepAliveCount = math.ceil(KEEP_ALIVE_S / self._rates.publishing_s)
-        wanted.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._rates.publishing_s)
+        wanted.RequestedPublishingInterval = 1e3 * self._server.publishing_s
+        wanted.RequestedMaxKeepAliveCount = math.ceil(KEEP_ALIVE_S / self._server.publishing_s)
+        wanted.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._server.publishing_s)
         wanted.MaxNotificationsPerPublish = HELD
         wanted.PublishingEnabled = True
         made = self._subscription = Subscription(client.uaclient.session, wanted, self)
@@ -322,16 +271,16 @@ class Connection:
         await asyncio.sleep(0.0)
 
     def check(self) -> None:
-        """Raises ConnectionFault if the connection is lost or the server has stopped publishing."""
+        """Raises SourceFault if the connection is lost or the server has stopped publishing."""
         last = self._open_subscription.last_publish_at
         silent_s = 0.0 if last is None else time.monotonic() - last
         if not self._lost and silent_s > self._stale_s:
             self._lost = f"the server has not published for {silent_s:.0f} s"
         if self._lost:
-            raise ConnectionFault(self._lost)
+            raise SourceFault(self._lost)
 
     async def server_time(self) -> float:
-        """The server's clock [s].  Raises ConnectionFault."""
+        """The server's clock [s].  Raises SourceFault."""
         try:
             node = self._open_client.get_node(
                 self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime)
@@ -339,7 +288,7 @@ class Connection:
             found = await node.read_value()
             return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
         except Exception as fault:
-            raise ConnectionFault(words_of(fault)) from None
+            raise SourceFault(words_of(fault)) from None
 
     async def _note_loss(self, fault: Exception) -> None:
         self._lost = self._lost or f"the connection is lost ({words_of(fault)})"
@@ -348,7 +297,7 @@ class Connection:
         """Why a connection failed, including a mismatch with the endpoints that the server offers to
         anyone."""
         words = words_of(fault)
-        if isinstance(fault, ConnectionRefusedError | socket.gaierror | ConnectionFault):
+        if isinstance(fault, ConnectionRefusedError | socket.gaierror | SourceFault):
             return words
         words = await self._mismatch() or words
         if self._security is not None and self._security.valid_until < time.time():
@@ -361,7 +310,7 @@ class Connection:
     async def _mismatch(self) -> str:
         """A message if the server's policy, mode or certificate differs from the configured one; empty if
         unknown."""
-        s, client = self._security, library().Client(self.url, timeout=0.4 * ANSWER_S)
+        s, client = self._security, library().Client(self._server.endpoint, timeout=0.4 * ANSWER_S)
         try:
             offers = await client.connect_and_get_server_endpoints()
         except Exception:  # the server answers no unsecured client, or none at all
@@ -382,7 +331,7 @@ class Connection:
 
     # -- the subscription ------------------------------------------------------------------------------------
     async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribe to nodes; returns the refused nodes with the server's reason.  Raises ConnectionFault."""
+        """Subscribe to nodes; returns the refused nodes with the server's reason.  Raises SourceFault."""
         try:
             refused = await self._look_up_ids(nodes)
             for filtered in (True, False):
@@ -402,7 +351,7 @@ class Connection:
                             refused[node] = result.name
                         self.unfiltered |= not filtered
         except Exception as fault:
-            raise ConnectionFault(words_of(fault)) from None
+            raise SourceFault(words_of(fault)) from None
         return refused
 
     async def _look_up_ids(self, nodes: Iterable[Node]) -> dict[Node, str]:
@@ -427,8 +376,8 @@ class Connection:
         ua = self._ua
         wanted = ua.MonitoringParameters()
         wanted.ClientHandle = len(self._handles) + 1
-        wanted.SamplingInterval = 1e3 * self._rates.sampling_s
-        wanted.QueueSize = self._rates.queue
+        wanted.SamplingInterval = 1e3 * self._server.sampling_s
+        wanted.QueueSize = self._server.queue
         wanted.DiscardOldest = True
         if filtered:
             wanted.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
@@ -467,7 +416,7 @@ class Connection:
         """Subscribed nodes whose access level excludes reading their history, with the reason.
 
         A server that keeps no history may still answer a request for it, with nothing.  Nodes whose access
-        level the server does not tell are left out.  Raises ConnectionFault.
+        level the server does not tell are left out.  Raises SourceFault.
         """
         ua, found = self._ua, dict[Node, str]()
         kinds = {
@@ -489,12 +438,12 @@ class Connection:
         except ua.UaStatusCodeError:  # this server refuses to tell
             return found
         except Exception as fault:
-            raise ConnectionFault(words_of(fault)) from None
+            raise SourceFault(words_of(fault)) from None
         return found
 
     async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
         """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
-        ConnectionFault."""
+        SourceFault."""
         ua = self._ua
         details = ua.ReadRawModifiedDetails(NumValuesPerNode=PAGE, ReturnBounds=False, IsReadModified=False)
         details.EndTime = datetime.fromtimestamp(until_s, UTC)
@@ -533,7 +482,7 @@ class Connection:
             self.check()
             raise HistoryFault(f"no answer within {HISTORY_S:g} s") from None
         except Exception as fault:
-            raise ConnectionFault(words_of(fault)) from None
+            raise SourceFault(words_of(fault)) from None
         now = time.time()
         return [
             sample_of(node, one, now) for one in getattr(found.HistoryData, "DataValues", None) or ()

@@ -15,7 +15,6 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from decimal import Decimal
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hygrokf.data.structured import Json
@@ -102,9 +101,8 @@ class PostgresForm(PasswordKeys, SourceKeys):
             return f"query: write a % other than that of {AFTER} as %%"
         return None
 
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
-        """The stream."""
-        return PostgresQuery(self, mapping, folder)
+    def stream(self, mapping: PayloadMapping, place: Place) -> Stream:
+        return PostgresQuery(self, mapping)
 
 
 @dataclass(frozen=True)
@@ -135,19 +133,17 @@ class Columns:
 class PostgresQuery(Stream):
     """The rows of a query, from a session that may only read; reconnects indefinitely.
 
-    Paths in its form are relative to `folder`.  The place is type and text of a watermark below which every
-    row is committed.
+    The place is type and text of a watermark below which every row is committed.
     """
 
     ordered_by = "watermark"
     is_server = True
 
-    def __init__(self, form: PostgresForm, mapping: PayloadMapping, folder: Path = Path()) -> None:
+    def __init__(self, form: PostgresForm, mapping: PayloadMapping) -> None:
         super().__init__(mapping)
         self.form = form
         self.usual_interval_s = form.poll_s
         self.url = f"{form.url}#{form.name}" if form.name else form.url
-        self._password = form.password(folder)
         self._follow = True
         self._connection: psycopg.Connection[Row] | None = None
         self._after = ""
@@ -175,7 +171,7 @@ class PostgresQuery(Stream):
         """A session that may only read.  Raises SourceFault."""
         try:
             import_psycopg("a PostgreSQL source")
-            connection = connected(self.form.url, self._password.read())
+            connection = connected(self.form.url, self.form.password.read())
         except StoreFault as fault:
             raise SourceFault(str(fault)) from None
         for statement in SESSION:

@@ -10,18 +10,19 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.live.sources.broker import Broker
+from hygrokf.data.toml_form import Place
+from hygrokf.live.sources.broker import SPARKPLUG, Broker
 from hygrokf.live.sources.mqtt import Mqtt, MqttReceipt
-from hygrokf.live.sources.mqtt_link import Arrival, Link
+from hygrokf.live.sources.mqtt_link import Arrival, Link, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
-from hygrokf.live.sources.stream import Delivery, Receipt, SourceState, several
+from hygrokf.live.sources.stream import Delivery, Receipt, SourceFault, SourceState, several
 
 LOG = logging.getLogger("hygrokf.track")
 MOST_NODES = 1_000
@@ -97,11 +98,10 @@ class Sparkplug(Mqtt):
 
     largest = LARGEST_MESSAGE
 
-    def __init__(self, broker: Broker, mapping: PayloadMapping, rebirth_requests: bool = False) -> None:
+    def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
         own = mapping.of_own_payloads(mapping.use_uncertain, mapping.turbines)
         named = replace(own, turbine=mapping.turbine, tag_pattern=mapping.tag_pattern, names=mapping.names)
         super().__init__(broker, named)
-        self.rebirth_requests = rebirth_requests
         self.edge_nodes = EdgeNodes()
         self._asked: dict[str, float] = {}
         self._looked = 0.0
@@ -125,7 +125,7 @@ class Sparkplug(Mqtt):
         self._looked = time.monotonic()
         for node in self.edge_nodes.nodes.values():
             self._put_released(link, node, node.look(time.time()), put)
-        if self.rebirth_requests and link.answered:
+        if self.broker.rebirth_requests and link.answered:
             for name in self.edge_nodes.without_birth():
                 if self._looked > self._asked.get(name, -ASK_AGAIN_S) + ASK_AGAIN_S:
                     self._asked[name] = self._looked
@@ -213,8 +213,24 @@ class Sparkplug(Mqtt):
         if waiting := self.edge_nodes.without_birth():
             remedy = (
                 "it has been asked for a rebirth"
-                if self.rebirth_requests
+                if self.broker.rebirth_requests
                 else (f"ask for a rebirth: {ASK}, or set rebirth_requests = true")
             )
             notes.append(f"gap or no birth certificate, aliases are not read: {several(waiting)}: {remedy}")
         return notes
+
+
+@dataclass(frozen=True)
+class MqttForm(Broker):
+    """A [[source]] of a broker: payloads for the mapping, or Sparkplug B."""
+
+    def stream(self, mapping: PayloadMapping, place: Place) -> Mqtt:
+        """The stream; secrets and certificates that cannot be read are faults."""
+        if (missing := libraries_fault()) is not None:
+            place.fault(missing)
+        for look in () if place.faults else (self.password.read, self.context):
+            try:
+                look()
+            except SourceFault as fault:
+                place.fault(str(fault))
+        return (Sparkplug if self.format == SPARKPLUG else Mqtt)(self, mapping)

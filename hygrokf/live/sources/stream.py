@@ -13,12 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import MINUTE_S, duration
-from hygrokf.data.toml_form import Place, setting
+from hygrokf.data.toml_form import FolderKeys, Place, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.payload import PayloadMapping
@@ -134,7 +133,7 @@ class Reach(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SourceKeys:
+class SourceKeys(FolderKeys):
     """The keys of every [[source]] table, whose form makes its stream."""
 
     weather: bool = setting(False, "whether it brings weather forecasts, not readings")
@@ -144,7 +143,7 @@ class SourceKeys:
         expected="longer than nothing",
     )  # fmt: skip
 
-    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
+    def stream(self, mapping: PayloadMapping, place: Place) -> Stream | None:
         """The stream; None with faults in `place`."""
         raise NotImplementedError
 

@@ -1,0 +1,232 @@
+"""A channel: where notices go, which alarms it covers, how long an alarm must stand before it is sent; and
+its messages in words."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+
+from hygrokf.data.structured import JsonObject
+from hygrokf.data.timestamps import DAY_S, duration, stamp_text
+from hygrokf.data.toml_form import FolderKeys, across, setting
+from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.identification.wording import one_line
+from hygrokf.live.alarms import RULES
+from hygrokf.live.batch import Alarm
+from hygrokf.live.sources.endpoint import Address, address_of, bracketed
+
+SEVERITIES = ("notice", "warning", "alarm")
+"""Severities of an alarm, the lowest first."""
+URGENT = "alarm"
+"""Severity of alarms that are not collected into a digest."""
+BEGAN, WORSENED, ENDED = "began", "worsened", "ended"
+ACKNOWLEDGED, DUE_AGAIN = "acknowledged", "due again"
+OPENING = (BEGAN, WORSENED, DUE_AGAIN)
+"""Events that announce an open alarm; the others are sent only if one of these was."""
+LONGEST_SUBJECT = 150
+"""Longest subject [characters]."""
+TEST = "test message: notices of this tracker arrive here"
+LONGEST_REASON = 200
+"""[characters] of a server's answer that are shown."""
+
+
+class ChannelFault(HygrokfError):
+    """A message could not be delivered; the text says why and contains no secret.
+
+    `reached`: whether the server was reached and refused this message, so that others may still pass.
+    """
+
+    def __init__(self, words: str, reached: bool = False) -> None:
+        shown = one_line(words)
+        super().__init__(shown if len(shown) <= LONGEST_REASON else f"{shown[: LONGEST_REASON - 1]}…")
+        self.reached = reached
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a notice says: an `event` of an `alarm` as it was then.
+
+    `message`: key of the message that carries it, empty before the first attempt; from then on that message
+    stays as it is.
+    """
+
+    event: str
+    alarm: Alarm
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Message:
+    """What is sent at once: contents by id of their notices.
+
+    `key` is the same at every attempt, so that a receiver can drop a repeat; a message without contents is a
+    test.
+    """
+
+    key: str
+    contents: dict[str, Content] = field(default_factory=dict)
+    attempts: int = 0
+
+    @classmethod
+    def of(cls, contents: dict[str, Content]) -> Message:
+        """A new message, whose key is a digest of its notices' ids."""
+        key = hashlib.sha256("\n".join(sorted(contents)).encode()).hexdigest()[:32]
+        return cls(key, {name: replace(one, message=key) for name, one in contents.items()})
+
+
+def subject(message: Message) -> str:
+    """One line that says what a message is about."""
+    contents = list(message.contents.values())
+    if not contents:
+        return f"[hygrokf] {TEST}"
+    if len(contents) == 1:
+        said = headline(contents[0])
+    else:
+        events = Counter(one.event for one in contents)
+        said = f"{len(contents)} notices: {', '.join(f'{n} {event}' for event, n in events.items())}"
+    return one_line(f"[hygrokf] {said}")[:LONGEST_SUBJECT]
+
+
+def headline(content: Content) -> str:
+    """One line about one alarm."""
+    alarm = content.alarm
+    whose = alarm.turbine or "tracker"
+    word = "" if content.event == ACKNOWLEDGED else f"{alarm.severity}, "
+    return one_line(f"{whose}: {alarm.kind} ({word}{content.event})")
+
+
+def text(message: Message) -> str:
+    """The message for people, the most severe and newest contents last."""
+    if not message.contents:
+        return f"{TEST}\n"
+    in_order = sorted(message.contents.values(), key=lambda one: (one.alarm.began, one.alarm.id))
+    return "\n\n".join(map(_paragraph, in_order)) + "\n"
+
+
+def _paragraph(content: Content) -> str:
+    alarm = content.alarm
+    lines = [headline(content), f"  {one_line(alarm.statement)}"]
+    if content.event == ENDED and alarm.ended is not None:
+        lines.append(f"  from {stamp_text(alarm.began)} to {stamp_text(alarm.ended)}")
+    else:
+        lines.append(f"  since {stamp_text(alarm.began)}")
+    if content.event == ACKNOWLEDGED:
+        note = f": {alarm.note}" if alarm.note else ""
+        lines.append(one_line(f"  {alarm.cause} – {alarm.acknowledged_by}{note}"))
+        if alarm.look_again is not None:
+            lines.append(f"  due again {stamp_text(alarm.look_again)}")
+    elif content.event != ENDED and alarm.remedy:
+        lines.append(f"  to do: {one_line(alarm.remedy)}")
+    return "\n".join(lines)
+
+
+def data(message: Message) -> JsonObject:
+    """The message for machines; the same at every attempt."""
+    return {
+        "type": "hygrokf.alarms" if message.contents else "hygrokf.test",
+        "text": text(message),
+        "notices": [
+            {"id": name, "event": one.event, "alarm": asdict(one.alarm)}
+            for name, one in message.contents.items()
+        ],
+    }
+
+
+# -- the keys that the tables of all channels have -----------------------------------------------------------
+LONGEST_NAME = 40
+PORTS = {"smtp": 587, "smtps": 465, "http": 80, "https": 443}
+"""Scheme of a URL -> default port."""
+MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
+
+
+def _of(value: object, choices: tuple[str, ...]) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        raise ValueError(f"expected a list of {', '.join(choices)}, found {value!r}")
+    for one in value:
+        if one not in choices:
+            raise ValueError(f'expected {", ".join(choices)}, found "{one}"{suggestion(one, choices)}')
+    return tuple(value)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Channel(FolderKeys):
+    """Where notices go, and which alarms they are about; empty `kinds`, `severities`, `turbines` stand for
+    all.
+
+    `hold_off_s` [s] an alarm must stand before it is sent; `digest_s`: interval [s] after which notices that
+    are not urgent are sent together, 0 for each at once.
+    """
+
+    name: str = setting(
+        help="the name of the channel",
+        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable() and ":" not in name,
+        expected=f"text of 1 to {LONGEST_NAME} printable characters without a colon",
+    )
+    hold_off_s: float = setting(
+        0.0,
+        "time that an alarm must stand",
+        read=duration,
+        least=0.0,
+        most=MOST_HOLD_OFF_S,
+        expected="at most 7 d",
+    )
+    digest_s: float = setting(
+        0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
+        expected="at most 1 d",
+    )  # fmt: skip
+    kinds: tuple[str, ...] = setting((), "kinds of alarms", read=partial(_of, choices=tuple(RULES)))
+    severities: tuple[str, ...] = setting((), "severities of alarms", read=partial(_of, choices=SEVERITIES))
+    turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
+    ca: str = setting("", "certificates of the CAs to trust, PEM")
+    url: str
+
+    @property
+    def address(self) -> Address:
+        """The parts of the url."""
+        return address_of(self.url, PORTS, has_path=self.url.startswith("http"))
+
+    @property
+    def where(self) -> str:
+        """HOST:PORT."""
+        return f"{bracketed(self.address.host)}:{self.address.port}"
+
+    @across("url")
+    def url_form(self) -> str | None:
+        if not self.url.isascii():
+            return "url must be ASCII"
+        return self.address.fault
+
+    def send(self, message: Message) -> None:
+        """Returns once the receiver has accepted a message.  Raises ChannelFault."""
+        raise NotImplementedError
+
+    def probe(self) -> str:
+        """Try everything but sending; returns what was found.  Raises ChannelFault."""
+        raise NotImplementedError
+
+    def cautions(self) -> Iterator[str]:
+        """Settings that work but are unsafe."""
+        raise NotImplementedError
+
+    def concerns(self, alarm: Alarm) -> bool:
+        """Whether an alarm of some severity is sent here; one of no turbine (a lost source) concerns all of
+        them."""
+        return (not self.kinds or alarm.kind in self.kinds) and (
+            not self.turbines or not alarm.turbine or alarm.turbine in self.turbines
+        )
+
+    def covers(self, alarm: Alarm) -> bool:
+        """Whether the beginning of an alarm is sent here."""
+        return self.concerns(alarm) and (not self.severities or alarm.severity in self.severities)
+
+    def collects(self, alarm: Alarm) -> bool:
+        """Whether notices of an alarm wait for the next digest."""
+        return self.digest_s > 0.0 and alarm.severity != URGENT
+
+    def due_s(self, alarm: Alarm, from_s: float) -> float:
+        """When [s] a notice that may be sent from a time [s] on is due."""
+        return self.digest_s * math.ceil(from_s / self.digest_s) if self.collects(alarm) else from_s
