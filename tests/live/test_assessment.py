@@ -161,14 +161,14 @@ def test_ambient_humidity_that_never_comes(
     assert signals["cabinet_temperature"]["last"] == pytest.approx(record["cabinet_temperature"].time[-1])
     # a restart knows it, and once the signal comes the turbine has an estimate and the alarm ends
     fleet = Fleet.from_store({"T1": turbine}, store)
-    assert fleet.states.assessments["T1"].since == row["since"]
+    assert fleet.tracked["T1"].assessment.since == row["since"]
     late = [r for r in record_messages(record, "T1") if "ambient_relative_humidity" in r[1]]
     now = record.end_s + 60.0
     store.commit(fleet.round([Delivery(json.dumps(content), now) for _, content in late], mapping, "file"))
     store.commit(fleet.tick(now + 3600.0, {}))
     (row,) = fleet_view(store, ["T1"], now)
     assert row["state"] in ("ok", "off", "at risk") and row["alarms"] == []
-    assert row["since"] > fleet.states.known_since("T1", now, Batch())
+    assert row["since"] > fleet.tracked["T1"].known_s
     store.close()
 
 
@@ -192,7 +192,7 @@ def test_states_are_written_on_change_alone_and_survive(
     assert fleet.filter_waiting(Batch()).empty
     rounds(fleet, store, record, mapping)
     found = store.assessments()
-    assert found == fleet.states.assessments and found["T1"].state in ("ok", "off")
+    assert found == {"T1": fleet.tracked["T1"].assessment} and found["T1"].state in ("ok", "off")
     assert fleet.tick(record.end_s + 10.0, {}).assessments == []
     again = Fleet.from_store({"T1": turbine}, store)
     assert again.filter_waiting(Batch()).assessments == []  # before the time is known

@@ -62,7 +62,7 @@ READABLE_COLUMNS = tuple(_readable())
 """Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
-VERSION = 6
+VERSION = 7
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
 _TYPES = {
     "NUMBER": "DOUBLE PRECISION", "float": "DOUBLE PRECISION", "int": "INTEGER", "str": "TEXT"
