@@ -63,11 +63,10 @@ EVERY_S = DAY_S
 
 @dataclass(frozen=True)
 class Finding:
-    """The most likely cause of a parameter shift, "" if none explains the readings.
+    """How well a cause explains the readings, or the most likely one, "" if none explains them.
 
     `state`, `value`, `sd`: the state that explains it, its value now and its standard deviation; `gain`: in
-    ln L over an unchanged cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot
-    be distinguished from it.
+    ln L over an unchanged cabinet; `alike`: causes that cannot be distinguished from it.
     """
 
     time_s: float
@@ -75,7 +74,6 @@ class Finding:
     state: str = ""
     value: float = 0.0
     gain: float = 0.0
-    lead: float | None = None
     alike: tuple[str, ...] = ()
     sd: float = 0.0
 
@@ -105,17 +103,6 @@ def shift_step(
     return ShiftStep(time, lasting, due, dict(deviations))
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, its value now and the
-    standard deviation of it."""
-
-    gain: float
-    state: str
-    value: float
-    sd: float = 0.0
-
-
 def isolate(
     plan: Plan, record: Record, reference: Point | None = None, sisters: Sequence[Record] = ()
 ) -> Iterator[Finding | None]:
@@ -142,8 +129,8 @@ def isolate(
             raise ValueError("no readings since the stated change")
         start = _still_state(plan, wide, reference.state)
     likelihood = wide.likelihood(t)
-    base = censored_end(likelihood, still, start).loglik
-    gains: dict[str, Explanation] = {}
+    base, end_s = censored_end(likelihood, still, start).loglik, float(t.seconds[-1])
+    gains: dict[str, Finding] = {}
     evidence: dict[str, float] = {}
     for cause, options in STATES.items():
         best: tuple[Mapping[str, float], Gaussian | None, int] | None = None
@@ -158,14 +145,14 @@ def isolate(
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
                     sd = float(np.sqrt(max(found.last.covariance[place, place], 0.0)))
-                    gains[cause] = Explanation(gain, state, float(found.last.mean[place]), sd)
+                    gains[cause] = Finding(end_s, cause, state, float(found.last.mean[place]), gain, sd=sd)
                     best = values, begin, place
                 yield None
         departed = departures(record, sisters, AMBIENT.get(cause, ""))
         if departed is not None and best is not None:
             error = censored_trace(likelihood, *best[:2]).mean[:, best[2]]
             evidence[cause] = departed.support(t.seconds, error, gains[cause].sd)
-    yield finding_from(gains, float(t.seconds[-1]), evidence)
+    yield finding_from(gains, end_s, evidence)
 
 
 def _still_state(plan: Plan, wide: Plan, state: Gaussian) -> Gaussian:
@@ -189,9 +176,9 @@ def _with_variance(state: Gaussian, place: int, variance: float) -> Gaussian:
 
 
 def finding_from(
-    gains: Mapping[str, Explanation], time_s: float, evidence: Mapping[str, float] | None = None
+    gains: Mapping[str, Finding], time_s: float, evidence: Mapping[str, float] | None = None
 ) -> Finding:
-    """The finding from the best explanation by each cause.
+    """The finding at `time_s` [s] from the best explanation by each cause.
 
     `evidence`: by how much in ln L the sister turbines support each error of an ambient sensor.  If they
     decide, one of the `PAIRS` is left.  Else both count alike: as the likelier one where it may be water, as
@@ -208,11 +195,9 @@ def finding_from(
     ordered = sorted(left, key=lambda cause: -left[cause].gain)
     if not ordered or left[ordered[0]].gain < LEAST:
         return Finding(time_s, "")
-    best = ordered[0]
-    gain, state, value, sd = vars(left[best]).values()
-    lead = gain - left[ordered[1]].gain if len(ordered) > 1 else None
-    alike = tuple(cause for cause in ordered[1:] if gain - left[cause].gain < CLOSE)
-    return Finding(time_s, best, state, value, gain, lead, alike, sd)
+    best = left[ordered[0]]
+    alike = tuple(cause for cause in ordered[1:] if best.gain - left[cause].gain < CLOSE)
+    return replace(best, alike=alike)
 
 
 AMBIENT = {"ambient_temperature": "ambient_temperature", "ambient_humidity": "ambient_relative_humidity"}

@@ -50,7 +50,7 @@ def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> tu
         found, words = None, str(fault)
     batch = Batch(forecasts={name: found})
     batch.memories[name, "forecast"] = asdict(ForecastMade(state.time, words, one.limit))
-    batch.memories[name, "advice"] = None if advice is None else asdict(advice)
+    batch.memories[name, "advice"] = None if advice is None else advice.statement
     return state.time, batch
 
 

@@ -17,7 +17,7 @@ from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import Tracker
 from hygrokf.live.turbines import Fleet, Turbine, digest
 
-KEPT = ("alarms", "known", "forecast", "advice")
+KEPT = ("alarms", "known_s", "forecast", "advice")
 """Memories of a turbine that do not follow from its final estimates; alarms stay as they were told."""
 
 
@@ -89,7 +89,7 @@ def _batches(store: Store, name: str, turbines: Mapping[str, Turbine]) -> Iterat
         while (due := fleet.isolation_due()) is not None:
             final = [n for n, point in points.items() if point and point.time >= due[1].time]
             sisters = {other: turbines[other].plan for other in final}
-            steps = isolation_steps(name, one, due[1], store, fleet.tracked[name].reference, sisters)
+            steps = isolation_steps(name, one, due[1], store, fleet.tracked[name].reference_point, sisters)
             yield fleet.keep_finding(name, next(found for found in steps if found is not None))
 
 

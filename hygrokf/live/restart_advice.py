@@ -58,6 +58,11 @@ class Heating:
         return {one.signal: one.full for one in self.heaters}
 
     @property
+    def words(self) -> str:
+        """The heaters in words."""
+        return " with ".join(one.signal.replace("_", " ") for one in self.heaters)
+
+    @property
     def bounds_K(self) -> tuple[float, float]:
         """Bounds of the effect [K]; a heater does not cool."""
         reach = normal_quantile(LEVEL) * self.sd_K
@@ -98,24 +103,15 @@ def heating_sd(fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class Advice:
-    """How long to pre-heat before a restart.
+    """How long to pre-heat before a restart, in words.
 
     `hours` [h] of pre-heating until the air is dry enough, None if `LONGEST_H` is not enough or the time is
-    unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`; `stays` [1]:
-    the lowest one in the hour after that time, in which the converter starts.  `heaters`: signals that are
-    switched on, and `effect_K` their heat release with its 95 % bounds; `hours_bounds` [h]: of `hours`, at
-    the upper and at the lower bound of the effect, None where `LONGEST_H` is not enough.
+    unknown; `probability` [1] of dry air after that time, or the highest one within `LONGEST_H`.
     """
 
-    made_s: float
-    hours: float | None
-    probability: float | None
-    limit: float
     statement: str
-    stays: float | None = None
-    heaters: tuple[str, ...] = ()
-    effect_K: tuple[float, float, float] | None = None
-    hours_bounds: tuple[float | None, float | None] | None = None
+    hours: float | None = None
+    probability: float | None = None
 
 
 def restart(
@@ -135,14 +131,12 @@ def restart(
     """
     found = heating(plan, heating_sd_K)
     if found is None:
-        statement = (
+        return Advice(
             "the record that identified the model has no pre-heating and no logged heater: its heating power "
             "is unknown"
         )
-        return Advice(state.time, None, None, limit, statement)
     if not found.effect_K > 0.0:
-        statement = f"the identified effect of {_named(found)} is no heat ({found.effect_K:+.1f} K)"
-        return Advice(state.time, None, None, limit, statement)
+        return Advice(f"the identified effect of {found.words} is no heat ({found.effect_K:+.1f} K)")
     heated = scenarios.with_preheating(LONGEST_H + STAYS_H, found.signals)
     effects = sorted({found.effect_K, *found.bounds_K})
     chances = []
@@ -151,80 +145,56 @@ def restart(
         conditions = conditions_by_member(own, state, heated, surface, excess)
         humidities = [one.surface_humidity for one in conditions if one.surface_humidity is not None]
         if not humidities:
-            return Advice(state.time, None, None, limit, "the model has no humidity")
+            return Advice("the model has no humidity")
         chances.append(np.mean([probability_below(humidity, limit) for humidity in humidities], axis=0))
     hours = (conditions[0].time_s - state.time) / HOUR_S
     if len(effects) == 1:
-        advice = advice_from(state.time, hours, chances[0], limit)
-        return replace(advice, heaters=tuple(found.signals), effect_K=(found.effect_K,) * 3)
+        return advice_from(hours, chances[0], limit)
     # three points at the bounds and between, with the mean and the variance of the effect
     outer = 0.5 / normal_quantile(LEVEL) ** 2
-    mixed = outer * (chances[0] + chances[2]) + (1.0 - 2.0 * outer) * chances[1]
-    advice = advice_from(state.time, hours, mixed, limit)
+    advice = advice_from(hours, outer * (chances[0] + chances[2]) + (1.0 - 2.0 * outer) * chances[1], limit)
     weak, _, strong = (_hours_until_dry(hours, chance) for chance in chances)
-    return _with_bounds(advice, found, (strong, weak))
-
-
-def _with_bounds(advice: Advice, found: Heating, hours_bounds: tuple[float | None, float | None]) -> Advice:
-    """The advice, with the bounds of the heaters' effect and what they mean for the time."""
     lower, upper = found.bounds_K
-    effect = f"{_named(found)}: {found.effect_K:.1f} K, within {lower:.1f} to {upper:.1f} K"
-    statement = f"{advice.statement} (identified effect of {effect}"
-    strong, weak = hours_bounds
+    effect = f"{found.words}: {found.effect_K:.1f} K, within {lower:.1f} to {upper:.1f} K"
     if strong is not None and advice.hours != 0.0:
         longest = f"more than {LONGEST_H:.0f}" if weak is None else f"{weak:.1f}"
-        statement += f", for which {strong:.1f} to {longest} h are needed"
-    return replace(
-        advice,
-        statement=f"{statement})",
-        heaters=tuple(found.signals),
-        effect_K=(lower, found.effect_K, upper),
-        hours_bounds=hours_bounds,
-    )
-
-
-def _named(found: Heating) -> str:
-    return " with ".join(signal.replace("_", " ") for signal in found.signals)
+        effect += f", for which {strong:.1f} to {longest} h are needed"
+    return replace(advice, statement=f"{advice.statement} (identified effect of {effect})")
 
 
 def _hours_until_dry(hours: np.ndarray, chance: np.ndarray) -> float | None:
     """The first of `hours` (T,) [h] after which the air is and stays dry with a probability of `ENOUGH`; None
     where `LONGEST_H` is not enough."""
-    for place in range(len(hours)):
-        if hours[place] > LONGEST_H:
-            break
-        later = _until_start(hours, place)
-        if np.all(chance[later] >= ENOUGH):
-            return float(hours[place])
-    return None
+    possible = hours[hours <= LONGEST_H].tolist()
+    return next((at for at in possible if np.all(chance[_until_start(hours, at)] >= ENOUGH)), None)
 
 
-def _until_start(hours: np.ndarray, place: int) -> np.ndarray:
-    """True (T,) in the hour after an instant in which the converter starts."""
-    return (hours >= hours[place]) & (hours <= hours[place] + STAYS_H)
+def _until_start(hours: np.ndarray, at: float) -> np.ndarray:
+    """True (T,) in the hour after a time [h] in which the converter starts."""
+    return (hours >= at) & (hours <= at + STAYS_H)
 
 
-def advice_from(made_s: float, hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
+def advice_from(hours: np.ndarray, chance: np.ndarray, limit: float) -> Advice:
     """The advice from the probability `chance` (T,) of dry air after `hours` (T,) [h] of pre-heating."""
     at = _hours_until_dry(hours, chance)
     if at is not None:
-        place = int(np.searchsorted(hours, at))
-        likely, stays = float(chance[place]), float(chance[_until_start(hours, place)].min())
-        what = (
-            f"below {100 * limit:.0f} % at the coldest surface with a probability of {percent(likely)}, "
-            f"and of at least {percent(stays)} until a start within {STAYS_H:.0f} h"
-        )
+        likely, stays = float(chance[hours == at][0]), float(chance[_until_start(hours, at)].min())
         begin = f"pre-heat for {at:.1f} h: relative humidity is then"
         if at == 0.0:
             begin = "no pre-heating is needed: relative humidity is"
-        return Advice(made_s, at, likely, limit, f"{begin} {what}", stays)
+        return Advice(
+            f"{begin} below {100 * limit:.0f} % at the coldest surface with a probability of "
+            f"{percent(likely)}, and of at least {percent(stays)} until a start within {STAYS_H:.0f} h",
+            at,
+            likely,
+        )
     best = int(np.argmax(np.where(hours <= LONGEST_H, chance, -1.0)))
     return Advice(
-        made_s, None, float(chance[best]), limit,
         f"not even {LONGEST_H:.0f} h of pre-heating bring relative humidity at the coldest surface below "
         f"{100 * limit:.0f} % for {STAYS_H:.0f} h with a probability of {percent(ENOUGH)}: at best it is "
         f"{percent(chance[best])}, after {hours[best]:.1f} h",
-    )  # fmt: skip
+        probability=float(chance[best]),
+    )
 
 
 def percent(probability: float) -> str:

@@ -384,7 +384,7 @@ class Service:
             if due is None:
                 return
             name, step = due
-            reference = self._open_fleet.tracked[name].reference
+            reference = self._open_fleet.tracked[name].reference_point
             sisters = self._open_fleet.sisters(name, step.time)
             steps = isolation_steps(name, self.turbines[name], step, self._open_store, reference, sisters)
             self._isolation = (name, steps)

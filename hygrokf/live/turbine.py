@@ -7,17 +7,23 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from types import MappingProxyType
 
 import numpy as np
 
+from hygrokf.data.structured import JsonObject, structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.live.alarms import Standing
 from hygrokf.live.changes import Change
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
+from hygrokf.live.fault_isolation import Finding, ShiftStep
 from hygrokf.live.forecast import LIMIT
+from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
-from hygrokf.live.tracker import SAME_S, Course
+from hygrokf.live.properties import ParameterShift, TrackedState
+from hygrokf.live.tracker import SAME_S, Course, Point
 from hygrokf.live.water import believed, carried, on_the_safe_side, vapour_read
 
 THIN_S = 600.0
@@ -46,17 +52,39 @@ class Turbine:
     heating_sd_K: float = 0.0
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What the humidity readings up to a course say beyond the model: the `excess` [g/m³] of the newest one
-    (NaN without any), and the stated `changes`, which may say that the sensor is wrong."""
+@dataclass(kw_only=True)
+class Kept:
+    """What the store keeps of a turbine, or of what belongs to none, by the names of its memories.
 
+    `excess`: vapour [g/m³] by which the newest humidity reading exceeds the final estimate; `references` and
+    `reference_point`: what shifts are judged against after a stated change, the states of properties and the
+    whole state; `shift_steps`: at which lasting shifts have still to be judged, the first one as soon as its
+    cause is isolated; `judged`: the time [s] up to which its alarms are; `frozen`: signals that repeat a
+    value at the point; `known_s`: time [s] since when the tracker knows the turbine.
+    """
+
+    changes: list[Change] = field(default_factory=list)
+    parameter_shifts: dict[str, ParameterShift] = field(default_factory=dict)
+    deviations: dict[str, TrackedState] = field(default_factory=dict)
+    references: Mapping[str, TrackedState] = field(default_factory=dict)
+    reference_point: Point | None = None
+    finding: Finding | None = None
+    shift_steps: list[ShiftStep] = field(default_factory=list)
+    alarms: dict[str, Standing] = field(default_factory=dict)
     excess: float = math.nan
-    changes: Sequence[Change] = ()
+    judged: float = -math.inf
+    frozen: dict[str, Frozen] = field(default_factory=dict)
+    known_s: float = math.inf
+
+    @classmethod
+    def of(cls, memories: JsonObject) -> Kept:
+        """What the memories of a store say."""
+        names = {one.name for one in fields(Kept)}
+        return structured(Kept, {k: v for k, v in memories.items() if k in names and v is not None})
 
 
 def conditions(
-    courses: Mapping[str, tuple[Turbine, Course]], evidence: Mapping[str, Evidence] | None = None
+    courses: Mapping[str, tuple[Turbine, Course]], kept: Mapping[str, Kept] = MappingProxyType({})
 ) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps, on the safe side of
     what the model and what the humidity sensor says (`live.water`).
@@ -71,16 +99,16 @@ def conditions(
     for names in by_model.values():
         turbines, runs = zip(*(courses[name] for name in names), strict=True)
         model = turbines[0].plan.model
-        kept = [instants_kept(course) for course in runs]
-        counts = [len(places) for places in kept]
+        stored = [instants_kept(course) for course in runs]
+        counts = [len(places) for places in stored]
         inputs = [inputs_of(model, course.run.timeline) for course in runs]
         values = {
             p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts) for p in model.parameters
         }
-        u = {name: _joined((u[name] for u in inputs), kept) for name in model.inputs}
-        mean = _joined((course.trace.mean for course in runs), kept)
-        covariance = _joined((course.trace.covariance for course in runs), kept)
-        seconds = _joined((course.seconds for course in runs), kept)
+        u = {name: _joined((u[name] for u in inputs), stored) for name in model.inputs}
+        mean = _joined((course.trace.mean for course in runs), stored)
+        covariance = _joined((course.trace.covariance for course in runs), stored)
+        seconds = _joined((course.seconds for course in runs), stored)
         surface = Surface(
             np.repeat([one.surface.follows for one in turbines], counts),
             np.repeat([one.surface.offset_K for one in turbines], counts),
@@ -89,12 +117,12 @@ def conditions(
         ends = np.cumsum(counts)
         if together.condensation is not None and together.temperature_K is not None:
             readings = {
-                name: _joined((course.run.timeline.reading(name) for course in runs), kept)
+                name: _joined((course.run.timeline.reading(name) for course in runs), stored)
                 for name in model.outputs
             }
             shown = vapour_read(readings, together.temperature_K.value, u["ambient_temperature"])
             beyond = np.split(shown - mean[:, model.states.index("vapour")], ends[:-1])
-            said = [(evidence or {}).get(name, Evidence()) for name in names]
+            said = [kept.get(name, Kept()) for name in names]
             pieces = zip(beyond, np.split(seconds, ends[:-1]), said, strict=True)
             excess = np.concatenate([_excess(*piece) for piece in pieces])
             together = on_the_safe_side(together, model, values, u, mean, covariance, surface, excess)
@@ -103,7 +131,7 @@ def conditions(
     return found
 
 
-def _excess(beyond: np.ndarray, seconds: np.ndarray, said: Evidence) -> np.ndarray:
+def _excess(beyond: np.ndarray, seconds: np.ndarray, said: Kept) -> np.ndarray:
     """The excess (T,) [g/m³] of each instant's newest reading; NaN while a person says that the sensor is
     wrong."""
     trusted = believed(said.changes, seconds)

@@ -10,12 +10,12 @@ import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
 
-from hygrokf.data.structured import JsonObject, plain, structured
+from hygrokf.data.structured import plain, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S
 from hygrokf.live.alarms import (
     CLOCK,
@@ -39,17 +39,15 @@ from hygrokf.live.alarms import (
     stale_levels,
     with_doubts,
 )
-from hygrokf.live.assessment import States
-from hygrokf.live.batch import Alarm, Batch, Estimates, Event, Loss, Observation
+from hygrokf.live.assessment import STANDSTILL_S, Known, Outlook, assess
+from hygrokf.live.batch import Alarm, Assessment, Batch, Estimates, Event, Loss, Observation
 from hygrokf.live.changes import Change, settled
 from hygrokf.live.clocks import Backlogs, Clocks, HeldReadings, clock_levels
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import Finding, ShiftStep, shift_step
 from hygrokf.live.forecast import ForecastMade
-from hygrokf.live.frozen import Frozen
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
-    ParameterShift,
     TrackedState,
     deviations,
     parameter_shifts,
@@ -60,10 +58,10 @@ from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.payload_formats import Order, Refused
 from hygrokf.live.sources.payload_values import AHEAD_S
 from hygrokf.live.sources.stream import Delivery, Reach
-from hygrokf.live.storage.store import Store, state_of, state_text
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import NEITHER, REVISIONS, SAME_S, Course, Point, Tracker
 from hygrokf.live.turbine import STALE_S as STALE_S
-from hygrokf.live.turbine import Evidence
+from hygrokf.live.turbine import Kept as Kept
 from hygrokf.live.turbine import Turbine as Turbine
 from hygrokf.live.turbine import conditions as conditions
 from hygrokf.live.turbine import digest as digest
@@ -80,54 +78,20 @@ SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
 
 
-@dataclass(frozen=True)
-class KeptState:
-    """The states of a filter at `time` [s] as text (`state_text`), in a turbine's memory."""
-
-    time: float
-    state: str
-
-
-@dataclass(kw_only=True)
-class Kept:
-    """What the store keeps of a turbine, or of what belongs to none, by the names of its memories.
-
-    `excess`: vapour [g/m³] by which the newest humidity reading exceeds the final estimate; `references` and
-    `reference_point`: what shifts are judged against after a stated change, the states of properties and the
-    whole state; `shift_steps`: at which lasting shifts have still to be judged, the first one as soon as its
-    cause is isolated; `judged`: the time [s] up to which its alarms are; `frozen`: the beginning, value and
-    detection of each signal's `Frozen`.
-    """
-
-    changes: list[Change] = field(default_factory=list)
-    parameter_shifts: dict[str, ParameterShift] = field(default_factory=dict)
-    deviations: dict[str, TrackedState] = field(default_factory=dict)
-    references: Mapping[str, TrackedState] = field(default_factory=dict)
-    reference_point: KeptState | None = None
-    finding: Finding | None = None
-    shift_steps: list[ShiftStep] = field(default_factory=list)
-    alarms: dict[str, Standing] = field(default_factory=dict)
-    excess: float = math.nan
-    judged: float = -math.inf
-    frozen: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, memories: JsonObject) -> Kept:
-        """What the memories of a store say."""
-        names = {one.name for one in fields(Kept)}
-        return structured(Kept, {k: v for k, v in memories.items() if k in names and v is not None})
-
-
 @dataclass(kw_only=True)
 class TurbineState(Kept):
     """What a turbine carries from round to round.
 
-    `fault`: why its readings cannot be filtered; `slot`: of its newest properties; `turn`: number of the last
-    fault isolation; `counted`: the tracker's counts that the store has.
+    `newest`: time [s] of its newest estimate and the probability of condensation [1]; `outlook`: that of its
+    forecast; `fault`: why its readings cannot be filtered; `slot`: of its newest properties; `turn`: number
+    of the last fault isolation; `counted`: the tracker's counts that the store has.
     """
 
     turbine: Turbine
     tracker: Tracker
+    assessment: Assessment | None = None
+    newest: tuple[float | None, float | None] = (None, None)
+    outlook: Outlook | None = None
     forecast_made_s: float = -math.inf
     fault: str = ""
     slot: float = -math.inf
@@ -148,21 +112,39 @@ class TurbineState(Kept):
             [change.time for change in kept.changes],
             store.revised(name, since),
             kept.judged,
-            {signal: Frozen(signal, *run) for signal, run in kept.frozen.items()},
+            kept.frozen,
             store.losses(name),
         )
         made = cls(turbine=turbine, tracker=tracker, **vars(kept))
+        made.assessment = next(iter(store.found(Assessment, "WHERE turbine = ?", (name,))), None)
+        made.newest = store.newest_estimate(name) or made.newest
+        if outlook := store.outlook(name):
+            made.outlook = Outlook(*np.array(outlook, dtype=float).T)
         if "forecast" in memories:
             made.forecast_made_s = structured(ForecastMade, memories["forecast"]).made
         (last,) = store.rows("SELECT MAX(time) FROM property WHERE turbine = ?", (name,))[0]
         made.slot = -math.inf if point is None or last is None else last // PROPERTY_S
         return made
 
-    @property
-    def reference(self) -> Point | None:
-        """The whole state that shifts are judged against; None for the fit's values."""
-        kept = self.reference_point
-        return None if kept is None else Point(kept.time, state_of(kept.state))
+    def known(self, now: float, catching_up: bool) -> Known:
+        """What is known of the turbine at `now` [s]; `catching_up`: whether a backlog is being delivered."""
+        plan, tracker, awaited = self.turbine.plan, self.tracker, self.tracker.awaited()
+        return Known(
+            known_s=min(self.known_s, now),
+            heard=tracker.heard(),
+            awaited=[need for need in plan.needs if need.required and need.signals[0] in awaited],
+            estimate_s=self.newest[0],
+            condensation=self.newest[1],
+            with_humidity="vapour" in plan.model.states,
+            outlook=self.outlook,
+            alarms=[one.alarm for one in self.alarms.values() if one.alarm is not None],
+            standstill=tracker.stands_still(STANDSTILL_S),
+            history_until_s=tracker.history_until(),
+            fault=self.fault,
+            catching_up=catching_up,
+            stale_s=self.turbine.stale_s,
+            silent_s=tracker.silent_since(),
+        )
 
 
 class Fleet:
@@ -177,7 +159,6 @@ class Fleet:
         }
         self._common = Kept()
         self._turns = count(1)
-        self.states = States(turbines)
         self._store = store
         self.held = HeldReadings(store)
         self.backlogs = Backlogs()
@@ -193,7 +174,6 @@ class Fleet:
         """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines, store)
-        fleet.states = States.from_store(turbines, store)
         fleet.tracked = {name: TurbineState.from_store(name, one, store) for name, one in turbines.items()}
         fleet.waiting = dict.fromkeys(turbines)  # committed readings may not have been filtered yet
         fleet._common = Kept.of(store.memories(SOURCE))
@@ -293,8 +273,7 @@ class Fleet:
             if time.monotonic() >= end:
                 break
         states = {name: self.tracked[name] for name in courses}
-        evidence = {name: Evidence(state.excess, state.changes) for name, state in states.items()}
-        found = conditions({name: (states[name].turbine, one) for name, one in courses.items()}, evidence)
+        found = conditions({name: (states[name].turbine, one) for name, one in courses.items()}, states)
         for name, course in courses.items():
             self._add_results(name, course, found[name], batch)
         for name in done:
@@ -317,7 +296,8 @@ class Fleet:
         # also where none is kept: the provisional ones of this stretch are not any more
         batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
         if len(found.time_s):
-            self.states.note_estimate(name, found)
+            chance = None if found.condensation is None else float(found.condensation[-1])
+            state.newest = float(found.time_s[-1]), chance
             if found.excess_g_m3 is not None:
                 tracker.excess = float(found.excess_g_m3[-1])
                 if final:
@@ -327,9 +307,8 @@ class Fleet:
         batch.points[name] = point
         if tracker.ahead is not None:
             self._keep(name, batch, judged=tracker.judged_s)
-        frozen = {signal: (one.since, one.value, one.known_s) for signal, one in tracker.frozen.items()}
-        if frozen != state.frozen:
-            self._keep(name, batch, frozen=frozen)
+        if tracker.frozen != state.frozen:
+            self._keep(name, batch, frozen=tracker.frozen)
         self._watch_properties(name, course, point.time, batch)
         for one in innovations(course, point.time):
             # between the two thresholds a level says nothing: that of the other signals
@@ -390,7 +369,7 @@ class Fleet:
         if found != before:
             self._keep(name, batch, references=found)
         if found and not before:
-            self._keep(name, batch, reference_point=KeptState(at, state_text(point.state)))
+            self._keep(name, batch, reference_point=point)
         return found
 
     def take_events(self, events: Iterable[Event]) -> Batch:
@@ -475,14 +454,16 @@ class Fleet:
     def _judge_missing(self, name: str, now: float, left: str, batch: Batch) -> None:
         """Judge alarms about signals that came and come no more, and signals that never came; not while a
         backlog may still bring them, unless their sender has `left`."""
-        one, heard = self.tracked[name].turbine, self.tracked[name].tracker.heard()
-        since = self.states.known_since(name, now, batch)
+        state = self.tracked[name]
+        one, heard = state.turbine, state.tracker.heard()
+        if state.known_s > now:  # new, or this machine's clock was ahead
+            self._keep(name, batch, known_s=now)
         if self.backlogs.awaited(name, now) and not left:
             return
         ages = {signal: now - time for signal, time in heard.items()} or {"": now - self._began}
         missing = [need for need in one.plan.expected if heard and not set(need.signals) & set(heard)]
         levels = stale_levels(ages, one.stale_s, left)
-        levels += missing_levels(missing, since, now, one.stale_s)
+        levels += missing_levels(missing, state.known_s, now, one.stale_s)
         self._judge(name, now, levels, (STALE, MISSING), batch)
 
     def isolation_due(self) -> tuple[str, ShiftStep] | None:
@@ -514,8 +495,10 @@ class Fleet:
     def keep_forecast(self, name: str, made_s: float, batch: Batch) -> None:
         """Keep the forecast of a turbine in the batch, from its state at `made_s` [s], and assess the
         turbine."""
-        self.tracked[name].forecast_made_s, made = made_s, batch.forecasts[name]
-        self.states.note_forecast(name, None if made is None else made.condition)
+        state, made = self.tracked[name], batch.forecasts[name]
+        state.forecast_made_s, state.outlook = made_s, None
+        if made is not None and made.condition.condensation is not None:
+            state.outlook = Outlook(made.condition.time_s, made.condition.condensation)
         self._assess(name, batch)
 
     def keep_finding(self, name: str, finding: Finding) -> Batch:
@@ -556,10 +539,13 @@ class Fleet:
         yet, and the state that the store holds stands."""
         if not math.isfinite(self._now):
             return
-        state = self.tracked[name]
-        open_alarms = [one.alarm for one in state.alarms.values() if one.alarm is not None]
-        catching_up = self.backlogs.awaited(name, self._now)
-        self.states.assess(name, state.tracker, self._now, open_alarms, state.fault, catching_up, batch)
+        state, now = self.tracked[name], self._now
+        found, before = assess(state.known(now, self.backlogs.awaited(name, now)), now), state.assessment
+        if before is None or (before.state, before.reason) != found:
+            since = before.since if before is not None and before.state == found[0] else now
+            state.assessment = Assessment(name, *found, since)
+            others = [one for one in batch.assessments if one.turbine != name]
+            batch.assessments = [*others, state.assessment]
 
     def _keep(self, name: str, batch: Batch, **kept: object) -> None:
         """Let a turbine, or what belongs to none, carry something from now on, and the store keep it."""

@@ -131,7 +131,7 @@ def add_forecast(
         cursor.executemany(f"INSERT INTO forecast VALUES ({', '.join('?' * 17)})", rows)
         for key, content in (
             ("forecast", {"made": made, "limit": LIMIT}),
-            ("advice", {"statement": statement}),
+            ("advice", statement),
         ):
             cursor.execute(
                 "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "

@@ -24,7 +24,7 @@ from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading, Tracker
 from hygrokf.live.turbines import Fleet, Turbine
-from hygrokf.live.web.views import fleet_summary, fleet_view, turbine_view
+from hygrokf.live.web.views import fleet_view, turbine_view
 
 HOUR_S = 3600.0
 NOW = 1_600_000_000.0
@@ -153,7 +153,6 @@ def test_ambient_humidity_that_never_comes(
     assert row["state"] == "no estimate" and row["reason"].startswith("ambient humidity never came since")
     assert [(a.kind, a.severity) for a in row["alarms"]] == [("signal missing", "warning")]
     assert "without it there is no estimate" in row["alarms"][0].statement
-    assert fleet_summary([row]) == {**dict.fromkeys(STATES, 0), "no estimate": 1}
     view = turbine_view(store, "T1", record.start_s, record.end_s, needs=turbine.plan.needs)
     signals = {one["signal"]: one for one in view["signals"]}
     never = signals["ambient_relative_humidity"]
@@ -162,14 +161,14 @@ def test_ambient_humidity_that_never_comes(
     assert signals["cabinet_temperature"]["last"] == pytest.approx(record["cabinet_temperature"].time[-1])
     # a restart knows it, and once the signal comes the turbine has an estimate and the alarm ends
     fleet = Fleet.from_store({"T1": turbine}, store)
-    assert fleet.states.assessments["T1"].since == row["since"]
+    assert fleet.tracked["T1"].assessment.since == row["since"]
     late = [r for r in record_messages(record, "T1") if "ambient_relative_humidity" in r[1]]
     now = record.end_s + 60.0
     store.commit(fleet.round([Delivery(json.dumps(content), now) for _, content in late], mapping, "file"))
     store.commit(fleet.tick(now + 3600.0, {}))
     (row,) = fleet_view(store, ["T1"], now)
     assert row["state"] in ("ok", "off", "at risk") and row["alarms"] == []
-    assert row["since"] > fleet.states.known_since("T1", now, Batch())
+    assert row["since"] > fleet.tracked["T1"].known_s
     store.close()
 
 
@@ -193,7 +192,7 @@ def test_states_are_written_on_change_alone_and_survive(
     assert fleet.filter_waiting(Batch()).empty
     rounds(fleet, store, record, mapping)
     found = store.assessments()
-    assert found == fleet.states.assessments and found["T1"].state in ("ok", "off")
+    assert found == {"T1": fleet.tracked["T1"].assessment} and found["T1"].state in ("ok", "off")
     assert fleet.tick(record.end_s + 10.0, {}).assessments == []
     again = Fleet.from_store({"T1": turbine}, store)
     assert again.filter_waiting(Batch()).assessments == []  # before the time is known

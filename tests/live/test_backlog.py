@@ -89,11 +89,11 @@ def test_a_day_that_is_played_in_raises_no_alarm(
     for name, part in pieces:
         passed(fleet.round(deliveries(part, name, now), mapping, "mqtt"))
         passed(fleet.tick(now, {}))
-        old = fleet.states.assessments["T3"]
+        old = fleet.tracked["T3"].assessment
         assert (old.state, old.reason) == ("stale", "the estimate is old; a backlog is being delivered")
         now += 1200.0 / len(pieces)
     assert not [one for one in alarms if one[1] in ("data stale", "signal missing")]
-    assert fleet.states.assessments["T1"].state in ("ok", "off")
+    assert fleet.tracked["T1"].assessment.state in ("ok", "off")
     # the backlog is delivered: T1 goes on, T2 falls silent, T3 has been silent all the time
     until = now + 3.0 * HOUR_S
     while now < until:
@@ -105,7 +105,7 @@ def test_a_day_that_is_played_in_raises_no_alarm(
             assert ("T2", "data stale", True) not in alarms
     assert ("T3", "data stale", True) in alarms and ("T2", "data stale", True) in alarms
     assert ("T1", "data stale", True) not in alarms
-    assert {name: fleet.states.assessments[name].state for name in names[1:]} == {
+    assert {name: fleet.tracked[name].assessment.state for name in names[1:]} == {
         "T2": "stale",
         "T3": "stale",
     }

@@ -124,8 +124,8 @@ def test_an_event_ends_what_it_explains_and_survives_a_restart(tmp_path: Path) -
     assert fleet.tracked["T1"].references and fleet.tracked["T1"].parameter_shifts == {}
     again = Fleet.from_store({"T1": turbine}, store)
     assert again.tracked["T1"].references == fleet.tracked["T1"].references
-    kept = again.tracked["T1"].reference
-    assert kept.time == fleet.tracked["T1"].reference.time >= day - HOUR_S + SETTLED_S
+    kept = again.tracked["T1"].reference_point
+    assert kept.time == fleet.tracked["T1"].reference_point.time >= day - HOUR_S + SETTLED_S
     (change,) = again.tracked["T1"].changes
     assert change.event == "e1"
     expect_same(fleet.tracked["T1"].tracker, record, [change.time])

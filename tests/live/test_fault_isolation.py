@@ -20,7 +20,6 @@ from hygrokf.live.defaults import SIGNALS
 from hygrokf.live.fault_isolation import (
     CLOSE,
     LEAST,
-    Explanation,
     Finding,
     finding_from,
     isolate,
@@ -128,7 +127,7 @@ def test_a_cabinet_that_changed(
 ) -> None:
     found = asked(tracked, changed(record, tmp_path, **parameters))
     assert found.cause == cause and found.value > 0.0
-    assert found.lead > CLOSE and found.alike == ()
+    assert found.alike == ()
 
 
 @pytest.mark.parametrize(
@@ -232,23 +231,24 @@ def test_a_stated_change_is_followed_at_once_and_is_the_reference(
 
 def test_judgement_at_its_edges() -> None:
     assert finding_from({}, 5.0) == Finding(5.0, "")
-    assert finding_from({"hygric_k": Explanation(LEAST - 0.01, "log_hygric_change", 0.4)}, 5.0).cause == ""
+    little = Finding(5.0, "hygric_k", "log_hygric_change", 0.4, LEAST - 0.01)
+    assert finding_from({"hygric_k": little}, 5.0) == Finding(5.0, "")
     two = {
-        "hygric_k": Explanation(20.0, "log_hygric_change", 0.4),
-        "humidity_sensor": Explanation(18.0, "humidity_scale_change", 0.1),
+        "hygric_k": Finding(5.0, "hygric_k", "log_hygric_change", 0.4, 20.0),
+        "humidity_sensor": Finding(5.0, "humidity_sensor", "humidity_scale_change", 0.1, 18.0),
     }
     found = finding_from(two, 5.0)
-    assert (found.cause, found.alike, found.lead) == ("hygric_k", ("humidity_sensor",), 2.0)
-    far = {**two, "humidity_sensor": Explanation(20.0 - CLOSE - 0.01, "humidity_scale_change", 0.1)}
+    assert (found.cause, found.alike) == ("hygric_k", ("humidity_sensor",))
+    far = {**two, "humidity_sensor": replace(two["humidity_sensor"], gain=20.0 - CLOSE - 0.01)}
     assert finding_from(far, 5.0).alike == ()
 
 
 def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() -> None:
     gains = {
-        "temperature_sensor": Explanation(90.0, "temperature_reading_change", 2.0),
-        "humidity_sensor": Explanation(80.0, "humidity_reading_change", 0.05),
-        "ambient_temperature": Explanation(100.0, "ambient_temperature_change", -2.0),
-        "ambient_humidity": Explanation(95.0, "ambient_humidity_change", -0.1),
+        "temperature_sensor": Finding(5.0, "temperature_sensor", "temperature_reading_change", 2.0, 90.0),
+        "humidity_sensor": Finding(5.0, "humidity_sensor", "humidity_reading_change", 0.05, 80.0),
+        "ambient_temperature": Finding(5.0, "ambient_temperature", "ambient_temperature_change", -2.0, 100.0),
+        "ambient_humidity": Finding(5.0, "ambient_humidity", "ambient_humidity_change", -0.1, 95.0),
     }
     alone = finding_from(gains, 5.0)
     assert (alone.cause, alone.state, alone.gain) == ("humidity_sensor", "humidity_reading_change", 95.0)
@@ -257,7 +257,7 @@ def test_sisters_decide_between_two_and_water_is_not_ruled_out_without_them() ->
     cleared = finding_from(gains, 5.0, both)
     assert (cleared.cause, cleared.alike) == ("temperature_sensor", ())
     one = finding_from(gains, 5.0, {"ambient_temperature": CLOSE, "ambient_humidity": -CLOSE})
-    assert (one.cause, one.alike, one.lead) == ("ambient_temperature", (), 20.0)
+    assert (one.cause, one.alike) == ("ambient_temperature", ())
 
 
 def test_what_is_said_of_it() -> None:
@@ -267,11 +267,11 @@ def test_what_is_said_of_it() -> None:
     }
     now = {"heat_release_change": TrackedState(2.2, 0.2)}
     assert shift_levels(shift_step(9.0, lasting, now, 0.0), None) == []  # nobody has looked yet
-    sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0, sd=0.5)
+    sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, sd=0.5)
     (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), sensor)
     assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"
     assert one.statement.startswith("the temperature sensor reads 2.9 (1.9 … 3.9) K too high")
-    cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, 1.0, ("temperature_sensor",))
+    cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, ("temperature_sensor",))
     (one,) = shift_levels(shift_step(9.0, lasting, now, 0.0), cabinet)
     assert one.kind == CHANGED.kind and one.subject == "heat_release_change"
     assert one.statement.endswith("(or the temperature sensor)") and "+2.2 (+1.8 … +2.6) K" in one.statement

@@ -175,44 +175,44 @@ HOURS = np.arange(0.0, LONGEST_H + STAYS_H + 0.01, 1.0 / 6.0)
 
 
 def test_dry_at_once_needs_no_heating() -> None:
-    advice = advice_from(5.0, HOURS, np.full(len(HOURS), 0.97), 0.6)
-    assert (advice.made_s, advice.hours, advice.probability, advice.limit) == (5.0, 0.0, 0.97, 0.6)
+    advice = advice_from(HOURS, np.full(len(HOURS), 0.97), 0.6)
+    assert (advice.hours, advice.probability) == (0.0, 0.97)
     assert advice.statement == (
         "no pre-heating is needed: relative humidity is below 60 % at the coldest surface with a probability "
         "of 97 %, and of at least 97 % until a start within 1 h"
     )
-    assert "over 99 %" in advice_from(5.0, HOURS, np.ones(len(HOURS)), 0.6).statement
+    assert "over 99 %" in advice_from(HOURS, np.ones(len(HOURS)), 0.6).statement
 
 
 def test_never_dry_says_how_close_it_comes() -> None:
     chance = np.where(HOURS < 20.0, 0.2 + 0.02 * HOURS, 0.1)
-    advice = advice_from(0.0, HOURS, chance, 0.6)
+    advice = advice_from(HOURS, chance, 0.6)
     best = HOURS[HOURS < 20.0][-1]
     assert advice.hours is None and advice.probability == pytest.approx(0.2 + 0.02 * best)
     for number in ("24 h", "below 60 %", "95 %", "at best it is 60 %", f"after {best:.1f} h"):
         assert number in advice.statement
-    assert "under 1 %" in advice_from(0.0, HOURS, np.zeros(len(HOURS)), 0.6).statement
+    assert "under 1 %" in advice_from(HOURS, np.zeros(len(HOURS)), 0.6).statement
 
 
 def test_a_peak_of_vapour_must_have_passed() -> None:
     """Dry for half an hour, then the heat drives vapour out, then dry for good: the first moment is none."""
     chance = np.where(HOURS < 0.4, 0.99, np.where(HOURS < 4.9, 0.3, 0.96))
-    advice = advice_from(0.0, HOURS, chance, 0.6)
+    advice = advice_from(HOURS, chance, 0.6)
     assert advice.hours == pytest.approx(5.0) and advice.probability == pytest.approx(0.96)
     assert "5.0 h" in advice.statement and "60 %" in advice.statement
     # dry for a moment alone is never dry, though the probability was reached
-    moment = advice_from(0.0, HOURS, np.where(np.abs(HOURS - 3.0) < 0.4, 0.99, 0.5), 0.6)
+    moment = advice_from(HOURS, np.where(np.abs(HOURS - 3.0) < 0.4, 0.99, 0.5), 0.6)
     assert moment.hours is None and moment.probability == 0.99
 
 
 def test_the_longest_time_is_the_last_one_that_is_advised() -> None:
-    at_last = advice_from(0.0, HOURS, np.where(HOURS > LONGEST_H - 0.01, 0.99, 0.5), 0.6)
+    at_last = advice_from(HOURS, np.where(HOURS > LONGEST_H - 0.01, 0.99, 0.5), 0.6)
     assert at_last.hours == pytest.approx(LONGEST_H)
-    too_late = advice_from(0.0, HOURS, np.where(HOURS > LONGEST_H + 0.1, 0.99, 0.5), 0.6)
+    too_late = advice_from(HOURS, np.where(HOURS > LONGEST_H + 0.1, 0.99, 0.5), 0.6)
     assert too_late.hours is None and too_late.probability == 0.5
-    edge = advice_from(0.0, HOURS, np.full(len(HOURS), ENOUGH), 0.6)
+    edge = advice_from(HOURS, np.full(len(HOURS), ENOUGH), 0.6)
     assert edge.hours == 0.0
-    below = advice_from(0.0, HOURS, np.full(len(HOURS), np.nextafter(ENOUGH, 0.0)), 0.6)
+    below = advice_from(HOURS, np.full(len(HOURS), np.nextafter(ENOUGH, 0.0)), 0.6)
     assert below.hours is None
 
 
@@ -333,7 +333,7 @@ def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) 
         values = {p.name: p.start for p in base.model.parameters} | {"throttled_conductance": 3.0}
         one = planned(Fit("cooled", base, values), record)
         found[full_K] = forecast(one, state, scenarios, SURFACE).condition.temperature_K.value
-        assert restart(one, state, scenarios, SURFACE).made_s == state.time
+        assert restart(one, state, scenarios, SURFACE).statement
     assert found[350.0][1:] == pytest.approx(without[1:], abs=0.05)
     assert found[200.0][-1] < without[-1] - 0.1
 

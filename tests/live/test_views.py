@@ -76,15 +76,11 @@ def test_of_one_state_the_turbine_at_most_risk_comes_first(store: Store) -> None
     assert [row["turbine"] for row in rows] == ["C", "B", "A", "D"]
     assert [row["severity"] for row in rows] == [1, -1, -1, -1]
     b = rows[1]
-    assert (b["temperature"], b["relative_humidity"], b["fresh"]) == (
-        pytest.approx(22.0),
-        pytest.approx(90.0),
-        True,
-    )
+    assert (b["temperature"], b["relative_humidity"]) == (pytest.approx(22.0), pytest.approx(90.0))
+    assert b["heard"] == T0 + 5402.0
     assert b["margin_lower"] == pytest.approx(2.0 - 1.959964) and b["time"] == T0 + 5400.0
     d = rows[3]
-    assert d["time"] is d["condensation"] is d["heard"] is None and not d["fresh"]
-    assert not fleet_view(store, ["A"], T0 + 5400.0 + 3700.0)[0]["fresh"]
+    assert d["time"] is d["condensation"] is d["heard"] is None
 
 
 def test_one_turbine(store: Store) -> None:

@@ -21,7 +21,7 @@ from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import offline_course
-from hygrokf.live.turbine import Evidence, conditions
+from hygrokf.live.turbine import Kept, conditions
 from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.live.water import believed, carried, vapour_read
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, saturation_pressure_water
@@ -64,7 +64,7 @@ def test_the_probability_is_never_below_the_readings_own(wet: Record, turbine: T
     assert np.sum(margin < -0.1) > 20
     assert (found.condensation[margin < -0.01] >= 0.5).all()
     assert (found.margin_K.value[margin < -0.1] < 0.0).all()  # the other quantities fit to it
-    stated = Evidence(changes=[Change("e1", wet.start_s, SENSOR_WRONG)])
+    stated = Kept(changes=[Change("e1", wet.start_s, SENSOR_WRONG)])
     alone = conditions({"T1": (turbine, course)}, {"T1": stated})["T1"]
     assert (alone.condensation <= found.condensation).all() and not np.isfinite(alone.excess_g_m3).any()
     assert alone.condensation[margin < -0.1].min() < 0.5  # the filter takes it for the sensor's error

@@ -110,7 +110,7 @@ def test_a_turbine_of_any_name(client: httpx.Client) -> None:
     assert len(found["time"]) == len(found["courses"]["margin"]["upper"]) > 50
     assert min(found["time"]) >= found["now"] - 86400.0
     assert len(client.get("/api/turbine/T1", params={"days": 3}).json()["time"]) > len(found["time"])
-    assert found["forecast"]["advice"] == {"statement": "no pre-heating is needed"}
+    assert found["forecast"]["advice"] == "no pre-heating is needed"
     hours = dict(found["hours"]["past"])
     last = found["time"][-1] // 3600.0 * 3600.0
     inside = [p for t, p in zip(found["time"], found["condensation"], strict=True) if t >= last]

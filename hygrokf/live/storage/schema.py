@@ -8,9 +8,11 @@ The views are for people and plotting tools: timestamps, °C and %, lower-case n
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
+from hygrokf.live.batch import Alarm, Assessment, Event, Loss, Notice, Shelf
 from hygrokf.live.condition import QUANTITIES, Z95
 
 
@@ -60,151 +62,88 @@ READABLE_COLUMNS = tuple(_readable())
 """Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
-_AIR = ", ".join(f"{q.column} DOUBLE PRECISION, {q.sd_column} DOUBLE PRECISION" for q in QUANTITIES)
-_READING = """turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        value DOUBLE PRECISION NOT NULL,
-        received INSTANT NOT NULL"""
-VERSION = 6
+VERSION = 7
 """Number of the schema: one higher with each change of it.  A store with another number is refused."""
-STATEMENTS = (
-    """CREATE TABLE turbine (
-        name TEXT PRIMARY KEY,
-        model TEXT NOT NULL,
-        added DOUBLE PRECISION NOT NULL)""",
-    f"""CREATE TABLE observation (
-        {_READING},
-        late INTEGER NOT NULL,
-        contradicted INTEGER NOT NULL,
-        mark DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, time))""",
-    "CREATE INDEX observation_by_time ON observation (turbine, time)",
-    f"""CREATE TABLE held (
-        {_READING},
-        mark DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, time, value))""",
-    f"""CREATE TABLE revision (
-        {_READING},
-        mark DOUBLE PRECISION,
-        late INTEGER NOT NULL,
-        number INTEGER NOT NULL,
-        PRIMARY KEY (turbine, signal, time, value))""",
-    "CREATE INDEX revision_by_time ON revision (turbine, time)",
-    """CREATE TABLE connection (
-        turbine TEXT NOT NULL,
-        signal TEXT NOT NULL,
-        lost DOUBLE PRECISION NOT NULL,
-        regained DOUBLE PRECISION,
-        PRIMARY KEY (turbine, signal, lost))""",
-    """CREATE TABLE point (
-        turbine TEXT PRIMARY KEY,
-        time DOUBLE PRECISION NOT NULL,
-        state TEXT NOT NULL)""",
-    f"""CREATE TABLE estimate (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        final INTEGER NOT NULL,
-        {_AIR},
-        condensation DOUBLE PRECISION,
-        PRIMARY KEY (turbine, time))""",
-    f"""CREATE TABLE forecast (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        made INSTANT NOT NULL,
-        {_AIR},
-        condensation DOUBLE PRECISION,
-        above_limit DOUBLE PRECISION,
-        PRIMARY KEY (turbine, time))""",
-    """CREATE TABLE property (
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        name TEXT NOT NULL,
-        unit TEXT NOT NULL,
-        value DOUBLE PRECISION, lower_bound DOUBLE PRECISION, upper_bound DOUBLE PRECISION,
-        reference DOUBLE PRECISION NOT NULL,
-        observable INTEGER NOT NULL,
-        PRIMARY KEY (turbine, name, time))""",
-    "CREATE INDEX property_by_time ON property (turbine, time)",
-    f"""CREATE TABLE weather (
-        {_READING},
-        PRIMARY KEY (turbine, signal, time))""",
-    """CREATE TABLE alarm (
-        id TEXT PRIMARY KEY,
-        turbine TEXT NOT NULL,
-        kind TEXT NOT NULL,
-        severity TEXT NOT NULL,
-        began DOUBLE PRECISION NOT NULL,
-        ended DOUBLE PRECISION,
-        acknowledged DOUBLE PRECISION,
-        acknowledged_by TEXT,
-        statement TEXT NOT NULL,
-        remedy TEXT NOT NULL,
-        cause TEXT,
-        note TEXT,
-        look_again DOUBLE PRECISION)""",
-    "CREATE INDEX alarm_by_turbine ON alarm (turbine, began)",
-    """CREATE TABLE memory (
-        turbine TEXT NOT NULL,
-        name TEXT NOT NULL,
-        content TEXT NOT NULL,
-        PRIMARY KEY (turbine, name))""",
-    """CREATE TABLE counter (
-        turbine TEXT NOT NULL,
-        name TEXT NOT NULL,
-        count BIGINT NOT NULL,
-        PRIMARY KEY (turbine, name))""",
-    """CREATE TABLE source (
-        url TEXT PRIMARY KEY,
-        place TEXT NOT NULL)""",
-    """CREATE TABLE claim (
-        kind TEXT NOT NULL,
-        name TEXT NOT NULL,
-        holder BIGINT NOT NULL,
-        who TEXT NOT NULL,
-        since DOUBLE PRECISION NOT NULL,
-        PRIMARY KEY (kind, name))""",
-    """CREATE TABLE assessment (
-        turbine TEXT PRIMARY KEY,
-        state TEXT NOT NULL,
-        reason TEXT NOT NULL,
-        since DOUBLE PRECISION NOT NULL)""",
-    """CREATE TABLE shelf (
-        turbine TEXT NOT NULL,
-        kind TEXT NOT NULL,
-        until DOUBLE PRECISION NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        made_by TEXT NOT NULL,
-        note TEXT NOT NULL,
-        PRIMARY KEY (turbine, kind))""",
-    """CREATE TABLE event (
-        id TEXT PRIMARY KEY,
-        turbine TEXT NOT NULL,
-        time INSTANT NOT NULL,
-        kind TEXT NOT NULL,
-        note TEXT NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        made_by TEXT NOT NULL)""",
-    "CREATE INDEX event_by_turbine ON event (turbine, time)",
-    """CREATE TABLE outbox (
-        id TEXT PRIMARY KEY,
-        channel TEXT NOT NULL,
-        content TEXT NOT NULL,
-        made DOUBLE PRECISION NOT NULL,
-        due DOUBLE PRECISION NOT NULL,
-        attempts INTEGER NOT NULL,
-        failure TEXT NOT NULL,
-        sent DOUBLE PRECISION)""",
-    "CREATE INDEX outbox_by_due ON outbox (sent, due)",
-)
-"""Statements that create the tables; INSTANT is the type of the columns in `TIMESTAMPS`.
+_TYPES = {
+    "NUMBER": "DOUBLE PRECISION", "float": "DOUBLE PRECISION", "int": "INTEGER", "str": "TEXT"
+}  # fmt: skip
+"""Type of a column or a field -> SQL, where they differ; INSTANT is that of the columns in `TIMESTAMPS`."""
 
-A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and stands here.
+
+@dataclass(frozen=True)
+class Table:
+    """A table: its `columns` with their SQL types, the columns of its `key`, and those of its `index`, if it
+    has another one."""
+
+    columns: Mapping[str, str]
+    key: tuple[str, ...]
+    index: tuple[str, ...] = ()
+
+    def statements(self, name: str) -> Iterator[str]:
+        """The statements that create the table."""
+        columns = ", ".join(f"{column} {kind}" for column, kind in self.columns.items())
+        yield f"CREATE TABLE {name} ({columns}, PRIMARY KEY ({', '.join(self.key)}))"
+        if self.index:
+            yield f"CREATE INDEX {name}_by_{self.index[-1]} ON {name} ({', '.join(self.index)})"
+
+
+def _table(of: str | type[Any], key: str, index: str = "") -> Table:
+    """A table from its columns "name TYPE, …", or from a class whose fields they are.
+
+    A value may be missing where the type ends with "?", or where the field may be None.
+    """
+    columns = {}
+    if isinstance(of, str):
+        pairs = [one.split() for one in of.split(", ")]
+    else:
+        pairs = [[one.name, "INSTANT" if one.name == "time" else str(one.type)] for one in fields(of)]
+    for name, kind in pairs:
+        stated = kind.removesuffix("?").removesuffix(" | None")
+        columns[name] = _TYPES.get(stated, stated) + (" NOT NULL" if stated == kind else "")
+    return Table(columns, tuple(key.split()), tuple(index.split()))
+
+
+_READING = "turbine TEXT, signal TEXT, time INSTANT, value NUMBER, received INSTANT"
+_AIR = ", ".join(f"{q.column} NUMBER?, {q.sd_column} NUMBER?" for q in QUANTITIES) + ", condensation NUMBER?"
+TABLES = {
+    "turbine": _table("name TEXT, model TEXT, added NUMBER", "name"),
+    "observation": _table(
+        f"{_READING}, late INTEGER, contradicted INTEGER, mark NUMBER?", "turbine signal time", "turbine time"
+    ),
+    "held": _table(f"{_READING}, mark NUMBER?", "turbine signal time value"),
+    "revision": _table(
+        f"{_READING}, mark NUMBER?, late INTEGER, number INTEGER", "turbine signal time value", "turbine time"
+    ),
+    "connection": _table(Loss, "turbine signal lost"),
+    "point": _table("turbine TEXT, time NUMBER, state TEXT", "turbine"),
+    "estimate": _table(f"turbine TEXT, time INSTANT, final INTEGER, {_AIR}", "turbine time"),
+    "forecast": _table(
+        f"turbine TEXT, time INSTANT, made INSTANT, {_AIR}, above_limit NUMBER?", "turbine time"
+    ),
+    "property": _table(
+        "turbine TEXT, time INSTANT, name TEXT, unit TEXT, value NUMBER?, lower_bound NUMBER?, "
+        "upper_bound NUMBER?, reference NUMBER, observable INTEGER",
+        "turbine name time",
+        "turbine time",
+    ),
+    "weather": _table(_READING, "turbine signal time"),
+    "alarm": _table(Alarm, "id", "turbine began"),
+    "memory": _table("turbine TEXT, name TEXT, content TEXT", "turbine name"),
+    "counter": _table("turbine TEXT, name TEXT, count BIGINT", "turbine name"),
+    "source": _table("url TEXT, place TEXT", "url"),
+    "claim": _table("kind TEXT, name TEXT, holder BIGINT, who TEXT, since NUMBER", "kind name"),
+    "assessment": _table(Assessment, "turbine"),
+    "shelf": _table(Shelf, "turbine kind"),
+    "event": _table(Event, "id", "turbine time"),
+    "outbox": _table(Notice, "id", "sent due"),
+}
+"""All tables except the one that records the schema's number.
+
+A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`), or stands here.
 """
-TABLES = tuple(one.split()[2] for one in STATEMENTS if one.startswith("CREATE TABLE"))
-"""All tables except the one that records the schema's number."""
 TIMESTAMPS = {
-    one.split()[2]: tuple(re.findall(r"(\w+) INSTANT", one)) for one in STATEMENTS if "INSTANT" in one
+    name: tuple(column for column, kind in table.columns.items() if "INSTANT" in kind)
+    for name, table in TABLES.items()
 }
 """Table -> its columns that are `timestamptz` in PostgreSQL.  `point.time` is not: it restores every bit."""
 VIEWS = {
@@ -248,7 +187,8 @@ VIEWS = {
 
 def creation(dialect: Dialect) -> list[str]:
     """Statements that create all tables and views in one database's SQL dialect."""
-    tables = [one.replace("INSTANT", dialect.instant) for one in STATEMENTS]
+    made = (statement for name, table in TABLES.items() for statement in table.statements(name))
+    tables = [one.replace("INSTANT", dialect.instant) for one in made]
     number = "CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"
     return [number, *tables, *created_views(dialect)]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple
 from typing import Any, TypeVar
 
 import numpy as np
@@ -30,10 +30,6 @@ from hygrokf.live.storage.schema import TABLES, TIMESTAMPS
 from hygrokf.live.storage.sqlite import open_sqlite, path_of
 from hygrokf.live.tracker import Point, Reading, Versions, used_value
 
-ESTIMATE_COLUMNS = (
-    "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
-    "condensation",
-)  # fmt: skip
 _SIGNALS = """
 WITH RECURSIVE known (signal) AS (
     SELECT MIN(signal) FROM observation WHERE turbine = ?
@@ -54,19 +50,14 @@ FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
 ASKED = 500
 """Stamps asked for in one query."""
-FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
-READING_COLUMNS = ("turbine", "signal", "time", "value", "received")
-MARKED_COLUMNS = (*READING_COLUMNS, "mark")
-PROPERTY_COLUMNS = (
-    "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
-)  # fmt: skip
+UNLESS_THERE = " ON CONFLICT DO NOTHING"
 ACKNOWLEDGED = ("acknowledged", "acknowledged_by", "cause", "note", "look_again")
 """Columns of an alarm that the page writes and the tracker leaves as they are."""
 TABLE_OF: Mapping[type[Any], str] = {
     Alarm: "alarm", Assessment: "assessment", Event: "event", Loss: "connection", Notice: "outbox",
     Shelf: "shelf",
 }  # fmt: skip
-"""Kind -> table whose columns are its fields."""
+"""Kind -> its table in `schema.TABLES`, whose columns are its fields."""
 T = TypeVar("T")
 
 
@@ -85,7 +76,8 @@ class Store:
 
     def found(self, kind: type[T], rest: str = "", parameters: Sequence[SqlValue] = ()) -> list[T]:
         """What the table of a kind holds (`TABLE_OF`), selected and ordered by the `rest` of the query."""
-        rows = self.rows(f"SELECT {', '.join(columns_of(kind))} FROM {TABLE_OF[kind]} {rest}", parameters)
+        table = TABLE_OF[kind]
+        rows = self.rows(f"SELECT {', '.join(TABLES[table].columns)} FROM {table} {rest}", parameters)
         return [kind(*row) for row in rows]
 
     # -- writing ---------------------------------------------------------------------------------------------
@@ -95,38 +87,13 @@ class Store:
             self.write(cursor, batch)
 
     def write(self, cursor: Cursor, batch: Batch) -> None:
-        """Write a batch within a transaction."""
-        self._write_observations(cursor, batch)
-        self._write_estimates(cursor, batch)
-        self._write_findings(cursor, batch)
-        self._write_memories(cursor, batch)
-        self._write_forecasts(cursor, batch)
-
-    def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
-        """Write readings and filter points; of a stamp with several values the one that counts is written,
+        """Write a batch within a transaction.  Of a stamp with several values the one that counts is written,
         and every version is kept beside it."""
-        self._many(
-            cursor,
-            inserting("observation", (*MARKED_COLUMNS, "late", "contradicted")) + " ON CONFLICT DO NOTHING",
-            [(*_marked_row(one), int(one.late), 0) for one in batch.observations if not one.revision],
-        )
+        first = [(*_reading_row(o), int(o.late), 0, _mark(o)) for o in batch.observations if not o.revision]
+        self._many(cursor, inserting("observation") + UNLESS_THERE, first)
         self._write_revisions(cursor, [one for one in batch.observations if one.revision])
-        self._many(
-            cursor,
-            inserting("held", MARKED_COLUMNS) + " ON CONFLICT DO NOTHING",
-            [_marked_row(one) for one in batch.held],
-        )
-        self._many(
-            cursor,
-            "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?",
-            [_reading_row(one)[:3] for one in batch.released],
-        )
-        self._many(cursor, putting(Loss, ("turbine", "signal", "lost")), map(astuple, batch.losses))
-        self._many(
-            cursor,
-            replacing("point", ("turbine", "time", "state"), key=("turbine",)),
-            [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
-        )
+        for statement, rows in _statements(batch):
+            self._many(cursor, statement, rows)
 
     def _write_revisions(self, cursor: Cursor, revisions: Sequence[Observation]) -> None:
         """Add versions of values to those of their stamps, and use those that count and come in time."""
@@ -134,15 +101,14 @@ class Store:
         for one in revisions:
             stamps.setdefault(one.turbine, []).append((one.reading.signal, one.reading.time))
         known = {turbine: self.versions(turbine, own) for turbine, own in stamps.items()}
-        columns = (*MARKED_COLUMNS, "late", "number")
-        names = ", ".join(columns[:-1])
+        names = ", ".join(name for name in TABLES["revision"].columns if name != "number")
         first = f"INSERT INTO revision ({names}, number) SELECT {names}, 0 FROM observation "
         first += "WHERE turbine = ? AND signal = ? AND time = ? ON CONFLICT DO NOTHING"
         self._many(cursor, first, [_reading_row(one)[:3] for one in revisions])
-        added = self._text(inserting("revision", columns) + " ON CONFLICT DO NOTHING")
+        added = self._text(inserting("revision") + UNLESS_THERE)
         for one in revisions:
             versions = known[one.turbine][one.reading.signal, one.reading.time]
-            cursor.execute(added, (*_marked_row(one), int(one.late), len(versions)))
+            cursor.execute(added, (*_reading_row(one), _mark(one), int(one.late), len(versions)))
             versions.append(one.reading)
             if not one.late:
                 self.use(cursor, one.turbine, versions)
@@ -158,87 +124,6 @@ class Store:
         none = math.isnan(value)
         used = first.value if none else value
         cursor.execute(statement, (int(none), used, turbine, first.signal, first.time))
-
-    def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
-        """Write estimates in place of the provisional ones."""
-        self._many(
-            cursor,
-            "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
-            [(turbine, one.since) for turbine, one in batch.estimates.items()],
-        )
-        self._many(
-            cursor,
-            replacing("estimate", ESTIMATE_COLUMNS, key=ESTIMATE_COLUMNS[:2]),
-            [
-                row
-                for turbine, one in batch.estimates.items()
-                for row in estimate_rows(turbine, one.condition, one.final)
-            ],
-        )
-
-    def _write_findings(self, cursor: Cursor, batch: Batch) -> None:
-        """Write properties, alarms, states of turbines and notices."""
-        self._many(
-            cursor,
-            replacing("property", PROPERTY_COLUMNS, key=("turbine", "name", "time")),
-            [
-                (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
-                for turbine, at, properties in batch.properties
-                for p in properties
-            ],
-        )
-        self._many(cursor, putting(Alarm, ("id",), kept=ACKNOWLEDGED), map(astuple, batch.alarms))
-        self._many(cursor, putting(Assessment, ("turbine",)), map(astuple, batch.assessments))
-        self._many(
-            cursor,
-            "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?",
-            [(alarm.id,) for alarm in batch.reopened],
-        )
-        self._write_notices(cursor, batch.notices)
-
-    def _write_notices(self, cursor: Cursor, notices: Iterable[Notice]) -> None:
-        statement = inserting("outbox", columns_of(Notice)) + " ON CONFLICT (id) DO NOTHING"
-        self._many(cursor, statement, map(astuple, notices))
-
-    def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
-        """Write the data that trackers and sources resume from, and counters."""
-        self._many(
-            cursor,
-            replacing("memory", ("turbine", "name", "content"), key=("turbine", "name")),
-            [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
-        )
-        self._many(
-            cursor,
-            inserting("counter", ("turbine", "name", "count"))
-            + " ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
-            [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
-        )
-        self._many(cursor, replacing("source", ("url", "place"), key=("url",)), list(batch.place.items()))
-
-    def _write_forecasts(self, cursor: Cursor, batch: Batch) -> None:
-        """Write the cabinets' forecasts, and the weather forecasts that they are based on."""
-        self._many(cursor, "DELETE FROM forecast WHERE turbine = ?", [(name,) for name in batch.forecasts])
-        self._many(
-            cursor,
-            inserting("forecast", FORECAST_COLUMNS),
-            [
-                (row[0], row[1], made.made_s, *row[3:], above)
-                for turbine, made in batch.forecasts.items()
-                if made is not None
-                for row, above in zip(
-                    estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True
-                )
-            ],
-        )
-        if batch.weather:  # forecast values of the past are of no use
-            old = min(one.received for one in batch.weather) - FORGOTTEN_S
-            cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
-        self._many(
-            cursor,
-            replacing("weather", READING_COLUMNS, key=("turbine", "signal", "time"))
-            + " WHERE excluded.received >= weather.received",
-            [_reading_row(one) for one in batch.weather],
-        )
 
     def _many(self, cursor: Cursor, statement: str, rows: Iterable[Row]) -> None:
         if some := list(rows):
@@ -291,12 +176,12 @@ class Store:
             )
             changed = cursor.rowcount == 1
             if changed:
-                self._write_notices(cursor, notices)
+                self._many(cursor, inserting("outbox") + UNLESS_THERE, map(astuple, notices))
         return changed
 
     def shelve(self, shelf: Shelf) -> None:
         """Shelve a turbine's alarms of one kind, in place of an earlier shelf of that kind."""
-        self._execute(putting(Shelf, ("turbine", "kind")), astuple(shelf))
+        self._execute(replacing("shelf"), astuple(shelf))
 
     def unshelve(self, turbine: str, kind: str) -> bool:
         """End a shelf early; False if there is none."""
@@ -304,7 +189,7 @@ class Store:
 
     def note_event(self, event: Event) -> None:
         """Write an event, in place of one with its id."""
-        self._execute(putting(Event, ("id",)), astuple(event))
+        self._execute(replacing("event"), astuple(event))
 
     def _execute(self, statement: str, parameters: Sequence[SqlValue]) -> int:
         """Execute one statement in a transaction of its own; returns the number of rows that it changed."""
@@ -366,7 +251,7 @@ class Store:
         `until` [s], by time."""
         where = "" if turbine is None else " AND turbine = ?"
         found = self.rows(
-            f"SELECT {', '.join(MARKED_COLUMNS)} FROM held WHERE time <= ?{where} "
+            f"SELECT {', '.join(TABLES['held'].columns)} FROM held WHERE time <= ?{where} "
             "ORDER BY time, turbine, signal, received",
             (until,) if turbine is None else (until, turbine),
         )
@@ -469,39 +354,69 @@ class Store:
         return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
 
 
-def inserting(table: str, columns: Sequence[str]) -> str:
+def inserting(table: str) -> str:
     """The statement that inserts a row."""
-    times = TIMESTAMPS.get(table, ())
-    marks = ", ".join("TIME(?)" if name in times else "?" for name in columns)
+    columns = TABLES[table].columns
+    marks = ", ".join("TIME(?)" if name in TIMESTAMPS[table] else "?" for name in columns)
     return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({marks})"
 
 
-def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequence[str] = ()) -> str:
+def replacing(table: str, kept: Sequence[str] = ()) -> str:
     """The statement that inserts a row or, where one with its key exists, replaces all but the `kept`
     columns."""
+    columns, key = TABLES[table].columns, TABLES[table].key
     changed = [f"{name} = excluded.{name}" for name in columns if name not in (*key, *kept)]
-    return f"{inserting(table, columns)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
+    return f"{inserting(table)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
 
 
-def columns_of(kind: type[Any]) -> tuple[str, ...]:
-    """The columns of a table in `TABLE_OF`."""
-    return tuple(one.name for one in fields(kind))
-
-
-def putting(kind: type[Any], key: Sequence[str], kept: Sequence[str] = ()) -> str:
-    """As `replacing`, for the table of a kind in `TABLE_OF`."""
-    return replacing(TABLE_OF[kind], columns_of(kind), key, kept)
+def _statements(batch: Batch) -> Iterator[tuple[str, Iterable[Row]]]:
+    """The statements that write all of a batch but its observations, each with its rows."""
+    yield inserting("held") + UNLESS_THERE, [(*_reading_row(one), _mark(one)) for one in batch.held]
+    released = [_reading_row(one)[:3] for one in batch.released]
+    yield "DELETE FROM held WHERE turbine = ? AND signal = ? AND time = ?", released
+    yield replacing("connection"), map(astuple, batch.losses)
+    points = [(turbine, one.time, state_text(one.state)) for turbine, one in batch.points.items()]
+    yield replacing("point"), points
+    # estimates take the place of the provisional ones
+    begun = [(turbine, one.since) for turbine, one in batch.estimates.items()]
+    yield "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0", begun
+    for turbine, one in batch.estimates.items():
+        yield replacing("estimate"), estimate_rows(turbine, one.condition, one.final)
+    properties = [
+        (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
+        for turbine, at, properties in batch.properties
+        for p in properties
+    ]
+    yield replacing("property"), properties
+    yield replacing("alarm", ACKNOWLEDGED), map(astuple, batch.alarms)
+    again = "UPDATE alarm SET acknowledged = NULL, acknowledged_by = NULL, look_again = NULL WHERE id = ?"
+    yield again, [(alarm.id,) for alarm in batch.reopened]
+    yield replacing("assessment"), map(astuple, batch.assessments)
+    yield inserting("outbox") + UNLESS_THERE, map(astuple, batch.notices)
+    memories = [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()]
+    yield replacing("memory"), memories
+    more = " ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count"
+    yield inserting("counter") + more, [(*key, count) for key, count in batch.counters.items() if count]
+    yield replacing("source"), batch.place.items()
+    yield "DELETE FROM forecast WHERE turbine = ?", [(name,) for name in batch.forecasts]
+    for turbine, made in batch.forecasts.items():
+        if made is not None:
+            rows = zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
+            yield inserting("forecast"), [(*row[:2], made.made_s, *row[3:], above) for row, above in rows]
+    if batch.weather:  # forecast values of the past are of no use
+        old = min(one.received for one in batch.weather) - FORGOTTEN_S
+        yield "DELETE FROM weather WHERE time < ?", [(old,)]
+    newer = " WHERE excluded.received >= weather.received"
+    yield replacing("weather") + newer, map(_reading_row, batch.weather)
 
 
 def _reading_row(one: Observation) -> Row:
-    """The row of a reading, in the order of `READING_COLUMNS`."""
+    """The row of a reading, without its mark."""
     return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
 
 
-def _marked_row(one: Observation) -> Row:
-    """The row of a reading, in the order of `MARKED_COLUMNS`."""
-    mark = one.reading.mark
-    return (*_reading_row(one), None if math.isnan(mark) else mark)
+def _mark(one: Observation) -> float | None:
+    return None if math.isnan(one.reading.mark) else one.reading.mark
 
 
 def _reading(signal: str, time: float, value: float, mark: float | None) -> Reading:
@@ -519,7 +434,7 @@ def state_of(text: str) -> Gaussian:
 
 
 def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
-    """Rows of the estimate table, in the order of `ESTIMATE_COLUMNS`; NaN becomes NULL."""
+    """Rows of the estimate table, in the order of its columns; NaN becomes NULL."""
     count = len(found.time_s)
     columns: list[list[Any]] = [
         [turbine] * count,

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.batch import STATES
 from hygrokf.live.service import Service
 from hygrokf.live.storage.outbox import ChannelState, channel_states, waiting
 from hygrokf.live.storage.store import StoreFault
@@ -24,9 +25,8 @@ from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
 from hygrokf.live.web.statements import StatementFault, Statements
 from hygrokf.live.web.views import (
-    FleetRow,
+    View,
     alarms_view,
-    fleet_summary,
     fleet_view,
     health_view,
     turbine_view,
@@ -56,7 +56,7 @@ class Page:
         self.access = Access(settings)
         self.reader = Reader(service)
         self.answers = StoreAnswers(service)
-        self._fleet: tuple[int, float, list[FleetRow]] = (-1, 0.0, [])
+        self._fleet: tuple[int, float, list[View]] = (-1, 0.0, [])
         self._margins = MarginsKept()
 
     def app(self) -> ASGIApp:
@@ -110,9 +110,10 @@ class Page:
     def fleet(self, request: Request) -> Response:
         now = self.service.now
         rows = self.rows(now)
-        return reply({"now": now, "summary": fleet_summary(rows), "turbines": rows})
+        summary = dict.fromkeys(STATES, 0) | Counter(row["state"] for row in rows)
+        return reply({"now": now, "summary": summary, "turbines": rows})
 
-    def rows(self, now: float) -> list[FleetRow]:
+    def rows(self, now: float) -> list[View]:
         """The fleet's rows, read again after a change or `KEPT_S`."""
         generation, at, rows = self._fleet
         current = self.hub.generation
@@ -184,7 +185,7 @@ class Page:
 
         now = self.service.now
         try:
-            rows: list[FleetRow] | None = self.rows(now)
+            rows: list[View] | None = self.rows(now)
             counters, alarms, told = self.reader.read(
                 lambda store: (store.counters(), alarms_view(store, since=math.inf), waiting(store))
             )

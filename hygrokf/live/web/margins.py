@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import TypedDict
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.condition import Z95
 from hygrokf.live.storage.store import Store
 from hygrokf.live.web.reader import Reader
+from hygrokf.live.web.views import View
 
 BACK_S, AHEAD_S = 3.0 * DAY_S, 2.0 * DAY_S
 """[s] of the past and of the forecast that are shown."""
@@ -31,52 +31,34 @@ LEAST_S = 5.0
 """[s] of real time for which they are kept, because the time of a playback may run faster."""
 
 
-class Margins(TypedDict):
-    """Dew-point margins of a turbine, step by step: the lowest `value` [K] and `half` the width of its 95 %
-    band [K]; None in steps without any."""
-
-    value: list[float | None]
-    half: list[float | None]
-
-
-class MarginsView(TypedDict):
-    """The margins of all turbines from `start` [s] on, in steps of `step` [s].
-
-    The first `past` steps are estimates, the others are forecasts; turbines without any margin are left out.
-    """
-
-    start: float
-    step: float
-    past: int
-    turbines: dict[str, Margins]
-
-
 class MarginsKept:
     """The margins of the fleet, read again when they are old."""
 
     def __init__(self) -> None:
-        self._kept: tuple[float, MarginsView] | None = None
+        self._kept: tuple[float, View] | None = None
 
-    def view(self, reader: Reader, names: Sequence[str], now: float) -> MarginsView:
-        """The margins at `now` [s]."""
+    def view(self, reader: Reader, names: Sequence[str], now: float) -> View:
+        """The margins of all turbines at `now` [s], from `start` [s] on in steps of `step` [s], of which the
+        first `past` are estimates and the others forecasts."""
         if self._kept is not None:
             read_s, found = self._kept
             age_s = now - found["start"] - BACK_S
             if 0.0 <= age_s < KEPT_S or 0.0 <= time.monotonic() - read_s < LEAST_S:
                 return found
         start = now - BACK_S
-        turbines: dict[str, Margins] = {}
+        turbines: View = {}
         for first in range(0, len(names), TOGETHER):
             some = names[first : first + TOGETHER]
             turbines |= reader.read(partial(margins_of, names=some, start=start))
-        made: MarginsView = {"start": start, "step": STEP_S, "past": PAST, "turbines": turbines}
+        made = {"start": start, "step": STEP_S, "past": PAST, "turbines": turbines}
         self._kept = (time.monotonic(), made)
         return made
 
 
-def margins_of(store: Store, names: Sequence[str], start: float) -> dict[str, Margins]:
-    """The margins of some turbines from `start` [s] on."""
-    found: dict[str, Margins] = {}
+def margins_of(store: Store, names: Sequence[str], start: float) -> View:
+    """The margins of those turbines that have some, step by step from `start` [s] on: the lowest `value` [K]
+    and `half` the width of its 95 % band [K]; None in steps without any."""
+    found = {}
     now = start + BACK_S
     for name in names:
         courses = [

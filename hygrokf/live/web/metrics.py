@@ -22,7 +22,7 @@ from hygrokf.live.service import WAITS_S, Health
 from hygrokf.live.sources.stream import Reach, SourceState
 from hygrokf.live.turbines import SOURCE
 from hygrokf.live.web.page_settings import NEEDED, PageFault
-from hygrokf.live.web.views import FleetRow
+from hygrokf.live.web.views import View
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Snapshot:
     health: Health
     sources: Mapping[str, SourceState]
     clients: int
-    fleet: Sequence[FleetRow] | None
+    fleet: Sequence[View] | None
     alarms: Sequence[Alarm]
     counters: Mapping[tuple[str, str], int]
     notices: Mapping[str, int] = field(default_factory=dict)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TypedDict
+from typing import Any
 
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.timestamps import DAY_S
@@ -13,30 +13,18 @@ from hygrokf.live.plan import Need
 from hygrokf.live.storage.store import Store
 
 
-class SignalRow(TypedDict):
-    """A signal's last reading in its display unit.
-
-    `last`: its time [s]; `received`: its arrival [s], all None if it never came; `count`: number of readings
-    in the last day; `needed`: "required" if there is no estimate without it, "used" if the model reads it,
-    "" if it does not; `contradicts`: whether the reading contradicts the estimate.
-    """
-
-    signal: str
-    value: float | None
-    unit: str
-    last: float | None
-    received: float | None
-    count: int
-    needed: str
-    contradicts: bool
-
-
 def signal_rows(
     store: Store, name: str, now: float, needs: Sequence[Need], alarms: Iterable[Alarm]
-) -> list[SignalRow]:
-    """The last reading of each signal of a turbine, and what its model reads and never came."""
-    found: list[SignalRow] = []
-    contradicts = contradicting(alarms)
+) -> list[dict[str, Any]]:
+    """The last reading of each signal of a turbine in its display unit, and what its model reads and never
+    came.
+
+    `last`: its time [s]; `received`: its arrival [s]; `count`: number of readings in the last day; `needed`:
+    "required" if there is no estimate without it, "used" if the model reads it, "" if it does not;
+    `contradicts`: whether the reading contradicts the estimate, by the open alarms.
+    """
+    found = []
+    open_ = [one for one in alarms if one.kind == CONTRADICTS.kind and one.ended is None]
     there = store.signals(name)
     used = {signal: "required" if one.required else "used" for one in needs for signal in one.signals}
     missing = [one.signals[0] for one in needs if not set(one.signals) & set(there)]
@@ -61,13 +49,7 @@ def signal_rows(
                 "received": received,
                 "count": count,
                 "needed": used.get(signal, ""),
-                "contradicts": signal in there and signal in contradicts,
+                "contradicts": any(f":{CONTRADICTS.kind} {signal}:" in one.id for one in open_),
             }
         )
     return sorted(found, key=lambda one: one["signal"])
-
-
-def contradicting(alarms: Iterable[Alarm]) -> set[str]:
-    """Signals whose readings contradict the estimate, by the open alarms."""
-    open_ = [one for one in alarms if one.kind == CONTRADICTS.kind and one.ended is None]
-    return {signal for signal in SIGNALS for one in open_ if f":{CONTRADICTS.kind} {signal}:" in one.id}

@@ -6,14 +6,14 @@ Temperatures are in °C, relative humidity in %, times in seconds since 1970, UT
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TypedDict, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from hygrokf.data.structured import Json, structured
+from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
@@ -27,13 +27,11 @@ from hygrokf.live.service import Health
 from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
-from hygrokf.live.web.signal_rows import SignalRow, signal_rows
+from hygrokf.live.web.signal_rows import signal_rows
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
 """Decimal places of numbers sent to the page; rounding halves the size of the response."""
-FRESH_S = HOUR_S
-"""[s] since the last reading after which a turbine's data are no longer fresh."""
 RIGHT, WRONG = ("defect", "settings changed"), ("false alarm",)
 """Causes of acknowledgements that say that an alarm was right, or wrong."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
@@ -45,196 +43,14 @@ READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_rela
 """Quantity on the page -> the cabinet's own signal."""
 Verdicts = Mapping[str, Inherited]
 """A fit's verdicts on the numbers of a turbine's model, by part."""
+View = dict[str, Any]
+"""JSON of the page; what it holds stands at the function that makes it."""
 T = TypeVar("T")
 
 
-class Chance(TypedDict):
-    """The highest forecast probability of condensation [1], and the first time [s] it is reached."""
-
-    condensation: float
-    time: float
-
-
-class StateView(TypedDict):
-    """The `state` of a turbine, one of `STATES`, `since` a time [s], with its `reason`."""
-
-    state: str
-    reason: str
-    since: float | None
-
-
-class FleetRow(StateView):
-    """A turbine in the fleet's table: temperatures [°C], `margin` [K], humidity [%], probabilities [1], times
-    [s].
-
-    `…_half` is half the width of a 95 % band; `cabinet` says whether its properties are as fitted; `severity`
-    is that of its worst open alarm (`SEVERITY`), −1 without any.
-    """
-
-    turbine: str
-    time: float | None
-    heard: float | None
-    fresh: bool
-    temperature: float | None
-    temperature_half: float | None
-    relative_humidity: float | None
-    relative_humidity_half: float | None
-    margin: float | None
-    margin_lower: float | None
-    condensation: float | None
-    forecast: Chance | None
-    cabinet: str | None
-    alarms: list[Alarm]
-    model: str | None
-    severity: int
-
-
-class NumberVerdict(TypedDict):
-    """The verdict on one number of a model, as the page shows it."""
-
-    part: str
-    property: str
-    verdict: str
-    mark: str
-    words: str
-    why: str
-
-
-class ModelView(TypedDict):
-    """The worst verdict on a model, None without any, and the verdict on each of its numbers."""
-
-    verdict: str | None
-    numbers: list[NumberVerdict]
-
-
-class Course(TypedDict):
-    """A quantity at the instants of a course, with bounds of 95 %."""
-
-    value: list[float | None]
-    lower: list[float | None]
-    upper: list[float | None]
-
-
-class PropertyCourse(Course):
-    """A property with its course; `reference` and `observable` are those of its newest row."""
-
-    name: str
-    unit: str
-    time: list[float]
-    reference: float
-    observable: bool
-
-
-class ReadingCourse(TypedDict):
-    """The cabinet's own readings of a quantity, at times [s]."""
-
-    time: list[float]
-    value: list[float | None]
-
-
-class Hourly(TypedDict):
-    """(beginning [s], highest probability) of every past hour and of every hour of the forecast."""
-
-    past: list[tuple[float, float]]
-    forecast: list[tuple[float, float]]
-
-
-class HumidHours(Hourly):
-    """The same for a relative humidity above a `limit` [1]."""
-
-    limit: float
-
-
-class ForecastView(TypedDict):
-    """The newest forecast, from the state at `made` [s] on, of a humidity `limit` [1] (None in stores of
-    earlier versions).
-
-    `weather` describes the scenarios, or says why there is no forecast; the courses are empty then.
-    `condensation` and `above_limit` [1] and `courses` at the instants `time` [s].
-    """
-
-    made: float
-    weather: str
-    limit: float | None
-    time: list[float]
-    condensation: list[float | None]
-    above_limit: list[float | None]
-    courses: dict[str, Course]
-    advice: Json
-
-
-class TurbineView(StateView):
-    """One turbine on the page.
-
-    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s]; `counts`:
-    readings that were not used, by kind; `held`: number of readings that are held back, because their stamps
-    are ahead of the clock.
-    """
-
-    turbine: str
-    model: ModelView
-    time: list[float]
-    final: list[int]
-    condensation: list[float | None]
-    hours: Hourly
-    humid: HumidHours
-    courses: dict[str, Course]
-    readings: dict[str, ReadingCourse]
-    forecast: ForecastView | None
-    properties: list[PropertyCourse]
-    alarms: list[Alarm]
-    signals: list[SignalRow]
-    counts: dict[str, int]
-    held: int
-
-
-class KindLabels(TypedDict):
-    """Alarms of one kind in the store: how many, how many with each cause of an acknowledgement, and how many
-    of those were right (something had changed) or wrong; the others are not known."""
-
-    kind: str
-    alarms: int
-    causes: dict[str, int]
-    right: int
-    wrong: int
-
-
-class SourceRow(TypedDict):
-    """A source with its state in one word and its explanation.
-
-    `heard`: when its last message was committed [s], None if none was; `lag`: time [s] from its newest
-    reading to its arrival; `not_reached`: since when [s] it is not reached, None while it is; `ordered_by`:
-    what orders the versions of a value.
-    """
-
-    url: str
-    state: str
-    words: str
-    heard: float | None
-    lag: float | None
-    not_reached: float | None
-    ordered_by: str
-
-
-class HealthView(TypedDict):
-    """The sources and the store.
-
-    `store`: why the store fails, empty if it does not; `committed`: time of the last commit [s]; `wait_99_s`:
-    time [s] within which 99 % of the deliveries were committed; `refused`: deliveries of no turbine, by kind.
-    """
-
-    sources: list[SourceRow]
-    store: str
-    deliveries: int
-    committed: float
-    wait_99_s: float | None
-    refused: dict[str, int]
-
-
-def model_view(verdicts: Verdicts) -> ModelView:
-    """The verdict on a turbine's model, which is the worst verdict on its numbers, and the verdict on each
-    number."""
-    numbers: list[NumberVerdict] = [
+def model_view(verdicts: Verdicts) -> View:
+    """The `verdict` on a turbine's model, the worst one on its `numbers` (None without any), and these."""
+    numbers = [
         {
             "part": part,
             "property": PARAMETER_OF[part],
@@ -245,8 +61,8 @@ def model_view(verdicts: Verdicts) -> ModelView:
         }
         for part, found in verdicts.items()
     ]
-    worst = max((VERDICTS.index(one["verdict"]) for one in numbers), default=None)
-    return {"verdict": None if worst is None else VERDICTS[worst], "numbers": numbers}
+    verdict = max((one.verdict for one in verdicts.values()), key=VERDICTS.index, default=None)
+    return {"verdict": verdict, "numbers": numbers}
 
 
 def fleet_view(
@@ -254,47 +70,54 @@ def fleet_view(
     names: Sequence[str],
     now: float,
     verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
-) -> list[FleetRow]:
+) -> list[View]:
     """One row per turbine, sorted by the need of its state, then by the severity of open alarms and by the
     present or forecast risk of condensation.
 
+    `time`: of the newest estimate, `heard`: of the last arrival; `…_half`: half the width of a 95 % band;
+    `margin` [K]; `forecast`: the highest `condensation` [1] to come and the first `time` it is reached;
+    `cabinet`: whether its properties are as fitted; `severity`: of its worst open alarm (`SEVERITY`), −1
+    without any.
+
     verdicts: turbine → verdicts on the numbers of its model.
     """
-    # LEFT JOIN makes the database loop over turbines instead of scanning every estimate
+    # LEFT JOIN makes the database loop over turbines instead of scanning every estimate; the newest reading
+    # stands for the last received one, which only a scan of every observation would find
     newest = {
         turbine: row
         for turbine, *row in store.rows(
-            "SELECT t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, "
+            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC "
+            "LIMIT 1), e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, "
             "e.relative_humidity_sd, e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN "
             "estimate e ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = "
             "t.name)"
         )
     }
-    # the newest reading stands for the last received one, which only a scan of every observation would find
-    heard = {
-        turbine: received
-        for turbine, received in store.rows(
-            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC "
-            "LIMIT 1) FROM turbine t"
+    known = store.rows("SELECT turbine, MAX(observable) FROM property_now GROUP BY turbine")
+    observable: dict[str, int] = dict(known)
+    # the last row of a turbine is its highest chance, at the first time
+    highest = {
+        turbine: {"condensation": chance, "time": at}
+        for turbine, chance, at in store.rows(
+            "SELECT turbine, condensation, time FROM forecast WHERE time >= ? AND condensation IS NOT NULL "
+            "ORDER BY turbine, condensation, time DESC",
+            (now,),
         )
     }
-    states = store.assessments()
-    cabinets, highest = _cabinets(store), _highest_forecast(store, now)
-    open_: dict[str, list[Alarm]] = {}
-    for alarm in alarms_view(store, since=math.inf):
-        open_.setdefault(alarm.turbine, []).append(alarm)
-    rows: list[FleetRow] = []
+    states, open_alarms = store.assessments(), alarms_view(store, since=math.inf)
+    rows: list[View] = []
     for name in names:
-        at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(name, [None] * 8)
-        alarms = open_.get(name, [])
-        last = heard.get(name)
+        heard, at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(
+            name, [None] * 9
+        )
+        alarms = [one for one in open_alarms if one.turbine == name]
+        cabinet = {None: None, 0: "not observable", 1: "as fitted"}[observable.get(name)]
         rows.append(
             {
                 "turbine": name,
                 **_state(states.get(name)),
                 "time": at,
-                "heard": last,
-                "fresh": last is not None and now - last < FRESH_S,
+                "heard": heard,
                 "temperature": _scaled(kelvin, 1.0, -ZERO_CELSIUS_K),
                 "temperature_half": _scaled(kelvin_sd, Z95, 0.0),
                 "relative_humidity": _scaled(humidity, 100.0, 0.0),
@@ -303,59 +126,26 @@ def fleet_view(
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
                 "forecast": highest.get(name),
-                "cabinet": "changed" if any(a.kind == CHANGED.kind for a in alarms) else cabinets.get(name),
+                "cabinet": "changed" if any(one.kind == CHANGED.kind for one in alarms) else cabinet,
                 "alarms": alarms,
                 "model": model_view(verdicts.get(name, {}))["verdict"],
-                "severity": max((SEVERITY[a.severity] for a in alarms), default=-1),
+                "severity": max((SEVERITY[one.severity] for one in alarms), default=-1),
             }
         )
-    rows.sort(key=lambda row: (STATES.index(row["state"]), -row["severity"], -_risk(row), row["turbine"]))
-    return rows
+    return sorted(rows, key=_need)
 
 
-def fleet_summary(rows: Iterable[FleetRow]) -> dict[str, int]:
-    """Number of turbines in each of the `STATES`."""
-    counts = Counter(row["state"] for row in rows)
-    return {state: counts[state] for state in STATES}
+def _need(row: View) -> tuple[int, int, float, str]:
+    coming = row["forecast"]["condensation"] if row["forecast"] else 0.0
+    risk = max(row["condensation"] or 0.0, coming)
+    return STATES.index(row["state"]), -row["severity"], -risk, row["turbine"]
 
 
-def _state(found: Assessment | None) -> StateView:
+def _state(found: Assessment | None) -> View:
     """A turbine's assessment; a turbine that was never assessed has no estimate."""
     if found is None:
         return {"state": "no estimate", "reason": NOT_ASSESSED, "since": None}
     return {"state": found.state, "reason": found.reason, "since": found.since}
-
-
-def _risk(row: FleetRow) -> float:
-    coming = row["forecast"]["condensation"] if row["forecast"] else 0.0
-    return max(row["condensation"] or 0.0, coming)
-
-
-def _cabinets(store: Store) -> dict[str, str]:
-    """Whether the properties of each turbine's cabinet are observable now: turbine → words for the page."""
-    found: dict[str, str] = {}
-    for one in WATCHED:
-        for turbine, observable in store.rows(
-            "SELECT t.name, p.observable FROM turbine t LEFT JOIN property p ON p.turbine = t.name AND "
-            "p.name = ? AND p.time = (SELECT MAX(time) FROM property WHERE turbine = t.name AND name = ?)",
-            (one.name, one.name),
-        ):
-            if observable or (observable is not None and turbine not in found):
-                found[turbine] = "as fitted" if observable else "not observable"
-    return found
-
-
-def _highest_forecast(store: Store, now: float) -> dict[str, Chance]:
-    """The highest forecast probability of condensation for each turbine, and the first time it is reached."""
-    found: dict[str, Chance] = {}
-    for turbine, at, chance in store.rows(
-        "SELECT turbine, time, condensation FROM forecast WHERE time >= ? AND condensation IS NOT NULL ORDER "
-        "BY turbine, time",
-        (now,),
-    ):
-        if turbine not in found or chance > found[turbine]["condensation"]:
-            found[turbine] = {"condensation": chance, "time": at}
-    return found
 
 
 def turbine_view(
@@ -365,8 +155,13 @@ def turbine_view(
     now: float,
     verdicts: Verdicts = MappingProxyType({}),
     needs: Sequence[Need] = (),
-) -> TurbineView:
-    """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts.
+) -> View:
+    """One turbine from `since` [s] on.
+
+    At the instants `time` [s]: `final` (1 for final estimates), `condensation` [1] and `courses`; `hours` and
+    `humid`: highest probability of condensation, and of a relative humidity above a `limit`, of every hour;
+    `readings`: the cabinet's own; `counts`: readings that were not used, by kind; `held`: number of readings
+    that are held back, because their stamps are ahead of the clock.
 
     needs: what its model reads, of which signals that never came are listed too.
     """
@@ -377,7 +172,7 @@ def turbine_view(
             (name, since),
         )
     )
-    readings: dict[str, ReadingCourse] = {}
+    readings: View = {}
     for quantity, signal in READ.items():
         shown = COURSES[quantity]
         rows = _thin(
@@ -442,10 +237,10 @@ def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple
     return sorted(most.items())
 
 
-def _courses(rows: Sequence[Row]) -> dict[str, Course]:
+def _courses(rows: Sequence[Row]) -> View:
     """Value and bounds of each quantity that has values, from rows that begin with the columns of
     `COURSES`."""
-    courses: dict[str, Course] = {}
+    courses: View = {}
     for place, (quantity, shown) in enumerate(COURSES.items()):
         factor, offset = shown.factor, shown.offset
         pairs = [(row[2 * place], row[2 * place + 1]) for row in rows]
@@ -459,8 +254,9 @@ def _courses(rows: Sequence[Row]) -> dict[str, Course]:
     return courses
 
 
-def _forecast(store: Store, name: str) -> ForecastView | None:
-    """A turbine's newest forecast and the advice for a restart; None before the first one."""
+def _forecast(store: Store, name: str) -> View | None:
+    """A turbine's newest forecast, from the state at `made` [s] on, and the advice for a restart; None before
+    the first one.  `weather` describes the scenarios, or says why the courses are empty."""
     memory = store.memory(name, "forecast")
     if not memory:
         return None
@@ -495,48 +291,42 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
-def labels_view(store: Store) -> list[KindLabels]:
-    """How often each kind of alarm was right, as those say who acknowledged it; by kind."""
-    found: dict[str, KindLabels] = {}
+def labels_view(store: Store) -> list[View]:
+    """How often each kind of alarm was `right` (something had changed) or `wrong`, as those say who
+    acknowledged it; by kind."""
+    found: dict[str, Counter[str | None]] = defaultdict(Counter)
     for kind, cause, count in store.rows("SELECT kind, cause, COUNT(*) FROM alarm GROUP BY kind, cause"):
-        row = found.setdefault(
-            kind, {"kind": kind, "alarms": 0, "causes": dict.fromkeys(CAUSES, 0), "right": 0, "wrong": 0}
-        )
-        row["alarms"] += int(count)
-        if cause in row["causes"]:
-            row["causes"][cause] += int(count)
-            row["right"] += int(count) * (cause in RIGHT)
-            row["wrong"] += int(count) * (cause in WRONG)
-    return [found[kind] for kind in sorted(found)]
+        found[kind][cause] = int(count)
+    return [
+        {
+            "kind": kind,
+            "alarms": counts.total(),
+            "causes": {cause: counts[cause] for cause in CAUSES},
+            "right": sum(counts[cause] for cause in RIGHT),
+            "wrong": sum(counts[cause] for cause in WRONG),
+        }
+        for kind, counts in sorted(found.items())
+    ]
 
 
-def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:
-    """Each property with its course, whose last value is the present one."""
-    found: dict[str, PropertyCourse] = {}
-    for prop, unit, at, value, lower, upper, reference, observable in store.rows(
-        "SELECT name, unit, time, value, lower_bound, upper_bound, reference, observable FROM property "
-        "WHERE turbine = ? AND time >= ? ORDER BY time",
-        (name, since),
-    ):
-        factor = 100.0 if unit == "1" else 1.0  # shares are shown in per cent
-        one = found.setdefault(
-            prop,
-            {
-                "name": prop,
-                "unit": "%" if unit == "1" else unit,
-                "time": [],
-                "value": [],
-                "lower": [],
-                "upper": [],
-                "reference": 0.0,
-                "observable": False,
-            },
+def _properties(store: Store, name: str, since: float) -> list[View]:
+    """Each property with its course, whose last value is the present one; shares are in per cent."""
+    found = []
+    for one in WATCHED:
+        rows = store.rows(
+            "SELECT reference, observable, time, value, lower_bound, upper_bound FROM property "
+            "WHERE turbine = ? AND name = ? AND time >= ? ORDER BY time",
+            (name, one.name, since),
         )
-        one["reference"], one["observable"] = factor * reference, bool(observable)
-        one["time"].append(at)
-        for course, number in ((one["value"], value), (one["lower"], lower), (one["upper"], upper)):
-            course.append(None if number is None else factor * number)
-    return list(found.values())
+        if rows:
+            factor, unit = (100.0, "%") if one.unit == "1" else (1.0, one.unit)
+            references, observable, time, *courses = zip(*rows, strict=True)
+            view: View = {"name": one.name, "unit": unit, "time": time}
+            view |= {"reference": factor * references[-1], "observable": bool(observable[-1])}
+            for key, course in zip(("value", "lower", "upper"), courses, strict=True):
+                view[key] = [None if number is None else factor * number for number in course]
+            found.append(view)
+    return found
 
 
 def _scaled(
@@ -553,16 +343,21 @@ def _thin(rows: Sequence[T]) -> Sequence[T]:
 
 def health_view(
     streams: Mapping[str, Stream], health: Health, counters: Mapping[tuple[str, str], int]
-) -> HealthView:
-    """State of sources and store, and counts of refused deliveries that belong to no turbine."""
-    sources: list[SourceRow] = []
+) -> View:
+    """State of the `sources` and of the `store` (why it fails), and counts of `refused` deliveries that
+    belong to no turbine.
+
+    Of a source: `heard`: when its last message was committed [s]; `lag`: time [s] from its newest reading to
+    its arrival; `not_reached`: since when [s] it is not; `ordered_by`: what orders the versions of a value.
+    """
+    sources = []
     for url, one in streams.items():
-        state, times, neither = one.state, health.sources.get(url), one.mapping.revision == "neither"
+        times, neither = health.sources.get(url), one.mapping.revision == "neither"
         sources.append(
             {
                 "url": url,
-                "state": state.word,
-                "words": state.words,
+                "state": one.state.word,
+                "words": one.state.words,
                 "heard": None if times is None else times.committed,
                 "lag": None if times is None else times.lag_s,
                 "not_reached": None if one.played_back else one.reach().since,

@@ -226,8 +226,7 @@ export class Turbine {
   }
 
   showAdvice(found) {
-    const said = found.forecast?.advice;
-    const text = typeof said === "string" ? said : said?.statement;
+    const text = found.forecast?.advice;
     this.advice.hidden = !text;
     if (!text) return;
     const made = found.forecast.made;
