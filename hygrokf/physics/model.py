@@ -169,6 +169,10 @@ class Mechanism:
         return {p.name: p.null for p in self.parameters if p.null is not None}
 
 
+Factory = Callable[..., Mechanism]
+"""A function (**settings) -> mechanism."""
+
+
 @dataclass(frozen=True)
 class Model:
     """States, inputs, outputs and equations, put together from mechanisms (`compose` makes a model).

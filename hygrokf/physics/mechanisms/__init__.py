@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 from hygrokf.physics.mechanisms import heat, hygric, moisture, sensors, thermal, wandering
 from hygrokf.physics.mechanisms.effects import linear_network as linear_network
+from hygrokf.physics.model import Factory as Factory
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
-
-Factory = Callable[..., Mechanism]
-"""A function (**settings) -> mechanism."""
 
 BASE: tuple[Factory, ...] = (*thermal.BASE, *hygric.BASE, *sensors.BASE)
 """Mechanisms of the base models."""

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from hygrokf.physics.expression import Value
-from hygrokf.physics.model import Initial, Mechanism, Pair, Space, Spread, Values
+from hygrokf.physics.model import Factory, Initial, Mechanism, Pair, Space, Spread, Values
 from hygrokf.physics.parameters import Parameter
 
 PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
@@ -20,6 +20,13 @@ ABOVE_MINUS_ONE = (-1.0, math.inf)
 Factor = str | Callable[[Space, Space, Space], Value]
 """An input's name, or a function (x, u, q) -> value."""
 Result = TypeVar("Result")
+
+
+def named(name: str, text: str, made: Factory, module: str = "") -> Factory:
+    """A factory that a pattern made, as the function `name` of a module with this docstring."""
+    made.__name__ = made.__qualname__ = name
+    made.__doc__, made.__module__ = text, module or made.__module__
+    return made
 
 
 def effect(
@@ -87,59 +94,74 @@ def lagged_share(
     )
 
 
-def white_noise(name: str, state: str, intensity: Parameter, meaning: str) -> Mechanism:
+def white_noise(name: str, module: str, state: str, intensity: Parameter, what: str) -> Factory:
     """White noise on a state of another mechanism; `intensity` [unit of the state/√h]."""
 
     def diffusion(p: Space) -> Values:
         value = getattr(p, intensity.name)
         return {state: value * value}
 
-    return Mechanism(name=name, parameters=(intensity,), diffusion=diffusion, meaning=meaning)
+    def made() -> Mechanism:
+        return Mechanism(
+            name=name,
+            parameters=(intensity,),
+            diffusion=diffusion,
+            meaning=f"white disturbance of the {what}",
+        )
+
+    return named(name, f"White noise of the {what}, on the state `{state}` [{intensity.unit}].", made, module)
 
 
 def ornstein_uhlenbeck(
     name: str,
+    module: str,
     target: str,
     unit: str,
     sd: tuple[float, float, float],
-    longest_h: float,
-    shortest_h: float,
     start_h: float,
     meaning: str,
     leaves: str,
-) -> Mechanism:
+    reason: str,
+) -> Factory:
     """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW.
 
-    `sd`: start, lower and upper limit of the standard deviation [unit]; `shortest_h`, `longest_h`: limits of
-    the correlation time θ [h]; `start_h`: its start [h], moved within them.
+    `sd`: start, lower and upper limit of the standard deviation [unit]; `start_h`: start of the correlation
+    time θ [h], moved within its limits; `reason`: why a model has it.
     """
 
     def variance(p: Space) -> Value:
         value = getattr(p, f"{name}_sd")
         return value * value
 
-    time_h = min(max(start_h, shortest_h), longest_h)
-    return Mechanism(
-        name=name,
-        parameters=(
-            Parameter(
-                f"{name}_sd", unit, *sd, positive=True, null=0.0, noise=True,
-                meaning=f"standard deviation of the {meaning}",
+    def made(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = start_h) -> Mechanism:
+        return Mechanism(
+            name=name,
+            parameters=(
+                Parameter(
+                    f"{name}_sd", unit, *sd, positive=True, null=0.0, noise=True,
+                    meaning=f"standard deviation of the {meaning}",
+                ),
+                Parameter(
+                    f"{name}_time", "h", min(max(start_h, shortest_h), longest_h), shortest_h, longest_h,
+                    positive=True, noise=True, meaning="its correlation time",
+                ),
             ),
-            Parameter(
-                f"{name}_time", "h", time_h, shortest_h, longest_h, positive=True, noise=True,
-                meaning="its correlation time",
-            ),
-        ),
-        states=(name,),
-        contributions=lambda p, x, u, q: {target: getattr(x, name)},
-        drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
-        diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
-        initial=lambda p, u: {name: (0.0, variance(p))},
-        settings={"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
-        meaning=meaning,
-        leaves=leaves,
-    )  # fmt: skip
+            states=(name,),
+            contributions=lambda p, x, u, q: {target: getattr(x, name)},
+            drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
+            diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
+            initial=lambda p, u: {name: (0.0, variance(p))},
+            settings={"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+            meaning=meaning,
+            leaves=leaves,
+        )  # fmt: skip
+
+    text = f"""A {meaning}: an Ornstein–Uhlenbeck process w [{unit}].
+
+    {reason}  `shortest_h` and `longest_h` limit its correlation time [h] to the range that the readings can
+    resolve.
+    """
+    return named(name, text, made, module)
 
 
 def linear_network(

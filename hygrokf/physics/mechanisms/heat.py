@@ -9,8 +9,8 @@ import numpy as np
 
 from hygrokf.physics.expression import Given, Value
 from hygrokf.physics.holds import LINEAR
-from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
-from hygrokf.physics.model import Mechanism, Space, Values
+from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share, named
+from hygrokf.physics.model import Factory, Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -53,38 +53,24 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     )
 
 
-def _driven_heat(
-    name: str,
-    parameter: str,
-    flag: str,
-    text: str,
-    leaves: str,
-    full: float = 1.0,
-    settings: Mapping[str, Any] | None = None,
+def _driven_heat(name: str, parameter: str, flag: str, text: str, leaves: str, remark: str = "") -> Factory:
+    """Heat release proportional to an input: f += a · flag, a ≥ 0 [K]."""
+
+    def made(flag: str = flag) -> Mechanism:
+        return _scaled_heat(name, parameter, flag, 1.0, text, leaves, {"flag": flag})
+
+    return named(name, f"Heat release {text}{remark}: f += a · `{flag}`, a ≥ 0 [K].", made)
+
+
+def _scaled_heat(
+    name: str, parameter: str, signal: str, full: float, text: str, leaves: str, settings: Mapping[str, Any]
 ) -> Mechanism:
-    """Heat release proportional to an input: f += a · flag/full, a ≥ 0 [K]."""
     scale, meaning = Given(1.0 / full), f"heat release {text}"
     return effect(
         name, "heat_release",
         Parameter(parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE, meaning=meaning),
-        lambda x, u, q: scale * getattr(u, flag),
-        inputs=(flag,), settings=settings or {}, meaning=meaning, leaves=leaves, source="balance of heat",
-    )  # fmt: skip
-
-
-def unreported_heater(flag: str = "throttled_heating") -> Mechanism:
-    """Heat of a running heater that no signal reports (input `throttled_heating`) [K]."""
-    return _driven_heat(
-        "unreported_heater", "heater_heat", flag, "while the unreported heater runs",
-        "a cabinet that is too warm in the simulation when it is cold or damp", settings={"flag": flag},
-    )  # fmt: skip
-
-
-def scheduled_heat() -> Mechanism:
-    """Heat release on a daily schedule (input `scheduled`): lamps, people at work, a load on a timer [K]."""
-    return _driven_heat(
-        "scheduled_heat", "scheduled_heat", "scheduled", "in the hours in which it is on",
-        "a temperature error in the same hours of every day, or of every workday",
+        lambda x, u, q: scale * getattr(u, signal),
+        inputs=(signal,), settings=settings, meaning=meaning, leaves=leaves, source="balance of heat",
     )  # fmt: skip
 
 
@@ -95,29 +81,31 @@ def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
     release is a.
     """
     at = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
-    return _driven_heat(
-        "logged_heater", "logged_heater_heat", signal, f"of the logged heater {at}",
-        "a cabinet that is too warm while the heater runs", full, {"signal": signal, "full": full},
+    return _scaled_heat(
+        "logged_heater", "logged_heater_heat", signal, full, f"of the logged heater {at}",
+        "a cabinet that is too warm while the heater runs", {"signal": signal, "full": full},
     )  # fmt: skip
 
 
-def dehumidifier_heat() -> Mechanism:
-    """Heat from a logged dehumidifier (input `dehumidifier_duty`): its electric power and the heat of
-    condensation [K]."""
-    return _driven_heat(
-        "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty",
-        "of the logged dehumidifier at full duty",
-        "a cabinet that is too warm while the dehumidifier runs",
-    )  # fmt: skip
-
-
-def drying_heat(flag: str = "throttled_drying") -> Mechanism:
-    """Heat from a drier that no signal reports (input `throttled_drying`): its electric power and the heat of
-    condensation [K]."""
-    return _driven_heat(
-        "drying_heat", "drying_heat", flag, "while the unreported drier runs",
-        "a cabinet that is too warm in the simulation when it is damp", settings={"flag": flag},
-    )  # fmt: skip
+ITS_HEAT = ", its electric power and the heat of condensation"
+unreported_heater = _driven_heat(
+    "unreported_heater", "heater_heat", "throttled_heating", "while the unreported heater runs",
+    "a cabinet that is too warm in the simulation when it is cold or damp",
+)  # fmt: skip
+scheduled_heat = _driven_heat(
+    "scheduled_heat", "scheduled_heat", "scheduled", "in the hours in which it is on",
+    "a temperature error in the same hours of every day, or of every workday",
+    " every day: lamps, people at work, a load on a timer",
+)  # fmt: skip
+dehumidifier_heat = _driven_heat(
+    "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty",
+    "of the logged dehumidifier at full duty",
+    "a cabinet that is too warm while the dehumidifier runs", ITS_HEAT,
+)  # fmt: skip
+drying_heat = _driven_heat(
+    "drying_heat", "drying_heat", "throttled_drying", "while the unreported drier runs",
+    "a cabinet that is too warm in the simulation when it is damp", ITS_HEAT,
+)  # fmt: skip
 
 
 def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
@@ -171,95 +159,73 @@ def _conductance(parameter: str, text: str, lower: float = 0.0) -> Parameter:
 PARALLEL = "conductance parallel to R_AT"
 
 
-def _loss(
-    name: str,
-    parameter: str,
-    flag: str,
-    text: str,
-    leaves: str,
-    lower: float = 0.0,
-    settings: Mapping[str, Any] | None = None,
-) -> Mechanism:
+def _loss(name: str, parameter: str, flag: str, text: str, leaves: str, lower: float = 0.0) -> Factory:
     """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of it: g · flag."""
-    return Mechanism(
-        name=name,
-        parameters=(_conductance(parameter, text, lower),),
-        inputs=(flag,),
-        conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
-        settings=settings or {},
-        meaning=f"heat lost to the ambient, {text}",
-        leaves=leaves,
-        source=PARALLEL,
-    )
+
+    def made(flag: str = flag) -> Mechanism:
+        return Mechanism(
+            name=name,
+            parameters=(_conductance(parameter, text, lower),),
+            inputs=(flag,),
+            conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
+            settings={"flag": flag},
+            meaning=f"heat lost to the ambient, {text}",
+            leaves=leaves,
+            source=PARALLEL,
+        )
+
+    return named(name, f"Heat lost to the ambient, {text}: a conductance g · `{flag}` beside 1/R_AT.", made)
 
 
-def _converter_loss(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
-    """Heat removed from the converter itself: f −= g · flag · (T_a − T_amb).
+def _converter_loss(name: str, parameter: str, flag: str, text: str, leaves: str, reason: str) -> Factory:
+    """Heat removed from the converter itself: f −= g · flag · (T_a − T_amb)."""
 
-    The converter's excess over the ambient temperature is that of the air divided by ρ.
+    def made(flag: str = flag) -> Mechanism:
+        return effect(
+            name, "heat_release", _conductance(parameter, text),
+            flag, lambda x, u, q: q.cabinet_air_temperature - u.ambient_temperature,
+            negative=True, inputs=("ambient_temperature", flag), settings={"flag": flag},
+            meaning=f"heat lost to the ambient, {text}", leaves=leaves, source=PARALLEL,
+        )  # fmt: skip
+
+    text_ = f"""Heat lost by the converter to the ambient, {text}: f −= g · `{flag}` · (T_a − T_amb).
+
+    The converter's excess over the ambient temperature is that of the air divided by ρ.  {reason}
     """
-    return effect(
-        name, "heat_release", _conductance(parameter, text),
-        flag, lambda x, u, q: q.cabinet_air_temperature - u.ambient_temperature,
-        negative=True, inputs=("ambient_temperature", flag),
-        meaning=f"heat lost to the ambient, {text}", leaves=leaves, source=PARALLEL,
-    )  # fmt: skip
+    return named(name, text_, made)
 
 
-def wind_loss(flag: str = "wind_tenth") -> Mechanism:
-    """Heat loss that grows with wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
-    return _loss(
-        "wind_loss", "wind_conductance", flag, "at 10 m/s of wind",
-        "a cabinet that is too warm in calm and too cold in wind", -0.6, {"flag": flag},
-    )  # fmt: skip
-
-
-def stepped_loss() -> Mechanism:
-    """Heat loss that changes at a date (input `after_step`)."""
-    return _loss(
-        "stepped_loss", "conductance_change", "after_step", "from the date on",
-        "a temperature error that begins at a date and grows with the heat release", -0.9,
-    )  # fmt: skip
-
-
-def fan_loss() -> Mechanism:
-    """Heat loss through the air moved by a logged fan (input `fan_duty`), proportional to its duty."""
-    return _loss(
-        "fan_loss", "fan_conductance", "fan_duty", "at full duty of the logged fan",
-        "a cabinet that is too warm in the simulation while the fan runs",
-    )  # fmt: skip
-
-
-def pump_loss() -> Mechanism:
-    """Heat that the coolant of a logged pump removes from the converter: f −= g · pump_duty · (T_a − T_amb).
-
-    The coolant is assumed to reach ambient temperature before it returns.
-    """
-    return _converter_loss(
-        "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
-        "a cabinet that is too warm in the simulation while the pump runs",
-    )  # fmt: skip
-
-
-def open_loss() -> Mechanism:
-    """Heat loss while a door is open (input `door_open`)."""
-    return _loss(
-        "open_loss", "door_conductance", "door_open", "while the door is open",
-        "stretches of hours in which the temperature falls toward the ambient's",
-    )  # fmt: skip
-
-
-def throttled_cooling_loss() -> Mechanism:
-    """Heat loss through cooling that opens in proportion to the temperature (input `venting`), taken from the
-    converter: f −= g · venting · (T_a − T_amb).
-
-    Taken from the air, it would make the temperature jump at times that readings do not tell exactly, which
-    costs more likelihood than missing jumps.
-    """
-    return _converter_loss(
-        "throttled_cooling_loss", "throttled_conductance", "venting", "at full cooling",
-        "a cabinet that is too warm in the simulation above a threshold",
-    )  # fmt: skip
+wind_loss = _loss(
+    "wind_loss", "wind_conductance", "wind_tenth", "at 10 m/s of wind",
+    "a cabinet that is too warm in calm and too cold in wind", -0.6,
+)  # fmt: skip
+stepped_loss = _loss(
+    "stepped_loss", "conductance_change", "after_step", "from the date on",
+    "a temperature error that begins at a date and grows with the heat release", -0.9,
+)  # fmt: skip
+fan_loss = _loss(
+    "fan_loss", "fan_conductance", "fan_duty", "at full duty of the logged fan",
+    "a cabinet that is too warm in the simulation while the fan runs",
+)  # fmt: skip
+open_loss = _loss(
+    "open_loss", "door_conductance", "door_open", "while the door is open",
+    "stretches of hours in which the temperature falls toward the ambient's",
+)  # fmt: skip
+vent_loss = _loss(
+    "vent_loss", "vent_conductance", "venting", "while the vent is open",
+    "a cabinet that is too warm in the simulation while the vent is open",
+)  # fmt: skip
+pump_loss = _converter_loss(
+    "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
+    "a cabinet that is too warm in the simulation while the pump runs",
+    "The coolant is assumed to reach ambient temperature before it returns.",
+)  # fmt: skip
+throttled_cooling_loss = _converter_loss(
+    "throttled_cooling_loss", "throttled_conductance", "venting", "at full cooling",
+    "a cabinet that is too warm in the simulation above a threshold",
+    "Taken from the air, it would make the temperature jump at times that readings do not tell exactly, "
+    "which costs more likelihood than missing jumps.",
+)  # fmt: skip
 
 
 def throttled_cooling() -> Mechanism:
@@ -273,14 +239,6 @@ def throttled_cooling() -> Mechanism:
         meaning="cooling of constant capacity above a threshold",
         leaves="a cabinet that is too warm in the simulation above a threshold",
         source="balance of heat",
-    )  # fmt: skip
-
-
-def vent_loss() -> Mechanism:
-    """Heat loss through a vent that opens in proportion to a reading (input `venting`)."""
-    return _loss(
-        "vent_loss", "vent_conductance", "venting", "while the vent is open",
-        "a cabinet that is too warm in the simulation while the vent is open",
     )  # fmt: skip
 
 

@@ -93,39 +93,26 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
     )  # fmt: skip
 
 
-def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
-    """A coloured disturbance of the vapour flow, as an Ornstein–Uhlenbeck error w [g/m³] of the ambient air.
-
-    `shortest_h` and `longest_h` limit its correlation time [h] to the range that the readings can resolve.
-    """
-    return ornstein_uhlenbeck(
-        "vapour_disturbance", "ambient_vapour", "g/m3", (0.3, 1e-4, 20.0), longest_h, shortest_h, start_h,
-        "coloured disturbance of the vapour flow, as an error of the ambient air",
-        "slowly wandering humidity residuals; a hygric time constant that is too long",
-    )  # fmt: skip
-
-
-def second_vapour_disturbance(
-    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
-) -> Mechanism:
-    """A second coloured disturbance of the vapour flow on another time scale, for records where one is not
-    enough."""
-    return ornstein_uhlenbeck(
-        "second_vapour_disturbance", "ambient_vapour", "g/m3", (0.1, 1e-4, 20.0),
-        longest_h, shortest_h, start_h,
-        "second coloured disturbance of the vapour flow, as an error of the ambient air",
-        "innovations that are not white although one coloured disturbance is there",
-    )  # fmt: skip
-
-
-def hygric_diffusion() -> Mechanism:
-    """White vapour-flow noise on the equivalent concentration [g/(m³ √h)]."""
-    intensity = Parameter(
+vapour_disturbance = ornstein_uhlenbeck(
+    "vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.3, 1e-4, 20.0), 6.0,
+    "coloured disturbance of the vapour flow, as an error of the ambient air",
+    "slowly wandering humidity residuals; a hygric time constant that is too long",
+    "It represents what the exchange with the ambient series leaves out.",
+)  # fmt: skip
+second_vapour_disturbance = ornstein_uhlenbeck(
+    "second_vapour_disturbance", __name__, "ambient_vapour", "g/m3", (0.1, 1e-4, 20.0), 1.0,
+    "second coloured disturbance of the vapour flow, as an error of the ambient air",
+    "innovations that are not white although one coloured disturbance is there",
+    "It has another time scale, for records where one is not enough.",
+)  # fmt: skip
+hygric_diffusion = white_noise(
+    "hygric_diffusion", __name__, "vapour",
+    Parameter(
         "hygric_diffusion", "g/m3/h^0.5", 0.05, 1e-5, 10.0, positive=True, null=0.0, noise=True,
         meaning="intensity of the white disturbance of the vapour concentration",
-    )  # fmt: skip
-    return white_noise("hygric_diffusion", "vapour", intensity, "white disturbance of the vapour flow")
-
+    ),
+    "vapour flow",
+)  # fmt: skip
 
 # fmt: off
 BASE = (hygric_exchange, vapour_disturbance, second_vapour_disturbance, hygric_diffusion)

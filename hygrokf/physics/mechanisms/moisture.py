@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.physics.expression import Value, exp, sqrt
 from hygrokf.physics.holds import MEAN
-from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
+from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share, named
 from hygrokf.physics.mechanisms.hygric import (
     cabinet_humidity,
     cabinet_vapour,
@@ -17,7 +16,7 @@ from hygrokf.physics.mechanisms.hygric import (
     saturation_pressure,
     vapour_pressure,
 )
-from hygrokf.physics.model import Mechanism, Pair, Space
+from hygrokf.physics.model import Factory, Mechanism, Pair, Space
 from hygrokf.physics.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -315,68 +314,46 @@ def dehumidifier_drying() -> Mechanism:
 
 
 def _exchange(
-    name: str,
-    parameter: str,
-    flag: str,
-    upper: float,
-    text: str,
-    leaves: str,
-    settings: Mapping[str, Any] | None = None,
-    lower: float = -0.95,
-) -> Mechanism:
+    name: str, parameter: str, flag: str, upper: float, text: str, leaves: str, lower: float = -0.95
+) -> Factory:
     """Vapour exchange multiplied by 1 + b · flag, b > −1; with `lower` = 0, b ≥ 0."""
-    return effect(
-        name, "exchange",
-        Parameter(
-            parameter, "1", 0.0, lower, upper, null=0.0,
-            physical=NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE,
-            meaning=f"relative change of the vapour exchange, {text}",
-        ),
-        flag,
-        settings=settings or {}, meaning=f"vapour exchange, {text}", leaves=leaves,
-        source="resistance R_D* of equation (4) divided by the factor",
-    )  # fmt: skip
+
+    def made(flag: str = flag) -> Mechanism:
+        return effect(
+            name, "exchange",
+            Parameter(
+                parameter, "1", 0.0, lower, upper, null=0.0,
+                physical=NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE,
+                meaning=f"relative change of the vapour exchange, {text}",
+            ),
+            flag,
+            settings={"flag": flag}, meaning=f"vapour exchange, {text}", leaves=leaves,
+            source="resistance R_D* of equation (4) divided by the factor",
+        )  # fmt: skip
+
+    return named(name, f"Vapour exchange {text}: multiplied by 1 + b · `{flag}`.", made)
 
 
-def fan_exchange() -> Mechanism:
-    """Vapour exchange through the air moved by a logged fan: 1 + b · `fan_duty`."""
-    return _exchange(
-        "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
-        "humidity that follows the ambient's faster while the fan runs", lower=0.0,
-    )  # fmt: skip
-
-
-def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
-    """Vapour exchange that grows with wind: 1 + b v/(10 m/s), or 1 + b (v/(10 m/s))² with `flag`
-    "wind_square"."""
-    return _exchange(
-        "wind_exchange", "wind_exchange_gain", flag, 50.0, "at 10 m/s of wind",
-        "humidity that follows the ambient's faster in wind than in calm", {"flag": flag},
-    )  # fmt: skip
-
-
-def stepped_exchange() -> Mechanism:
-    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`)."""
-    return _exchange(
-        "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
-        "humidity that follows the ambient's faster or slower from a date on",
-    )  # fmt: skip
-
-
-def open_exchange() -> Mechanism:
-    """Vapour exchange while a door is open: 1 + b (input `door_open`)."""
-    return _exchange(
-        "open_exchange", "door_exchange", "door_open", 500.0, "while the door is open",
-        "stretches of hours in which the humidity is the ambient's",
-    )  # fmt: skip
-
-
-def vent_exchange() -> Mechanism:
-    """Vapour exchange through a vent that opens in proportion to a reading: 1 + b (input `venting`)."""
-    return _exchange(
-        "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
-        "humidity that follows the ambient's faster while the vent is open", lower=0.0,
-    )  # fmt: skip
+fan_exchange = _exchange(
+    "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
+    "humidity that follows the ambient's faster while the fan runs", 0.0,
+)  # fmt: skip
+wind_exchange = _exchange(
+    "wind_exchange", "wind_exchange_gain", "wind_tenth", 50.0, "at 10 m/s of wind",
+    "humidity that follows the ambient's faster in wind than in calm",
+)  # fmt: skip
+stepped_exchange = _exchange(
+    "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
+    "humidity that follows the ambient's faster or slower from a date on",
+)  # fmt: skip
+open_exchange = _exchange(
+    "open_exchange", "door_exchange", "door_open", 500.0, "while the door is open",
+    "stretches of hours in which the humidity is the ambient's",
+)  # fmt: skip
+vent_exchange = _exchange(
+    "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
+    "humidity that follows the ambient's faster while the vent is open", 0.0,
+)  # fmt: skip
 
 
 def breathed_air(form: str = "vapour") -> Mechanism:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hygrokf.physics.expression import Given, Value
-from hygrokf.physics.mechanisms.effects import effect
+from hygrokf.physics.mechanisms.effects import effect, named
 from hygrokf.physics.mechanisms.hygric import cabinet_humidity, cabinet_vapour
 from hygrokf.physics.mechanisms.moisture import twice_positive
-from hygrokf.physics.model import Mechanism, Pair, Space, Values
+from hygrokf.physics.model import Factory, Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
 
 SHORTEST_RESPONSE_H = 1.0 / 30.0
@@ -26,155 +26,128 @@ def _sensor(
     quantity: Callable[[Space, Space, Space], Value],
     noise: tuple[float, float, float],
     spread: tuple[float, float],
-    accuracy: float,
-    resolution: float,
-    response_h: float,
-    longest_response_h: float | None,
+    usual_accuracy: float,
     meaning: str,
+    text: str,
     inputs: tuple[str, ...] = (),
-) -> Mechanism:
+) -> Factory:
     """A sensor with the output `name`: `quantity(x, u, q)` plus reading errors of other mechanisms, bias and
     noise.
 
-    The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
-    `noise`: start, lower and upper limit of the standard deviation of a single reading.  With a response time
-    θ the sensor lags: dy/dt = (quantity − y)/θ.  θ is `response_h` [h], or a parameter with the upper bound
-    `longest_response_h` where that is given.  `spread` is the initial mean and variance of y.
+    `noise`: start, lower and upper limit of the standard deviation of a single reading; `spread`: initial
+    mean and variance of the lagged quantity y.
     """
-    rounding = Given(resolution**2 / 12.0)
     state, response = f"{name}_sensor", f"{name}_response"
-    biased = accuracy > 0
-    responds = longest_response_h is not None or response_h > 0
-    stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
-    def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
-        value = getattr(x, state) if responds else quantity(x, u, q)
-        value = value + getattr(s, f"{name}_reading")
+    def made(
+        accuracy: float = usual_accuracy,
+        resolution: float = 0.0,
+        response_h: float = 0.0,
+        longest_response_h: float | None = None,
+    ) -> Mechanism:
+        rounding = Given(resolution**2 / 12.0)
+        biased = accuracy > 0
+        responds = longest_response_h is not None or response_h > 0
+        stated = Given(1.0 / response_h) if response_h > 0 else 0.0
+
+        def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
+            value = getattr(x, state) if responds else quantity(x, u, q)
+            value = value + getattr(s, f"{name}_reading")
+            if biased:
+                value = value + getattr(p, f"{name}_bias")
+            own = getattr(p, f"{name}_noise")
+            return value, own * own + rounding
+
+        def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
+            rate = stated if longest_response_h is None else 1.0 / getattr(p, response)
+            return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
+
+        parameters = [
+            Parameter(
+                f"{name}_noise", unit, *noise, positive=True, noise=True,
+                meaning="white noise of a single reading",
+            )
+        ]  # fmt: skip
         if biased:
-            value = value + getattr(p, f"{name}_bias")
-        own = getattr(p, f"{name}_noise")
-        return value, own * own + rounding
-
-    def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
-        rate = stated if longest_response_h is None else 1.0 / getattr(p, response)
-        return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
-
-    parameters = [
-        Parameter(
-            f"{name}_noise", unit, *noise, positive=True, noise=True,
-            meaning="white noise of a single reading",
-        )
-    ]  # fmt: skip
-    if biased:
-        bias = Parameter(
-            f"{name}_bias", unit, 0.0, -4 * accuracy, 4 * accuracy, prior=Prior(0.0, accuracy / 1.96),
-            null=0.0, meaning="constant error of the sensor, within its stated accuracy",
+            bias = Parameter(
+                f"{name}_bias", unit, 0.0, -4 * accuracy, 4 * accuracy, prior=Prior(0.0, accuracy / 1.96),
+                null=0.0, meaning="constant error of the sensor, within its stated accuracy",
+            )  # fmt: skip
+            parameters.insert(0, bias)
+        if longest_response_h is not None:
+            time = Parameter(
+                response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
+                meaning="time in which the sensor covers 63 % of a step",
+            )  # fmt: skip
+            parameters.append(time)
+        return Mechanism(
+            name=mechanism,
+            parameters=tuple(parameters),
+            states=(state,) if responds else (),
+            inputs=inputs,
+            drift=drift if responds else None,
+            initial=(lambda p, u: {state: spread}) if responds else None,
+            outputs={name: output},
+            settings={
+                "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
+                "longest_response_h": longest_response_h,
+            },
+            meaning=meaning,
         )  # fmt: skip
-        parameters.insert(0, bias)
-    if longest_response_h is not None:
-        time = Parameter(
-            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
-            meaning="time in which the sensor covers 63 % of a step",
-        )  # fmt: skip
-        parameters.append(time)
-    return Mechanism(
-        name=mechanism,
-        parameters=tuple(parameters),
-        states=(state,) if responds else (),
-        inputs=inputs,
-        drift=drift if responds else None,
-        initial=(lambda p, u: {state: spread}) if responds else None,
-        outputs={name: output},
-        settings={
-            "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
-            "longest_response_h": longest_response_h,
-        },
-        meaning=meaning,
-    )  # fmt: skip
 
+    text = f"""{text} + bias + noise [{unit}].
 
-def temperature_sensor(
-    accuracy: float = 0.3,
-    resolution: float = 0.0,
-    response_h: float = 0.0,
-    longest_response_h: float | None = None,
-) -> Mechanism:
-    """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds the variance
-    resolution²/12.
-
-    `response_h` [h] is the sensor's response time; `longest_response_h` [h] is given where it is to be
-    estimated.  The reading follows T_conv,a with that time constant.
+    The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
+    Rounding to `resolution` adds the variance resolution²/12.  A sensor with a response time θ lags: dy/dt =
+    (quantity − y)/θ; θ is `response_h` [h], or a parameter with the upper bound `longest_response_h`.
     """
-    return _sensor(
-        "temperature_sensor", "cabinet_temperature", "K",
-        lambda x, u, q: q.cabinet_air_temperature,
-        (0.1, 2e-3, 10.0), (288.15, 225.0),
-        accuracy, resolution, response_h, longest_response_h,
-        "the logger's temperature sensor",
-    )  # fmt: skip
+    return named(mechanism, text, made)
 
 
-def humidity_sensor(
-    accuracy: float = 0.02,
-    resolution: float = 0.0,
-    response_h: float = 0.0,
-    longest_response_h: float | None = None,
-) -> Mechanism:
-    """The relative-humidity reading [1]: h = c* R_v T_amb / e_s(T_conv,a) + bias + noise, over water at any
-    temperature.
-
-    The reading refers to the air at the sensor: c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).
-    `response_h` as for the temperature; polymer sensors behind a filter respond within 5 to 15 min.
-    """
-    return _sensor(
-        "humidity_sensor", "cabinet_relative_humidity", "1", cabinet_humidity,
-        (0.005, 1e-4, 0.5), (0.5, 0.09),
-        accuracy, resolution, response_h, longest_response_h,
-        "the logger's relative-humidity sensor", ("ambient_temperature",),
-    )  # fmt: skip
-
-
-def absolute_humidity_sensor(
-    accuracy: float = 0.0,
-    resolution: float = 0.0,
-    response_h: float = 0.0,
-    longest_response_h: float | None = None,
-) -> Mechanism:
-    """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5); `response_h` as for
-    the temperature."""
-    return _sensor(
-        "absolute_humidity_sensor", "cabinet_absolute_humidity", "g/m3", cabinet_vapour,
-        (0.1, 1e-3, 10.0), (8.0, 50.0),
-        accuracy, resolution, response_h, longest_response_h,
-        "a sensor or converter that gives absolute humidity", ("ambient_temperature",),
-    )  # fmt: skip
+temperature_sensor = _sensor(
+    "temperature_sensor", "cabinet_temperature", "K", lambda x, u, q: q.cabinet_air_temperature,
+    (0.1, 2e-3, 10.0), (288.15, 225.0), 0.3,
+    "the logger's temperature sensor", "The temperature reading: T_conv,a",
+)  # fmt: skip
+humidity_sensor = _sensor(  # polymer sensors behind a filter respond within 5 to 15 min
+    "humidity_sensor", "cabinet_relative_humidity", "1", cabinet_humidity,
+    (0.005, 1e-4, 0.5), (0.5, 0.09), 0.02,
+    "the logger's relative-humidity sensor",
+    "The relative-humidity reading, over water at any temperature: h = c* R_v T_amb / e_s(T_conv,a), "
+    "equation (5),", ("ambient_temperature",),
+)  # fmt: skip
+absolute_humidity_sensor = _sensor(
+    "absolute_humidity_sensor", "cabinet_absolute_humidity", "g/m3", cabinet_vapour,
+    (0.1, 1e-3, 10.0), (8.0, 50.0), 0.0,
+    "a sensor or converter that gives absolute humidity",
+    "The absolute-humidity reading: c_conv,a = c* T_amb/T_conv,a, equation (5),", ("ambient_temperature",),
+)  # fmt: skip
 
 
 # -- further errors of readings ------------------------------------------------------------------------------
-def _calendar_error(parameter: Parameter, name: str, target: str, flag: str) -> Mechanism:
+def _calendar_error(
+    name: str, target: str, flag: str, parameter: str, unit: str, reach: float, meaning: str
+) -> Factory:
     """A reading that is off by a · flag, with a flag that depends on the calendar alone."""
-    return effect(
-        name, target, parameter, flag, meaning=parameter.meaning, source=OWN_ERROR,
-        leaves="readings that depart from the simulation with the calendar, in every regime alike",
-    )  # fmt: skip
+
+    def made() -> Mechanism:
+        return effect(
+            name, target, Parameter(parameter, unit, 0.0, -reach, reach, null=0.0, meaning=meaning), flag,
+            meaning=meaning, source=OWN_ERROR,
+            leaves="readings that depart from the simulation with the calendar, in every regime alike",
+        )  # fmt: skip
+
+    return named(name, f"A reading with an error a · `{flag}` [{unit}], a the {meaning}.", made)
 
 
-def humidity_drift() -> Mechanism:
-    """Humidity reading with a linear drift, reaching a at the end of the record (input `elapsed`) [1]."""
-    drift = Parameter(
-        "humidity_drift_total", "1", 0.0, -0.4, 0.4, null=0.0,
-        meaning="drift of the humidity reading over the record",
-    )  # fmt: skip
-    return _calendar_error(drift, "humidity_drift", HUMIDITY_READING, "elapsed")
-
-
-def temperature_step() -> Mechanism:
-    """Temperature reading with a constant error from a date on (input `after_step`) [K]."""
-    offset = Parameter(
-        "temperature_offset", "K", 0.0, -30.0, 30.0, null=0.0,
-        meaning="offset of the temperature reading from the date on",
-    )  # fmt: skip
-    return _calendar_error(offset, "temperature_step", TEMPERATURE_READING, "after_step")
+humidity_drift = _calendar_error(
+    "humidity_drift", HUMIDITY_READING, "elapsed", "humidity_drift_total", "1", 0.4,
+    "drift of the humidity reading over the record",
+)  # fmt: skip
+temperature_step = _calendar_error(
+    "temperature_step", TEMPERATURE_READING, "after_step", "temperature_offset", "K", 30.0,
+    "offset of the temperature reading from the date on",
+)  # fmt: skip
 
 
 def humidity_scale(flag: str | None = "elapsed") -> Mechanism:

@@ -221,41 +221,27 @@ def _release_parameters(
     )
 
 
-def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
-    """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
-
-    It represents sun, wind, doors, ventilation and other influences that the network leaves out.  Without it,
-    their slow effect would be attributed to the cabinet's own time constant.  `shortest_h` and `longest_h`
-    limit the correlation time [h] to the range that the readings can resolve.
-    """
-    return ornstein_uhlenbeck(
-        "heat_disturbance", "heat_release", "K", (1.0, 1e-3, 50.0), longest_h, shortest_h, start_h,
-        "coloured disturbance of the heat flow, as Q R_AT",
-        "slowly wandering residuals; a time constant that is too long",
-    )  # fmt: skip
-
-
-def second_heat_disturbance(
-    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
-) -> Mechanism:
-    """A second coloured disturbance of the heat release on another time scale, for records where one is not
-    enough."""
-    return ornstein_uhlenbeck(
-        "second_heat_disturbance", "heat_release", "K", (0.3, 1e-3, 50.0), longest_h, shortest_h, start_h,
-        "second coloured disturbance of the heat flow, as Q R_AT",
-        "innovations that are not white although one coloured disturbance is there",
-    )  # fmt: skip
-
-
-def thermal_diffusion() -> Mechanism:
-    """White heat-flow noise on the converter temperature [K/√h]."""
-    intensity = Parameter(
+heat_disturbance = ornstein_uhlenbeck(
+    "heat_disturbance", __name__, "heat_release", "K", (1.0, 1e-3, 50.0), 6.0,
+    "coloured disturbance of the heat flow, as Q R_AT",
+    "slowly wandering residuals; a time constant that is too long",
+    "It represents sun, wind, doors, ventilation and other influences that the network leaves out, whose "
+    "slow effect would otherwise be attributed to the cabinet's own time constant.",
+)  # fmt: skip
+second_heat_disturbance = ornstein_uhlenbeck(
+    "second_heat_disturbance", __name__, "heat_release", "K", (0.3, 1e-3, 50.0), 1.0,
+    "second coloured disturbance of the heat flow, as Q R_AT",
+    "innovations that are not white although one coloured disturbance is there",
+    "It has another time scale, for records where one is not enough.",
+)  # fmt: skip
+thermal_diffusion = white_noise(
+    "thermal_diffusion", __name__, "converter_temperature",
+    Parameter(
         "thermal_diffusion", "K/h^0.5", 0.1, 1e-4, 20.0, positive=True, null=0.0, noise=True,
         meaning="intensity of the white disturbance of the converter temperature",
-    )  # fmt: skip
-    return white_noise(
-        "thermal_diffusion", "converter_temperature", intensity, "white disturbance of the heat flow"
-    )
+    ),
+    "heat flow",
+)  # fmt: skip
 
 
 def wall_thermal_mass() -> Mechanism:
