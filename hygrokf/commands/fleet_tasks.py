@@ -117,7 +117,7 @@ def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]
         constant = constants.get(name)
         for end in ("value_h", "lower_h", "upper_h"):
             found[f"{name}_{end}"] = math.nan if constant is None else getattr(constant, end)
-        found[f"{name}_statement"] = "" if constant is None else constant.statement
+        found[f"{name}_statement"] = "" if constant is None or constant.closed else constant.texts[0]
     return found | _of_verdicts(constants)
 
 

@@ -44,7 +44,7 @@ from hygrokf.discovery.starting_model import base_estimate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import ParameterRow
 from hygrokf.identification.procedure import expect_readings
-from hygrokf.identification.verdict_terms import REJECT, Reason
+from hygrokf.identification.reasons import reason
 from hygrokf.identification.wording import fixed
 from hygrokf.physics.switches import CONTROLLED
 from hygrokf.version import __version__
@@ -53,11 +53,7 @@ BUDGET = 40_000
 """Simulations after which no further cause is tried."""
 MOVING = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
 """Readings that a simulation explains."""
-WET_SENSOR = Reason(
-    "sensor_or_water",
-    REJECT,
-    "what the model takes as an error of the humidity sensor may be water in the cabinet",
-)
+WET_SENSOR = reason("sensor_or_water")
 
 
 def discover(

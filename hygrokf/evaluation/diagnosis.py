@@ -13,24 +13,6 @@ from hygrokf.data.structured import optional
 
 
 @dataclass(frozen=True)
-class Statistic:
-    """A test statistic with its probability `p` [1] under white innovations."""
-
-    statistic: float = math.nan
-    p: float = math.nan
-
-
-@dataclass(frozen=True)
-class LjungBox:
-    """The Ljung–Box test of all lags up to `lag` readings, `lag_h` [h]."""
-
-    lag: int
-    lag_h: float
-    statistic: float = math.nan
-    p: float = math.nan
-
-
-@dataclass(frozen=True)
 class Autocorrelation:
     """Autocorrelation `value` (L,) [1] at lags `lag_h` (L,) [h].
 
@@ -44,32 +26,11 @@ class Autocorrelation:
 
 
 @dataclass(frozen=True)
-class LargestCorrelation:
-    """The cross-correlation [1] farthest beyond its limit, its lag [h], and a sentence about it."""
+class CrossCorrelation(Autocorrelation):
+    """Correlation of innovations with one whitened input; a positive lag: the innovation comes after the
+    input.  `p` [1]: probability under independence."""
 
-    lag_h: float
-    value: float
-    words: str = ""
-
-
-@dataclass(frozen=True)
-class CrossCorrelation:
-    """Correlation of innovations with one whitened input, in the form of `Autocorrelation`.
-
-    A positive lag: the innovation comes after the input.  `order`: of the autoregression that whitens the
-    input; `p` and `p_adjusted` [1]: probability under independence, alone and among all tests.  `statement`:
-    why there is no correlation to show; everything else is empty then.
-    """
-
-    lag_h: tuple[float, ...] = optional(())
-    value: tuple[float, ...] = optional(())
-    limit: float = optional(math.nan)
-    limit_all: float = optional(math.nan)
-    order: int | None = optional()
-    largest: LargestCorrelation | None = optional()
-    p: float = optional(math.nan)
-    p_adjusted: float = optional(math.nan)
-    statement: str = optional("")
+    p: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -96,21 +57,11 @@ class Periodogram:
 
 
 @dataclass(frozen=True)
-class DailyCycle:
-    """A sine of 24 h in the innovations: amplitude [standard deviations], explained variance [1], p [1]."""
-
-    amplitude: float
-    explained: float
-    p: float
-
-
-@dataclass(frozen=True)
 class OutputDiagnosis:
     """Moments and whiteness of one output's standardised innovations.
 
-    `n` readings, `step_h` [h] median step, `lags` longest lag in readings; `beyond_3`: share [1] beyond ±3,
-    and the share of a normal distribution.  `daily_cycle`: None where the record is too short to tell it from
-    the mean.  `cross_correlation`: by input.  With too few readings there are only `n` and `statements`.
+    `n` readings, `step_h` [h] median step, `lags` longest lag in readings; `beyond_3`: share [1] beyond ±3;
+    `cross_correlation`: by input, without inputs that hardly vary.  `remark`: why there is nothing but `n`.
     """
 
     n: int = 0
@@ -118,29 +69,31 @@ class OutputDiagnosis:
     lags: int | None = optional()
     mean: float = optional(math.nan)
     variance: float = optional(math.nan)
-    skewness: float = optional(math.nan)
     excess_kurtosis: float = optional(math.nan)
     beyond_3: float = optional(math.nan)
-    beyond_3_expected: float = optional(math.nan)
-    jarque_bera: Statistic | None = optional()
-    ljung_box: tuple[LjungBox, ...] = optional(())
     autocorrelation: Autocorrelation | None = optional()
     cumulative_periodogram: CumulativePeriodogram | None = optional()
     periodogram: Periodogram | None = optional()
-    daily_cycle: DailyCycle | None = None
     cross_correlation: Mapping[str, CrossCorrelation] = field(default_factory=dict)
-    statements: tuple[str, ...] = ()
+    remark: str = optional("")
 
 
 @dataclass(frozen=True)
 class InnovationTest:
-    """One test of an output's innovations: p [1], p adjusted by Holm's method, and whether it rejects."""
+    """One test of an output's innovations: p [1], p adjusted by Holm's method, and whether it rejects.
+
+    `input`: with which a correlation is tested; `lag_h` [h]: up to which an autocorrelation is; `statement`:
+    what was found, where it rejects.
+    """
 
     output: str
     test: str
+    input: str = optional("")
+    lag_h: float = optional(math.nan)
     p: float = math.nan
     p_adjusted: float = math.nan
     rejected: bool = False
+    statement: str = optional("")
 
 
 @dataclass(frozen=True)
@@ -151,4 +104,21 @@ class Diagnosis:
     note: str = ""
     outputs: Mapping[str, OutputDiagnosis] = field(default_factory=dict)
     tests: tuple[InnovationTest, ...] = ()
-    statements: tuple[str, ...] = ()
+
+    @property
+    def statements(self) -> tuple[str, ...]:
+        """What the tests of each output found; of those of whiteness, only the first that rejects is told."""
+        lines: list[str] = []
+        for name, one in self.outputs.items():
+            tests = [test for test in self.tests if test.output == name]
+            told: dict[str, str] = {}
+            for test in tests:
+                if test.rejected:
+                    told.setdefault("" if test.test in WHITENESS else test.test + test.input, test.statement)
+            white = f"{name} innovations: none of {len(tests)} tests rejects white noise"
+            lines += [one.remark] if one.remark else told.values() or [white] * bool(tests)
+        return tuple(lines)
+
+
+WHITENESS = ("autocorrelation", "cumulative periodogram")
+"""Tests of one property."""

@@ -11,8 +11,8 @@ Shapes: T instants, n readings of one output, L lags.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,14 +21,10 @@ from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
     CrossCorrelation,
     CumulativePeriodogram,
-    DailyCycle,
     Diagnosis,
     InnovationTest,
-    LargestCorrelation,
-    LjungBox,
     OutputDiagnosis,
     Periodogram,
-    Statistic,
 )
 
 SMALL = 0.1
@@ -75,57 +71,19 @@ def diagnose(
     """
     time = np.asarray(time_h, dtype=float)
     _check(time, standardised, inputs, longest_h)
-    tests: list[tuple[str, _Test]] = []
+    tests: list[InnovationTest] = []
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
         there = np.isfinite(e)
         known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
         outputs[name], found = _output(name, time[there], e[there], known, longest_h)
-        tests += [(name, one) for one in found]
-    adjusted = _holm([one.p for _, one in tests])
+        tests += found
     rows = tuple(
-        InnovationTest(name, one.name, one.p, p, p < LEVEL)
-        for (name, one), p in zip(tests, adjusted, strict=True)
+        replace(one, p_adjusted=p, rejected=p < LEVEL, statement=one.statement if p < LEVEL else "")
+        for one, p in zip(tests, _holm([one.p for one in tests]), strict=True)
     )
-    for name, data in outputs.items():
-        own = [(one, row) for (_, one), row in zip(tests, rows, strict=True) if row.output == name]
-        crossed = dict(data.cross_correlation)
-        for one, row in own:
-            if one.source:
-                crossed[one.source] = replace(crossed[one.source], p_adjusted=row.p_adjusted)
-        outputs[name] = replace(data, cross_correlation=crossed, statements=_statements(name, data, own))
-    statements = tuple(sentence for one in outputs.values() for sentence in one.statements)
-    return Diagnosis(LEVEL, NOTE, outputs, rows, statements)
-
-
-@dataclass(frozen=True)
-class _Test:
-    """One test: its name, its p, the words for a rejection, and the input that it concerns.
-
-    Of several rejecting tests of one subject, only the first is reported in words.
-    """
-
-    subject: str
-    name: str
-    p: float
-    words: str
-    source: str = ""
-
-
-def _statements(
-    name: str, data: OutputDiagnosis, tests: Sequence[tuple[_Test, InnovationTest]]
-) -> tuple[str, ...]:
-    """The result of one output's tests in words: one sentence for each subject that a test rejects."""
-    statements = list(data.statements)
-    reported = set()
-    for one, row in tests:
-        if row.rejected and one.subject not in reported:
-            reported.add(one.subject)
-            statements.append(one.words)
-    if tests and not statements:
-        statements.append(f"{name} innovations: none of {len(tests)} tests rejects white noise")
-    return tuple(statements)
+    return Diagnosis(LEVEL, NOTE, outputs, rows)
 
 
 def _check(
@@ -151,36 +109,32 @@ def _check(
 
 def _output(
     name: str, time: np.ndarray, e: np.ndarray, inputs: Mapping[str, np.ndarray], longest_h: float
-) -> tuple[OutputDiagnosis, list[_Test]]:
+) -> tuple[OutputDiagnosis, list[InnovationTest]]:
     n = len(e)
     if n < FEWEST_READINGS:
         readings = "reading" if n == 1 else "readings"
         words = f"{name} innovations: {n} {readings}, too few for a diagnosis ({FEWEST_READINGS})"
-        return OutputDiagnosis(n, statements=(words,)), []
+        return OutputDiagnosis(n, remark=words), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        words = f"{name} innovations do not vary: nothing to diagnose"
-        return OutputDiagnosis(n, statements=(words,)), []
+        return OutputDiagnosis(n, remark=f"{name} innovations do not vary: nothing to diagnose"), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
     moments, tests = _moments(name, e)
-    ljung_box, autocorrelation, found = _autocorrelation(name, e, step, lags)
-    tests += found
+    autocorrelation, found = _autocorrelation(name, e, step, lags)
     cumulative, periodogram, spectral = _spectrum(name, e, step)
-    daily, cyclic = _daily_cycle(name, time, e)
-    tests += [spectral, *cyclic]
+    tests += [*found, spectral, *_daily_cycle(name, time, e)]
     crossed = {}
     for source, values in inputs.items():
-        crossed[source], test = _cross_correlation(name, source, e, values, step, lags)
-        tests += [] if test is None else [test]
+        if (pair := _cross_correlation(name, source, e, values, step, lags)) is not None:
+            crossed[source], test = pair
+            tests.append(test)
     result = replace(
         moments,
         step_h=step,
         lags=lags,
-        ljung_box=ljung_box,
         autocorrelation=autocorrelation,
         cumulative_periodogram=cumulative,
         periodogram=periodogram,
-        daily_cycle=daily,
         cross_correlation=crossed,
     )
     return result, tests
@@ -189,8 +143,8 @@ def _output(
 # --- one series ------------------------------------------------------------------------------
 
 
-def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
-    """Mean, variance, skewness, excess kurtosis (0 for a normal distribution), share beyond ±3."""
+def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[InnovationTest]]:
+    """Mean, variance, excess kurtosis (0 for a normal distribution), share beyond ±3."""
     from scipy.stats import jarque_bera
 
     n = len(e)
@@ -198,61 +152,44 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
     z = (e - mean) / math.sqrt(variance)
     skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
     beyond = float(np.mean(np.abs(e) > BEYOND))
-    expected = _two_sided(BEYOND)
-    normality = jarque_bera(e)
-    result = OutputDiagnosis(
-        n,
-        mean=mean,
-        variance=variance,
-        skewness=skewness,
-        excess_kurtosis=kurtosis,
-        beyond_3=beyond,
-        beyond_3_expected=expected,
-        jarque_bera=Statistic(float(normality.statistic), float(normality.pvalue)),
-    )
+    moments = OutputDiagnosis(n, mean=mean, variance=variance, excess_kurtosis=kurtosis, beyond_3=beyond)
     # the variance of a sample variance depends on the kurtosis found: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
-    wide = "wider" if variance > 1 else "narrower"
+    wide, band = ("wider", "narrow") if variance > 1 else ("narrower", "wide")
     tails = "heavier" if kurtosis > 0 else "lighter"
     shape = f"tails {tails} than normal" if abs(kurtosis) >= abs(skewness) else "skewed"
-    return result, [
-        _Test(
-            "mean",
-            "mean",
+    found = {
+        "mean": (
             _two_sided(mean * math.sqrt(n / variance)),
-            f"{name} innovations have a mean of {_signed(mean)} standard deviations instead of 0"
+            f"have a mean of {_signed(mean)} standard deviations instead of 0"
             f"{' (small)' if abs(mean) < SMALL else ': the prediction is biased'}",
         ),
-        _Test(
-            "variance",
-            "variance",
+        "variance": (
             _two_sided((variance - 1.0) / spread),
-            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter "
-            f"predicts (variance {variance:.2f} instead of 1): its one-step band is "
-            f"{'too narrow' if variance > 1 else 'too wide'}",
+            f"are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter predicts (variance "
+            f"{variance:.2f} instead of 1): its one-step band is too {band}",
         ),
-        _Test(
-            "normality",
-            "normality",
-            float(normality.pvalue),
-            f"{name} innovations are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness "
-            f"{_signed(skewness)}): {100 * beyond:.2f} % lie beyond ±3, where {100 * expected:.2f} % are "
-            "expected",
+        "normality": (
+            float(jarque_bera(e).pvalue),
+            f"are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness {_signed(skewness)}): "
+            f"{100 * beyond:.2f} % lie beyond ±3, where {100 * _two_sided(BEYOND):.2f} % are expected",
         ),
+    }
+    return moments, [
+        InnovationTest(name, test, p=p, statement=f"{name} innovations {words}")
+        for test, (p, words) in found.items()
     ]
 
 
 def _autocorrelation(
     name: str, e: np.ndarray, step: float, lags: int
-) -> tuple[tuple[LjungBox, ...], Autocorrelation, list[_Test]]:
+) -> tuple[Autocorrelation, list[InnovationTest]]:
     from statsmodels.tsa.stattools import acf, q_stat
 
     n = len(e)
     values = np.asarray(acf(e, nlags=lags, fft=True))[1:]
-    statistic, p = q_stat(values, n)
+    _, p = q_stat(values, n)
     hour = int(min(max(round(1.0 / step), 1), lags))
-    chosen = sorted({1, hour, int(min(max(round(6.0 / step), 1), lags)), lags})
-    ljung_box = tuple(LjungBox(k, k * step, float(statistic[k - 1]), float(p[k - 1])) for k in chosen)
     limit_all = _simultaneous(lags) / math.sqrt(n)
     kept = _extremes(values)
     limit = _two_sided_quantile(LEVEL) / math.sqrt(n)
@@ -260,21 +197,20 @@ def _autocorrelation(
     tests = []
     for k in dict.fromkeys((lags, hour)):
         worst = int(np.argmax(np.abs(values[:k])))
-        span = f"{k * step:.3g} h"
-        tests.append(
-            _Test(
-                "whiteness",
-                f"autocorrelation up to {span}",
-                float(p[k - 1]),
-                f"{name} innovations are autocorrelated over lags up to {span} (Ljung–Box "
-                f"{_p(float(p[k - 1]))}), most at lag {(worst + 1) * step:.3g} h "
-                f"({_against(values[worst], limit_all)}){_size(values[worst])}",
-            )
+        words = (
+            f"{name} innovations are autocorrelated over lags up to {k * step:.3g} h (Ljung–Box "
+            f"{_p(float(p[k - 1]))}), most at lag {(worst + 1) * step:.3g} h "
+            f"({_against(values[worst], limit_all)}){_size(values[worst])}"
         )
-    return ljung_box, found, tests
+        tests.append(
+            InnovationTest(name, "autocorrelation", lag_h=k * step, p=float(p[k - 1]), statement=words)
+        )
+    return found, tests
 
 
-def _spectrum(name: str, e: np.ndarray, step: float) -> tuple[CumulativePeriodogram, Periodogram, _Test]:
+def _spectrum(
+    name: str, e: np.ndarray, step: float
+) -> tuple[CumulativePeriodogram, Periodogram, InnovationTest]:
     """Periodogram over the sequence of readings and its cumulative form with the Kolmogorov–Smirnov test."""
     from scipy.stats import chi2, kstest, kstwo
 
@@ -306,17 +242,17 @@ def _spectrum(name: str, e: np.ndarray, step: float) -> tuple[CumulativePeriodog
         f"{distance:.3f}, limit {limit:.3f}), with {side} power at periods longer than "
         f"{1.0 / frequency[worst]:.2g} h"
     )
-    return summed, banded, _Test("whiteness", "cumulative periodogram", p, words)
+    return summed, banded, InnovationTest(name, "cumulative periodogram", p=p, statement=words)
 
 
-def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle | None, list[_Test]]:
+def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> list[InnovationTest]:
     """Least-squares sine of 24 h at the readings' own times, where the record is long enough to separate it
     from the mean."""
     n = len(e)
     angle = 2.0 * math.pi * time / 24.0
     table = np.column_stack([np.ones(n), np.cos(angle), np.sin(angle)])
     if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(table) < 3:
-        return None, []
+        return []
     found, *_ = np.linalg.lstsq(table, e, rcond=None)
     rest = float(np.sum((e - table @ found) ** 2))
     explained = 1.0 - rest / float(np.sum((e - e.mean()) ** 2))
@@ -327,7 +263,7 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle
         f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
         f"{100 * explained:.1f} % of their variance: sun, ventilation or people may follow a daily cycle"
     )
-    return DailyCycle(amplitude, explained, p), [_Test("daily cycle", "daily cycle", p, words)]
+    return [InnovationTest(name, "daily cycle", p=p, statement=words)]
 
 
 # --- against the inputs ----------------------------------------------------------------------
@@ -355,20 +291,19 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _cross_correlation(
     name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int
-) -> tuple[CrossCorrelation, _Test | None]:
+) -> tuple[CrossCorrelation, InnovationTest] | None:
+    """The correlation with one input; None where it hardly varies, or its own past predicts it without
+    error."""
     words = source.replace("_", " ")
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
-        return CrossCorrelation(
-            statement=f"{words}: does not vary, or is rarely known, at the readings"
-        ), None
-    u, order = whitened(values)
+        return None
+    u, _ = whitened(values)
     there = np.isfinite(u)
     n = int(there.sum())
     total = float(np.sum(u[there] ** 2))
     if n < FEWEST_READINGS or total <= 0.0:
-        statement = f"{words}: its own past predicts it without error, nothing to correlate"
-        return CrossCorrelation(statement=statement), None
+        return None
     u = np.where(there, u - float(u[there].mean()), 0.0)
     centred = e - e.mean()
     product = _lagged_products(centred, u, lags)
@@ -398,11 +333,9 @@ def _cross_correlation(
         _rounded(r[kept]),
         _two_sided_quantile(LEVEL) / math.sqrt(n),
         limit_all,
-        order,
-        LargestCorrelation(at, value, sentence),
         p,
     )
-    return found, _Test(f"input {source}", f"correlation with {words}", p, sentence, source)
+    return found, InnovationTest(name, "correlation", source, p=p, statement=sentence)
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:

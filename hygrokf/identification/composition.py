@@ -30,19 +30,16 @@ from hygrokf.estimation.confidence import normal_quantile
 
 @dataclass(frozen=True)
 class Source:
-    """A source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in
-    words."""
+    """A source of uncertainty and the `variance` [1] that it adds to the logarithm."""
 
     name: str
     variance: float
-    text: str
 
 
 @dataclass(frozen=True)
 class Alternative:
     """An estimate of the logarithm of a time constant from another form, part or method."""
 
-    name: str
     log_value: float
     variance: float
     weight: float = 1.0
@@ -53,14 +50,13 @@ class Step:
     """The interval [h] after one source of uncertainty, which adds `sd_ln` [1] to the logarithm.
 
     The first step is the profile likelihood's own interval, which adds nothing.  `upper_h` is NaN where it is
-    open; `text`: the evidence in words.
+    open.
     """
 
     source: str
     lower_h: float = math.nan
     upper_h: float = math.nan
     sd_ln: float = optional(math.nan)
-    text: str = optional("")
 
 
 def nan_if_open(bound: float) -> float:
@@ -94,50 +90,20 @@ LARGEST = 600.0
 
 def from_parts(scale: float, variance: float) -> Source:
     """`scale` is Birge's ratio of the parts' scatter, `variance` that of the logarithm by the bounds."""
-    return Source(
-        "parts",
-        max(scale - 1.0, 0.0) * variance,
-        f"quarters of the record scatter {math.sqrt(max(scale, 0.0)):.1f} times as much as their bounds "
-        "explain",
-    )
+    return Source("parts", max(scale - 1.0, 0.0) * variance)
 
 
 def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> Source:
     """Variance about the value that other forms add."""
     total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
-    others = [f for f in forms if f.weight >= 0.01 and abs(f.log_value - log_value) > 1e-9]
-    evidence = ", ".join(
-        f"{f.name} {100.0 * math.expm1(f.log_value - log_value):+.0f} % ({100.0 * f.weight:.0f} % of the "
-        "evidence)"
-        for f in others
-    )
-    return Source("forms", max(total - variance, 0.0), evidence or "no other form has evidence")
+    return Source("forms", max(total - variance, 0.0))
 
 
 def from_free_run(log_value: float, variance: float, free: Alternative) -> Source:
     """Variance due to the free run's own estimate, where both contradict each other at the 95 % level."""
     apart, both = free.log_value - log_value, variance + free.variance
     contradicts = apart**2 > normal_quantile(0.95) ** 2 * both
-    return Source(
-        "free run",
-        0.5 * (apart**2 - both) if contradicts else 0.0,
-        f"the free run alone gives {100.0 * math.expm1(apart):+.0f} %",
-    )
-
-
-def from_clocks(variance: float, shift: float, text: str) -> Source:
-    """Variance due to clock offsets: their uncertainty, and the effect of the most likely ones."""
-    return Source("clocks", variance + shift**2, text)
-
-
-def from_sampling(shift: float, step_h: float) -> Source:
-    """Variance due to sampling: half as many ambient readings move the estimate by `shift`."""
-    return Source(
-        "sampling",
-        shift**2 / 3.0,
-        f"ambient readings every {120.0 * step_h:.0f} instead of {60.0 * step_h:.0f} min change it by "
-        f"{100.0 * math.expm1(shift):+.1f} %",
-    )
+    return Source("free run", 0.5 * (apart**2 - both) if contradicts else 0.0)
 
 
 def compose_interval(
@@ -151,7 +117,7 @@ def compose_interval(
     for source in sources:
         total += source.variance
         ends = within.bounds(_moved(value, lower, -z, total), _moved(value, upper, z, total))
-        steps.append(Step(source.name, *ends, math.sqrt(source.variance), source.text))
+        steps.append(Step(source.name, *ends, math.sqrt(source.variance)))
     return tuple(steps)
 
 

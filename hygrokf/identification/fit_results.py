@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hygrokf.data.record import Site
-from hygrokf.data.structured import optional, structured
+from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import Limit
 from hygrokf.evaluation.actuator_effects import ActuatorEffect
 from hygrokf.evaluation.diagnosis import Diagnosis
@@ -23,43 +23,11 @@ from hygrokf.identification.clock_offsets import ClockOffset
 from hygrokf.identification.composition import Step
 from hygrokf.identification.needed_inputs import WithoutInput
 from hygrokf.identification.steady_state import HeatRelease
-from hygrokf.identification.verdict_terms import Kind, Reason
+from hygrokf.identification.verdict_terms import Interval, Kind, Reason
 from hygrokf.modelling.design import Design
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A time constant [h] with its bounds; an open upper bound is NaN, an open lower one 0."""
-
-    value_h: float = math.nan
-    lower_h: float = math.nan
-    upper_h: float = math.nan
-
-
-@dataclass(frozen=True)
-class Profile(Interval):
-    """The bounds by the profile likelihood of the chosen form alone; `statement` where they are open."""
-
-    method: str = ""
-    statement: str = ""
-
-
-@dataclass(frozen=True)
-class OtherEstimate(Interval):
-    """The estimate by the other criterion."""
-
-    method: str = optional("")
-    statement: str = optional("")
-
-
-@dataclass(frozen=True)
-class ResistanceCapacity(Interval):
-    """(R_AT+R_IC) C [h] at the median difference to the ambient; `exponent` of the natural convection."""
-
-    exponent: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,15 +37,6 @@ class FormEstimate(Interval):
     form: str = ""
     weight: float = math.nan
     gain: float = math.nan
-
-
-@dataclass(frozen=True)
-class QuarterEstimates:
-    """The constant [h] from each quarter of the readings alone; `scale`: ratio of their scatter to their
-    bounds."""
-
-    value_h: tuple[float, ...] = ()
-    scale: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -100,65 +59,59 @@ class SensorResponse:
 
 
 @dataclass(frozen=True)
-class Reference:
-    """What a time constant refers to: its definition, and the mean temperatures [K] at which it holds."""
+class MeanTemperatures:
+    """The mean temperatures [K] at which a time constant holds."""
 
-    definition: str = ""
     cabinet_temperature_K: float = math.nan
     ambient_temperature_K: float = math.nan
-
-    def to_json(self) -> str | dict[str, str | float]:
-        """The definition alone where it holds at all temperatures."""
-        return self.definition if math.isnan(self.cabinet_temperature_K) else dict(vars(self))
-
-    @classmethod
-    def from_json(cls, data: str | Mapping[str, str | float]) -> Reference:
-        if isinstance(data, str):
-            return cls(data)
-        kelvin = structured(dict[str, float], {k: v for k, v in data.items() if k.endswith("_K")})
-        return cls(str(data.get("definition", "")), **kelvin)
 
 
 @dataclass(frozen=True)
 class TimeConstant(Interval):
     """A time constant as reported, with what was found about it.
 
-    `level` of the interval and the `method` of its bounds; `statement` where it is open; `profile`: the
-    chosen form's own bounds, which `composition` widens source by source; `forms` of the model that competed;
-    `parts`: estimates from quarters of the record; `limited_by`: other parameters that met a limit at an end
-    of the profile; `factor`: variance of the score against the model's; `curve` (P, 2): constant [h] and
-    twice the drop of the profile log-likelihood, with its `threshold`; `simulation`: the free run's own
-    estimate, and `likelihood` that of the one-step predictions where the free run is the criterion;
-    `disagreement` of the two; `range_h`: the constant over the record's temperatures, for the thermal one at
-    the differences to the ambient `difference_K` of 10, 50 and 90 % of the readings; `modes` [h]: time
-    constants of all states; `without_input`: the best model in which its input does not act.
+    `level` of the interval and the `method` of its bounds; `composition`: the interval by the profile
+    likelihood of the chosen form, then widened source by source; `forms` of the model that competed;
+    `parts_scatter`: scatter of the estimates from quarters of the record against their bounds; `limited_by`:
+    other parameters that met a limit at an end of the profile; `factor`: variance of the score against the
+    model's; `curve` (P, 2): constant [h] and twice the drop of the profile log-likelihood, with its
+    `threshold`; `simulation`: the free run's own estimate, and `likelihood` that of the one-step predictions
+    where the free run is the criterion; `criteria_disagree`: whether the two contradict each other;
+    `range_h`: the constant over the record's temperatures, for the thermal one at the differences to the
+    ambient `difference_K` of 10, 50 and 90 % of the readings; `resistance_capacity`: (R_AT+R_IC) C at the
+    median difference; `modes` [h]: time constants of all states; `without_input`: the best model in which its
+    input does not act.
     """
 
     level: float = math.nan
     method: str = ""
-    statement: str = ""
-    profile: Profile | None = None
     composition: tuple[Step, ...] = ()
     forms: tuple[FormEstimate, ...] = ()
-    parts: QuarterEstimates | None = None
+    parts_scatter: float = math.nan
     limited_by: tuple[Limit, ...] = ()
     factor: float = math.nan
     threshold: float = math.nan
     curve: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     clock: tuple[ClockOffset, ...] | None = None
     sampling: Sampling | None = None
-    simulation: OtherEstimate | None = None
-    likelihood: OtherEstimate | None = optional()
-    disagreement: str | None = None
-    reference: Reference = Reference()
+    simulation: Interval | None = None
+    likelihood: Interval | None = optional()
+    criteria_disagree: bool = False
+    mean_temperatures: MeanTemperatures | None = optional()
     range_h: tuple[float, ...] | None = optional()
     difference_K: tuple[float, ...] | None = optional()
-    resistance_capacity: ResistanceCapacity | None = optional()
+    resistance_capacity: Interval | None = optional()
     response: SensorResponse | None = optional()
     modes: tuple[float, ...] = ()
     without_input: WithoutInput | None = optional()
     verdict: Kind | None = None
     reasons: tuple[Reason, ...] = ()
+
+    @property
+    def profile(self) -> Interval | None:
+        """The interval by the profile likelihood of the chosen form alone."""
+        value_h = (self.likelihood or self).value_h
+        return next((Interval(value_h, one.lower_h, one.upper_h) for one in self.composition[:1]), None)
 
     def __post_init__(self) -> None:
         if self.curve.size == 0:  # JSON does not keep the shape of what is empty

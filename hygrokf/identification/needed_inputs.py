@@ -54,14 +54,6 @@ class WithoutInput:
         """Whether the fit needs the input."""
         return self.gain > self.required
 
-    @property
-    def sentence(self) -> str:
-        how = "better, by" if self.gain < 0 else "as well up to chance, worse by"
-        return (
-            f"the readings do not need the input through which it acts: {self.words} explains them {how} "
-            f"{abs(self.gain):.0f} in 2 ln L (the fit would have to gain {self.required:.0f})"
-        )
-
 
 def without_input(name: str, model: Model, run: Run, estimate: Estimate) -> WithoutInput:
     """The best model in which the input of a time constant does not act.

@@ -325,7 +325,7 @@ def assemble_fit(
         site=record.site,
         period=_period(record, stages[0]),
         design=whole,
-        statements=tuple(_statements(stages, thermal, moist, any(f.unseen for f in by_free_run.values()))),
+        statements=tuple(_statements(stages, any(f.unseen for f in by_free_run.values()))),
         warnings=tuple(record.warnings),
         doubts=tuple(doubts),
         doubted={part: tuple(lines) for part, lines in doubted(doubts).items()},
@@ -341,9 +341,7 @@ def assemble_fit(
     return Fit(record.name, whole, values, with_verdicts(results), series)
 
 
-def _statements(
-    stages: Sequence[Stage], thermal: TimeConstant | None, moist: TimeConstant | None, unseen: bool
-) -> list[str]:
+def _statements(stages: Sequence[Stage], unseen: bool) -> list[str]:
     """The statements of a fit; `unseen`: the criterion sets constant sensor errors to 0."""
     lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
     if unseen:
@@ -351,8 +349,7 @@ def _statements(
             "the criterion is the smallest free-run error: it sets constant errors of the cabinet's "
             "sensors to 0, so that the other parameters absorb them"
         )
-    lines += [e.disagreement for e in (thermal, moist) if e and e.disagreement]
-    return lines + [line for stage in stages for line in _remarks(stage)]
+    return lines + [line for stage in stages for line in remarks(stage)]
 
 
 def _searched(results: FitResults, stages: Sequence[Stage], loglik: float, n: int) -> FitResults:
@@ -409,7 +406,7 @@ def shared_error(
     )
 
 
-def _remarks(stage: Stage) -> list[str]:
+def remarks(stage: Stage) -> list[str]:
     """Sentences about directions that the data do not determine."""
     lines = []
     estimate, found = stage.estimate, stage.uncertainty
@@ -422,15 +419,16 @@ def _remarks(stage: Stage) -> list[str]:
     if others:
         lines.append(f"at a limit, so without standard error: {', '.join(others)}")
     for name, bounds in stage.bounds.items():
-        lines += limit_remarks(name, bounds)
+        lines += [
+            *([f"{name}: {bounds.statement}"] if bounds.statement else []),
+            *limit_remarks(name, bounds),
+        ]
     if found.flat:
         lines.append(f"not determined by this record: {', '.join(found.flat)}")
     for a, b, r in found.trade_offs:
         pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
         errors = [standard_error(estimate, found, p.name) for p in pair]
         lines.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
-    if not estimate.converged:
-        lines.append(estimate.message)
     return lines
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -18,26 +17,20 @@ from hygrokf.identification.composition import (
     Resolved,
     Source,
     compose_interval,
-    from_clocks,
     from_forms,
     from_free_run,
     from_parts,
-    from_sampling,
 )
 from hygrokf.identification.estimation import LEVEL, Stage
 from hygrokf.identification.fit_results import (
     FormEstimate,
-    OtherEstimate,
-    Profile,
-    QuarterEstimates,
-    Reference,
-    ResistanceCapacity,
+    MeanTemperatures,
     Sampling,
     SensorResponse,
     TimeConstant,
 )
 from hygrokf.identification.forms import Form
-from hygrokf.identification.wording import interval
+from hygrokf.identification.verdict_terms import Interval
 from hygrokf.modelling.design import TEMPERATURE
 from hygrokf.modelling.inputs import Run
 from hygrokf.modelling.thermal_system import thermal_poles
@@ -66,17 +59,12 @@ def thermal_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCon
     entry = _entry(stage, THERMAL, 1.0, simulated)
     exponent = stage.estimate.values.get("convection_exponent", 0.0)
     quantiles = _differences_K(stage.run)
-    definition, courses = "(R_AT+R_IC) C", None
+    courses = None
     if exponent > 0:
         at = dict(stage.base.mechanisms)["natural_convection"]["difference_K"]
-        definition = (
-            f"small changes at {at:.1f} K above the ambient; (R_AT+R_IC) C is {1.0 + exponent:.2f} times as "
-            "much there"
-        )
         courses = tuple(small_signal(entry.value_h, exponent, at, d) for d in quantiles)
     return replace(
         entry,
-        reference=Reference(definition),
         range_h=None if _unbounded(entry) else courses,
         difference_K=quantiles,
         resistance_capacity=_resistance_capacity(stage, entry, exponent),
@@ -97,7 +85,7 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     k = stage.estimate.values[HYGRIC]
     return replace(
         entry,
-        reference=Reference("R_D*·V* = k (273 K)^1.8 / (T_conv,a T_amb^0.8)", cabinet, ambient),
+        mean_temperatures=MeanTemperatures(cabinet, ambient),
         range_h=(float(k / factor.max()), float(k / factor.min()))
         if there.any() and not _unbounded(entry)
         else None,
@@ -114,12 +102,11 @@ def _differences_K(run: Run) -> tuple[float, ...]:
     return tuple(np.maximum(np.quantile(apart, (0.1, 0.5, 0.9)), STILL_K).tolist()) if len(apart) else ()
 
 
-def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> ResistanceCapacity:
+def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> Interval:
     """(R_AT+R_IC) C at the median difference, over all forms: (1+n) times the constant of small changes."""
     value = entry.value_h * (1.0 + exponent)
     forms = [
         Alternative(
-            form.name,
             math.log(form.estimate.values[THERMAL] * (1.0 + n)),
             form.variance({THERMAL: 1.0, "convection_exponent": 1.0 / (1.0 + n)}),
             form.weight,
@@ -127,18 +114,18 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         for form in stage.forms
         for n in [form.estimate.values.get("convection_exponent", 0.0)]
     ]
-    sources = [Source(one.source, one.sd_ln**2, "") for one in entry.composition[1:] if one.source != "forms"]
+    sources = [Source(one.source, one.sd_ln**2) for one in entry.composition[1:] if one.source != "forms"]
     variance = _variance(stage, THERMAL)
     if forms:
         if exponent > 0:
             variance = max(variance, max(forms, key=lambda form: form.weight).variance)
         sources.append(from_forms(math.log(value), variance, forms))
     if _unbounded(entry):
-        return ResistanceCapacity(value, 0.0, exponent=exponent)
+        return Interval(value, 0.0)
     reach = normal_quantile(entry.level) * math.sqrt(variance)
     ends = ANY.around(value, reach)
     steps = compose_interval(value, *ends, entry.level, sources, _resolved(stage, THERMAL))
-    return ResistanceCapacity(value, steps[-1].lower_h, steps[-1].upper_h, exponent)
+    return Interval(value, steps[-1].lower_h, steps[-1].upper_h)
 
 
 def _response(stage: Stage) -> SensorResponse:
@@ -181,9 +168,6 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     b = stage.bounds[name]
     place = stage.uncertainty.place(name)
     factor = float(stage.uncertainty.factor[place]) if place is not None else 1.0
-    statement = b.statement
-    if name == HYGRIC:
-        statement = re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", statement)
     other = simulated.get(name)
     free = _by_free_run(other, name)
     resolved, without = _resolved(stage, name), stage.without.get(name)
@@ -193,7 +177,6 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     shown = (steps[-1].lower_h, steps[-1].upper_h)
     if without is not None and not without.enough:
         shown = (0.0, math.nan)
-    closed = shown[0] > 0 and math.isfinite(shown[1])
     sampling = stage.sampling
     return TimeConstant(
         value_h=value,
@@ -201,11 +184,9 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         upper_h=shown[1],
         level=b.level,
         method="composed" if b.method == "profile" else b.method,
-        statement=statement if closed or statement else interval(value, *shown)[0],
-        profile=Profile(value, steps[0].lower_h, steps[0].upper_h, b.method, statement),
         composition=steps,
         forms=tuple(_form(form, name, scale, b.level, resolved) for form in stage.forms),
-        parts=_parts(stage, name, scale),
+        parts_scatter=_parts_scatter(stage, name),
         limited_by=b.limited_by,
         factor=factor,
         threshold=factor * normal_quantile(b.level) ** 2,
@@ -213,7 +194,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         clock=stage.clock.sources or None,
         sampling=None if sampling is None else Sampling(sampling["step_h"], sampling[name]),
         simulation=None if other is None else _simulation(other, free, name, scale, resolved),
-        disagreement=None if other is None else _disagreement(b, other, free, name, scale),
+        criteria_disagree=other is not None and free is not None and _disagree(b, other, name),
         without_input=without,
     )
 
@@ -227,9 +208,7 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
     found = [from_parts(parts_scale(stage.uncertainty, name), variance)]
     if stage.forms:
         alternatives = [
-            Alternative(
-                form.name, math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight
-            )
+            Alternative(math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight)
             for form in stage.forms
         ]
         found.append(from_forms(value, variance, alternatives))
@@ -237,13 +216,9 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
         found.append(from_free_run(value, variance, free))
     if stage.clock.sources:
         factor = float(stage.uncertainty.factor[place])
-        text = ", ".join(
-            f"{one.source or 'its source'} {one.offset_s:+.0f} ± {one.sd_s:.0f} s late"
-            for one in stage.clock.sources
-        )
-        found.append(from_clocks(factor * stage.clock.variance[name], stage.clock.shift[name], text))
+        found.append(Source("clocks", factor * stage.clock.variance[name] + stage.clock.shift[name] ** 2))
     if stage.sampling is not None:
-        found.append(from_sampling(stage.sampling[name], stage.sampling["step_h"]))
+        found.append(Source("sampling", stage.sampling[name] ** 2 / 3.0))
     return found
 
 
@@ -255,37 +230,26 @@ def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
     variance = float(found.covariance[place, place])
     # a singular information matrix leaves a variance of any sign
     told = 0.0 < variance and 2.0 * normal_quantile(LEVEL) * math.sqrt(variance) <= math.log(OPEN)
-    return Alternative("free run", math.log(found.values[name]), variance) if told else None
+    return Alternative(math.log(found.values[name]), variance) if told else None
 
 
 def _simulation(
     found: OutputError, free: Alternative | None, name: str, scale: float, resolved: Resolved
-) -> OtherEstimate:
+) -> Interval:
     """The free run's estimate of a time constant."""
     value = found.values[name] * scale
     if free is None:
-        return OtherEstimate(value, 0.0, statement="not identifiable from the free run")
+        return Interval(value, 0.0)
     low, high = found.bounds(name, positive=True)
-    return OtherEstimate(value, *resolved.bounds(low * scale, high * scale))
+    return Interval(value, *resolved.bounds(low * scale, high * scale))
 
 
-def _disagreement(
-    b: Bounds, other: OutputError, free: Alternative | None, name: str, scale: float
-) -> str | None:
-    """A sentence where the free run and the one-step predictions contradict each other; None otherwise."""
-    if free is None:
-        return None
-    value = other.values[name]
+def _disagree(b: Bounds, other: OutputError, name: str) -> bool:
+    """Whether the free run and the one-step predictions are further apart than both uncertainties explain."""
     low, high = other.bounds(name, positive=True)
-    apart = abs(math.log(value / b.value))
+    apart = abs(math.log(other.values[name] / b.value))
     own = 0.5 * math.log(max(b.upper / max(b.lower, 1e-9), 1.0 + 1e-9)) if math.isfinite(b.upper) else 50.0
-    if apart <= math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), own):
-        return None
-    return (
-        f"innovations say {b.value * scale:.3g} h, the free run says {value * scale:.3g} h "
-        f"({low * scale:.3g} … {high * scale:.3g}): more than both uncertainties explain; "
-        "the model lacks something"
-    )
+    return apart > math.hypot(0.5 * math.log(max(high / low, 1.0 + 1e-9)), own)
 
 
 def _form(form: Form, name: str, scale: float, level: float, resolved: Resolved) -> FormEstimate:
@@ -294,15 +258,11 @@ def _form(form: Form, name: str, scale: float, level: float, resolved: Resolved)
     return FormEstimate(value, *resolved.around(value, reach), form.name, form.weight, form.gain)
 
 
-def _parts(stage: Stage, name: str, scale: float) -> QuarterEstimates | None:
-    """The constant estimated from each quarter of the readings alone [h], to first order, and the scatter of
-    these values."""
-    place = stage.uncertainty.place(name)
-    if place is None or not len(stage.uncertainty.parts):
-        return None
-    value = stage.estimate.values[name] * scale
-    quarters = value * np.exp(np.clip(stage.uncertainty.parts[:, place], -5.0, 5.0))
-    return QuarterEstimates(tuple(quarters.tolist()), math.sqrt(parts_scale(stage.uncertainty, name)))
+def _parts_scatter(stage: Stage, name: str) -> float:
+    """Scatter [1] of the estimates from quarters of the readings against their bounds."""
+    if stage.uncertainty.place(name) is None or not len(stage.uncertainty.parts):
+        return math.nan
+    return math.sqrt(parts_scale(stage.uncertainty, name))
 
 
 def by_simulation(entry: TimeConstant | None) -> TimeConstant | None:
@@ -316,7 +276,6 @@ def by_simulation(entry: TimeConstant | None) -> TimeConstant | None:
         value_h=free.value_h,
         lower_h=free.lower_h if needed else 0.0,
         upper_h=free.upper_h if needed else math.nan,
-        statement=free.statement,
         method="output error, sandwich",
-        likelihood=OtherEstimate(entry.value_h, entry.lower_h, entry.upper_h, entry.method),
+        likelihood=Interval(entry.value_h, entry.lower_h, entry.upper_h),
     )

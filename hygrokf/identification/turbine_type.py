@@ -30,7 +30,7 @@ from hygrokf.data.result_file import read_result, result_text
 from hygrokf.errors import HygrokfError
 from hygrokf.estimation.confidence import normal_quantile, student
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.verdict import verdicts
+from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
 from hygrokf.modelling.design import Design
 from hygrokf.physics.parameters import Parameter, Prior
@@ -160,7 +160,7 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
         # neither parameters taken over from another turbine nor rejected time constants are evidence
         left_out = {n for n, row in fit.results.parameters.items() if row.fixed}
         left_out |= {
-            PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT
+            PARAMETER_OF[part] for part, one in inherited(fit.results).items() if one.verdict == REJECT
         }
         for parameter, value, variance in _converted(base, fit):
             if parameter in known and parameter not in left_out:

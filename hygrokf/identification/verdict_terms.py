@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias
 
-from hygrokf.data.structured import structured
-from hygrokf.identification.wording import UNBOUNDED, interval
+from hygrokf.identification.wording import UNBOUNDED, WIDE, ends, percent, plain_number
 from hygrokf.modelling.design import PARTS
 
 Kind: TypeAlias = Literal["believe", "caution", "reject"]
@@ -29,40 +28,79 @@ PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
 
 @dataclass(frozen=True)
 class Reason:
-    """Evidence against a number: `code` for machines, `verdict` "caution" or "reject", `text` a sentence.
-
-    `numbers` are the numbers behind it, by name.
-    """
+    """Evidence for or against a number: `code` for machines, `verdict` that it alone would give, `text` a
+    sentence, and the `numbers` behind it by name."""
 
     code: str
     verdict: Kind
     text: str
     numbers: Mapping[str, float] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, str | float]:
-        """The numbers stand beside the words."""
-        return {"code": self.code, "verdict": self.verdict, "text": self.text, **self.numbers}
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, str | float]) -> Reason:
-        """A reason from the data of `to_json`.  Raises ValueError for an unknown verdict."""
-        words = structured(_ReasonWords, data)
-        numbers = {name: value for name, value in data.items() if name not in vars(words)}
-        return cls(words.code, words.verdict, words.text, structured(dict[str, float], numbers))
+def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
+    """Reasons in the order of their verdicts, the most serious first."""
+    return tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
+
+
+def verdict_of(reasons: Iterable[Reason]) -> Kind:
+    """The verdict of the most serious reason; believed without one."""
+    return max((one.verdict for one in reasons), key=VERDICTS.index, default=BELIEVE)
 
 
 @dataclass(frozen=True)
-class _ReasonWords:
-    code: str
-    verdict: Kind
-    text: str
+class Interval:
+    """A time constant [h] with its bounds; an open upper bound is NaN, an open lower one 0."""
+
+    value_h: float = math.nan
+    lower_h: float = math.nan
+    upper_h: float = math.nan
+
+    @property
+    def closed(self) -> bool:
+        """Whether the interval has both ends."""
+        return math.isfinite(self.value_h) and 0 < self.lower_h < math.inf and math.isfinite(self.upper_h)
+
+    @property
+    def texts(self) -> tuple[str, str]:
+        """Value and bounds as printed: ("1.49 h", "1.44 … 1.54").
+
+        Open on one side: ("≤ 0.35 h", "best 0.1 h"); open on both: ("not identifiable", "best 9 h").
+        """
+        if self.closed:
+            shown, span = ends(self.value_h, self.lower_h, self.upper_h)
+            return f"{shown} h", span
+        best = f"best {plain_number(self.value_h)} h" if math.isfinite(self.value_h) else ""
+        for sign, bound in (("≤", self.upper_h), ("≥", self.lower_h)):
+            if 0 < bound < math.inf:
+                return f"{sign} {plain_number(bound)} h", best
+        return UNBOUNDED, best
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval relative to the value."""
+        return 0.5 * (self.upper_h - self.lower_h) / self.value_h if self.value_h > 0 else math.inf
+
+    @property
+    def spread(self) -> str:
+        """The size of a closed interval in words: "±3.5 %", or "a factor of 4.2" for a wide one."""
+        if self.upper_h > WIDE * self.lower_h:
+            return f"a factor of {plain_number(math.sqrt(self.upper_h / self.lower_h), 2)}"
+        return f"±{percent(self.half_width, 1 if self.half_width < 0.095 else 0)}"
+
+    @property
+    def span(self) -> str:
+        """Value and bounds in one piece: "1.49 h (1.44 … 1.54)"."""
+        value, bounds = self.texts
+        return f"{value} ({bounds})" if bounds else value
 
 
-class _InWords:
-    """The words of a verdict and of the reasons against a number."""
+@dataclass(frozen=True)
+class Inherited(Interval):
+    """A time constant [h] with the verdict on it and the reasons, the most serious first, as results that use
+    a fit state it."""
 
-    verdict: Kind
-    reasons: tuple[Reason, ...]
+    verdict: Kind = BELIEVE
+    reasons: tuple[Reason, ...] = ()
 
     @property
     def words(self) -> str:
@@ -83,48 +121,21 @@ class _InWords:
         others = f" ({more} more reason{'s' if more > 1 else ''})" if more else ""
         return f"{self.reasons[0].text}{others}"
 
-
-@dataclass(frozen=True)
-class Verdict(_InWords):
-    """Whether a number is reliable, and the reasons against it, the most serious first."""
-
-    verdict: Kind = BELIEVE
-    reasons: tuple[Reason, ...] = ()
-
-    @classmethod
-    def of(cls, reasons: Iterable[Reason]) -> Verdict:
-        """The verdict of the most serious reason."""
-        found = tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
-        return cls(found[0].verdict if found else BELIEVE, found)
-
-
-@dataclass(frozen=True)
-class Inherited(_InWords):
-    """A time constant [h] in a result that uses a fit: value, bounds, and the verdict with its reasons."""
-
-    value_h: float = math.nan
-    lower_h: float = math.nan
-    upper_h: float = math.nan
-    verdict: Kind = BELIEVE
-    reasons: tuple[Reason, ...] = ()
-
-
-def verdict_line(name: str, span: str, found: Verdict | Inherited) -> str:
-    """One line with a number and its verdict; for a rejected number the verdict comes first."""
-    if found.verdict != REJECT:
-        return f"{name} {span}: {found.sentence}"
-    words = "" if span.startswith(UNBOUNDED) else f" {found.words},"
-    return f"{name}{words} {span}{f': {found.why}' if found.why else ''}"
+    def line(self, part: str) -> tuple[str, str]:
+        """The time constant of a part with its verdict in one line, and the number that the line discredits:
+        empty unless it is rejected."""
+        name = f"{part} time constant"
+        if self.verdict == REJECT:
+            return f"{name}, {self.sentence}", self.span
+        return f"{name} {self.span}: {self.sentence}", ""
 
 
 def verdict_lines(inherited: Mapping[str, Inherited]) -> list[str]:
     """One line with a mark for each time constant that a result inherited, as all commands print it."""
-    lines = []
-    for part, one in inherited.items():
-        value, bounds, _ = interval(one.value_h, one.lower_h, one.upper_h)
-        span = f"{value} ({bounds})" if bounds else value
-        lines.append(f"{PLAIN_MARKS[one.verdict]} {verdict_line(f'{part} time constant', span, one)}")
-    return lines
+    return [
+        f"{PLAIN_MARKS[one.verdict]} {' – '.join(filter(None, one.line(part)))}"
+        for part, one in inherited.items()
+    ]
 
 
 def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from datetime import UTC, datetime
+from string import Formatter
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
@@ -61,6 +63,22 @@ def decimals_for(spread: float) -> int:
     return min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
 
 
+class _Numbers(Formatter):
+    """Fields of a template: `{x}` text, `{x:3}` significant digits, `{x:.2}` decimals, `{x:%}` per cent."""
+
+    def format_field(self, value: float | str, spec: str) -> str:
+        if isinstance(value, str):
+            return value
+        if spec == "%":
+            return minus(percent(value))
+        return fixed(value, int(spec[1:])) if spec.startswith(".") else plain_number(value, int(spec))
+
+
+def worded(template: str, values: Mapping[str, float | str]) -> str:
+    """A template with its fields filled, see `_Numbers`."""
+    return _Numbers().vformat(template, (), values)
+
+
 WIDE = 4.0
 """[1] ratio of upper to lower end above which an interval is given as a factor and its ends get their own
 digits."""
@@ -73,25 +91,6 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
         return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
     decimals = decimals_for(0.5 * (high - low))
     return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
-
-
-def interval(value: float, low: float, high: float) -> tuple[str, str, bool]:
-    """A number [h] and its interval as printed, and whether the interval is closed: ("1.49 h", "1.44 … 1.54",
-    True).
-
-    Open on one side: ("≤ 0.35 h", "best 0.1 h", False); open on both: ("not identifiable", "best 9 h",
-    False).  A lower end of 0 counts as open.
-    """
-    low = low if low > 0 else math.nan
-    if math.isfinite(value) and math.isfinite(low) and math.isfinite(high):
-        shown, span = ends(value, low, high)
-        return f"{shown} h", span, True
-    best = f"best {plain_number(value)} h" if math.isfinite(value) else ""
-    if math.isfinite(high):
-        return f"≤ {plain_number(high)} h", best, False
-    if math.isfinite(low):
-        return f"≥ {plain_number(low)} h", best, False
-    return UNBOUNDED, best, False
 
 
 def one_line(text: str) -> str:

@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from hygrokf.identification.verdict_terms import REJECT, WORDS, Inherited, verdict_line
-from hygrokf.identification.wording import interval
+from hygrokf.identification.verdict_terms import WORDS, Inherited
 
 if TYPE_CHECKING:
     from hygrokf.report.figures.panels import Picture
@@ -234,10 +233,6 @@ def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts
     """
     lines = []
     for part, one in found.items():
-        value, bounds, _ = interval(one.value_h, one.lower_h, one.upper_h)
-        span = f"{value} ({bounds})" if bounds else value
-        if one.verdict == REJECT:
-            lines.append(Line(REJECT, f"{part} time constant, {one.sentence}", struck=span))
-        else:
-            lines.append(Line(one.verdict, verdict_line(f"{part} time constant", span, one)))
+        text, struck = one.line(part)
+        lines.append(Line(one.verdict, text, struck=struck))
     return Verdicts(tuple(lines), heading, key=False) if lines else None

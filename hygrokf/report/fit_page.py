@@ -14,9 +14,9 @@ from hygrokf.data.result_file import ResultFault, read_result
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import read_series
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import with_verdicts
+from hygrokf.identification.verdict import inherited, with_verdicts
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT
-from hygrokf.identification.wording import UNBOUNDED, fixed, moment, one_line, plain_number, sentence
+from hygrokf.identification.wording import UNBOUNDED, fixed, moment, one_line, sentence
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     FREE_RUN,
@@ -48,7 +48,7 @@ from hygrokf.report.fit_tables import (
     rmse_table,
     time_constants_table,
 )
-from hygrokf.report.fit_text import Judgement, doubted, free_run_text, judgements, range_of, time_constant
+from hygrokf.report.fit_text import free_run_text, judgements, level_and_method, range_text
 from hygrokf.report.page import page_html
 from hygrokf.version import __version__
 
@@ -191,52 +191,34 @@ def _banners(fit: FitResults) -> tuple[Banner, ...]:
 
 def _card(fit: FitResults, name: str) -> Card:
     """A time constant: value, bounds, verdict with its first reason, and what the free run says."""
-    constant = time_constant(fit, name)
     label, symbol = f"{name} time constant", PRODUCT[name]
-    if constant.found is None:
-        return Card(label, constant.value, symbol=symbol, lines=(_why_missing(fit, name),))
-    verdict = constant.verdict
-    lines = []
-    if constant.found.statement and not constant.closed:
-        lines.append(constant.found.statement)
-    last = []
-    if other := free_run_text(constant.found):
-        last.append(f"The free run alone gives {other}.")
-    low, high = range_of(constant.found)
-    if math.isfinite(low):
-        last.append(f"{plain_number(low)} … {plain_number(high)} h over the record's temperatures.")
-    if last:
-        lines.append(" ".join(last))
-    reason = sentence(verdict.why) if verdict.verdict == REJECT and verdict.why else verdict.why
+    found = fit.time_constants.get(name)
+    if found is None:
+        said = () if fit.design is None else fit.design.statements
+        return Card(label, "not identified", symbol=symbol, lines=said or (f"The model has no {name} part.",))
+    known = inherited(fit)[name]
+    value, bounds = known.texts
+    other, span = free_run_text(found), range_text(found)
+    more = [f"The free run alone gives {other}."] if other else []
+    more += [f"{span} over the record's temperatures."] if span else []
+    reason = sentence(known.why) if known.verdict == REJECT and known.why else known.why
     return Card(
-        label, constant.value, verdict.verdict, constant.bounds, reason, symbol,
-        tuple(lines), words=constant.value == UNBOUNDED,
+        label, value, known.verdict, f"{bounds}, {level_and_method(found)}".strip(", "), reason, symbol,
+        (" ".join(more),) if more else (), words=value == UNBOUNDED,
     )  # fmt: skip
 
 
-def _why_missing(fit: FitResults, name: str) -> str:
-    if name != "hygric":
-        return "The model has no thermal part."
-    known = () if fit.design is None else fit.design.statements
-    said = [line for line in known if "humidity" in line or "hygric" in line]
-    return said[0] if said else "The record lacks the humidity inside or outside: no hygric model."
-
-
-def _judgements(fit: FitResults) -> Verdicts | Prose:
+def _judgements(fit: FitResults) -> Verdicts:
     """Doubts about the record, the time constants with their reasons, then the rest, the worst first."""
-    found = judgements(fit)
-    rows = [*doubted(fit), *(one for one in found if one.about in PARTS)]
-    more = [one for one in found if one.about not in PARTS]
-    told = " ".join(one.sentence for one in found)  # a judgement begins with a capital
-    untold = [line for line in fit.statements if line[1:] not in told]
-    more += [Judgement(CAUTION, sentence(line), "record") for line in untold]
     order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
-    rows += sorted(more, key=lambda one: order[one.kind])
-    if not rows:
-        return Prose("The fit holds nothing to judge it by.", "missing")
-    return Verdicts(
-        tuple(Line(one.kind, one.sentence, one.reason, one.about in PARTS and not one.reason) for one in rows)
-    )
+    found = sorted(judgements(fit), key=lambda one: 0 if one.about in PARTS else 1 + order[one.verdict])
+    lines = [Line(CAUTION, sentence(f"doubt about the record: {doubt}")) for doubt in fit.doubts if doubt]
+    for one in found:
+        text = f"{one.head}{':' if one.reasons else '.'}"
+        lines.append(Line(one.verdict, text, head=one.about in PARTS))
+        lines += [Line(why.verdict, sentence(why.text), within=True) for why in one.reasons]
+    lines += [Line(CAUTION, sentence(line)) for line in fit.statements]
+    return Verdicts(tuple(lines))
 
 
 def _innovations(fit: FitResults) -> tuple[Block, ...]:

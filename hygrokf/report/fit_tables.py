@@ -8,13 +8,13 @@ from hygrokf.evaluation.actuator_effects import Change
 from hygrokf.evaluation.diagnosis import CumulativePeriodogram
 from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
 from hygrokf.identification.fit_on_record import Evaluation
-from hygrokf.identification.fit_results import FitResults, PriorTerms, TimeConstant
+from hygrokf.identification.fit_results import FitResults, PriorTerms, SensorResponse, TimeConstant
+from hygrokf.identification.verdict import inherited
 from hygrokf.identification.wording import (
     NONE,
     QUANTITIES,
     RULES,
     decimals_for,
-    ends,
     fixed,
     percent,
     plain_number,
@@ -24,7 +24,7 @@ from hygrokf.identification.wording import (
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
 from hygrokf.report.figures.fit import PRODUCT
-from hygrokf.report.fit_text import lead_words, method, p_value, range_of, simulated, time_constant
+from hygrokf.report.fit_text import lead_words, level_and_method, p_value, range_text
 from hygrokf.report.terminal import blocks_text
 
 ACTUATORS = (
@@ -37,23 +37,21 @@ def time_constants_table(fit: FitResults) -> Table:
     """Both time constants by both criteria."""
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []
-    for name in ("thermal", "hygric"):
-        constant = time_constant(fit, name)
-        if constant.found is None:
-            continue
-        bounds = constant.bounds.split(",")[0] if constant.closed else NONE
-        found = constant.found
-        how = f"{method(found)}, {percent(found.level)}" if math.isfinite(found.level) else method(found)
-        rows.append((f"{name} {PRODUCT[name]}", constant.value, bounds, how, constant.verdict.words))
-        rows += _beside(found)
-        value, span = simulated(found)
-        if value:
-            rows.append(("  by the free run alone", value, span or NONE, "sandwich, 95 %", ""))
-        low, high = range_of(found)
-        if math.isfinite(low):
-            decimals = decimals_for(0.2 * abs(high - low))
-            shown = f"{low:.{decimals}f} … {high:.{decimals}f} h"
-            rows.append(("  over all temperatures", shown, NONE, "", ""))
+    for name, known in inherited(fit).items():
+        found = fit.time_constants[name]
+        for words, one, how, verdict in (
+            (f"{name} {PRODUCT[name]}", known, level_and_method(found), known.words),
+            ("  by the likelihood alone", found.profile, "95 %, profile likelihood", ""),
+            ("  R·C at the median ΔT", found.resistance_capacity, "95 %, all sources", ""),
+            ("  by the free run alone", found.simulation, "95 %, sandwich", ""),
+        ):
+            if one is not None and (one is known or math.isfinite(one.value_h)):
+                value, bounds = one.texts
+                rows.append((words, value, bounds if one.closed else NONE, how, verdict))
+        if (response := found.response) is not None:
+            rows += _response(response)
+        if span := range_text(found):
+            rows.append(("  over all temperatures", span, NONE, "", ""))
         notes += _notes(name, found)
     return Table(
         "Time constants",
@@ -63,6 +61,18 @@ def time_constants_table(fit: FitResults) -> Table:
         note=" ".join(notes),
         brief=(0, 1, 2, 3),  # at the terminal the verdicts stand above
     )
+
+
+def _response(found: SensorResponse) -> list[tuple[str, ...]]:
+    """The row of the humidity sensor's response time, where it is not stated to be none."""
+    value, bounds, how = f"{found.minutes:.1f} min", NONE, f"response, {found.kind}"
+    if found.kind == "estimated":
+        bounds = f"{found.lower_minutes:.1f} … {found.upper_minutes:.1f} min"
+    elif found.kind == "included":
+        value, how = "included", "response not stated, none seen"
+    elif not found.minutes > 0:
+        return []
+    return [("  humidity sensor", value, bounds, how, "")]
 
 
 def _notes(name: str, found: TimeConstant) -> list[str]:
@@ -79,42 +89,14 @@ def _notes(name: str, found: TimeConstant) -> list[str]:
             first, second, third = map(plain_number, decays)
             note += f"; small changes there decay with {first}, {second} and {third} h"
         notes.append(f"{note}.")
-    inside = found.reference.cabinet_temperature_K - ZERO_CELSIUS_K
-    outside = found.reference.ambient_temperature_K - ZERO_CELSIUS_K
-    if math.isfinite(inside) and math.isfinite(outside):
-        notes.append(
-            f"The {name} time constant holds at {fixed(inside, 1)} °C inside and {fixed(outside, 1)} °C "
-            "outside."
-        )
+    if (at := found.mean_temperatures) is not None:
+        kelvin = (at.cabinet_temperature_K, at.ambient_temperature_K)
+        inside, outside = (fixed(value - ZERO_CELSIUS_K, 1) for value in kelvin)
+        notes.append(f"The {name} time constant holds at {inside} °C inside and {outside} °C outside.")
     if len(found.modes) > 1:
         poles = ", ".join(f"{plain_number(v)} h" for v in found.modes)
         notes.append(f"Time constants of all modes of the {name} model: {poles}.")
     return notes
-
-
-def _beside(found: TimeConstant) -> list[tuple[str, ...]]:
-    """Rows below a time constant: the likelihood's own bounds, R·C under convection, the sensor's
-    response."""
-    rows: list[tuple[str, ...]] = []
-    for words, one, how in (
-        ("  by the likelihood alone", found.profile, "profile likelihood, 95 %"),
-        ("  R·C at the median ΔT", found.resistance_capacity, "all sources, 95 %"),
-    ):
-        if one is not None and math.isfinite(one.value_h) and one.lower_h > 0 and math.isfinite(one.upper_h):
-            shown, span = ends(one.value_h, one.lower_h, one.upper_h)
-            rows.append((words, f"{shown} h", span, how, ""))
-    response, label = found.response, "  humidity sensor"
-    if response is None:
-        return rows
-    minutes = f"{response.minutes:.1f} min"
-    if response.kind == "estimated":
-        span = f"{response.lower_minutes:.1f} … {response.upper_minutes:.1f} min"
-        rows.append((label, minutes, span, "response, estimated, 95 %", ""))
-    elif response.kind == "included":
-        rows.append((label, "included", NONE, "response not stated, none seen", ""))
-    elif response.minutes > 0:
-        rows.append((label, minutes, NONE, "response, stated", ""))
-    return rows
 
 
 def rmse_table(fit: Scored, period: str) -> Table | None:
@@ -249,20 +231,17 @@ def optima_table(fit: FitResults) -> Table:
 def innovations_table(fit: FitResults) -> Table:
     """Moments and whiteness of the innovations."""
     rows = []
+    day = {one.output: one.p for one in reversed(fit.innovations.tests) if one.test == "autocorrelation"}
     for name, one in fit.innovations.outputs.items():
         spectrum = one.cumulative_periodogram or CumulativePeriodogram()
-        rows.append(
-            (
-                name,
-                str(one.n),
-                fixed(one.mean, 3),
-                fixed(one.variance),
-                fixed(one.excess_kurtosis),
-                percent(one.beyond_3, 2),
-                p_value(one.ljung_box[-1].p if one.ljung_box else math.nan),
-                p_value(spectrum.p),
-            )
+        moments = (
+            fixed(one.mean, 3),
+            fixed(one.variance),
+            fixed(one.excess_kurtosis),
+            percent(one.beyond_3, 2),
         )
+        chances = (p_value(day.get(name, math.nan)), p_value(spectrum.p))
+        rows.append((name, str(one.n), *moments, *chances))
     columns = ("output", "n", "mean", "variance", "kurtosis", "beyond ±3", "Ljung–Box p", "spectrum p")
     note = (
         "Innovations over their standard deviation. White and normal ones have mean 0, variance 1, excess "

@@ -84,7 +84,7 @@ def _difference_K(entry: Entry, truth: Truth) -> float:
 
 
 def _hygric(truth: Truth, entry: Entry) -> float:
-    reference = entry["reference"]
+    reference = entry["mean_temperatures"]
     return truth.hygric_h(reference["cabinet_temperature_K"], reference["ambient_temperature_K"])
 
 
@@ -133,7 +133,7 @@ def compared(quantity: Quantity, whole: Entry) -> dict:
     part = whole.get(quantity.key) if quantity.key else None
     entry = whole if part is None else part
     truth = float(quantity.truth(whole))
-    profile, simulation = entry.get("profile"), entry.get("simulation")
+    profile, simulation = next(iter(entry.get("composition", ())), None), entry.get("simulation")
     return {
         "truth": truth,
         "value": entry["value_h"],
@@ -144,7 +144,7 @@ def compared(quantity: Quantity, whole: Entry) -> dict:
         "reasons": entry.get("reasons", whole.get("reasons")),
         "factor": entry.get("factor"),
         "simulation": None if simulation is None else simulation["value_h"],
-        "disagreement": entry.get("disagreement") is not None,
+        "disagreement": entry.get("criteria_disagree", False),
     }
 
 

@@ -174,14 +174,12 @@ def _constant(value: float, half: float, simulated: float) -> dict:
             {
                 "source": "forms",
                 "sd_ln": 0.3 * half / value,
-                "text": "",
                 "lower_h": value - 0.8 * half,
                 "upper_h": value + 0.8 * half,
             },
             {
                 "source": "sampling",
                 "sd_ln": 0.3 * half / value,
-                "text": "",
                 "lower_h": value - half,
                 "upper_h": value + half,
             },
@@ -190,16 +188,14 @@ def _constant(value: float, half: float, simulated: float) -> dict:
             {"form": "base", "weight": 0.7, "value_h": value},
             {"form": "second mass", "weight": 0.3, "value_h": value + 0.5 * half},
         ],
-        "profile": {"value_h": value, "lower_h": value - 0.6 * half, "upper_h": value + 0.6 * half},
         "level": 0.95,
         "method": "composed",
-        "statement": "",
         "factor": 1.3,
         "threshold": 1.3 * 3.8415,
         "curve": [[float(x), 1.3 * 3.8415 * math.log(x / value) ** 2 / (half / value) ** 2] for x in at],
         "clock": None,
         "simulation": {"value_h": simulated, "lower_h": 0.85 * simulated, "upper_h": 1.15 * simulated},
-        "disagreement": None,
+        "criteria_disagree": False,
         "modes": [value],
     }
 
@@ -225,7 +221,7 @@ def _results(name: str, series: dict[str, np.ndarray]) -> dict:
         }
         share[period] = {"temperature_K": 0.02, "absolute_humidity_g_m3": 0.27}
     hygric = _constant(0.30, 0.03, 0.33)
-    hygric["reference"] = {"cabinet_temperature_K": 296.2, "ambient_temperature_K": 288.1}
+    hygric["mean_temperatures"] = {"cabinet_temperature_K": 296.2, "ambient_temperature_K": 288.1}
     hygric["range_h"] = [0.27, 0.33]
     values = {"thermal_time_constant": (TAU_H, "h"), "resistance_ratio": (1.0, "1"), "hygric_k": (0.34, "h")}
     values |= {n: (v, "K/K" if n.endswith("ambient") else "K") for n, v in RELEASE.items()}

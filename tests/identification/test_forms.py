@@ -29,11 +29,9 @@ from hygrokf.identification.composition import (
     Alternative,
     Source,
     compose_interval,
-    from_clocks,
     from_forms,
     from_free_run,
     from_parts,
-    from_sampling,
 )
 from hygrokf.identification.estimation import estimate_design, smoothed_temperature
 from hygrokf.identification.forms import (
@@ -167,7 +165,7 @@ def test_a_slow_humidity_sensor_is_told_from_a_slow_exchange(slow_sensor):
     said = entry.response
     assert said.kind == "estimated"
     assert said.lower_minutes < truth.lags_s["cabinet_relative_humidity"] / 60.0 < said.upper_minutes
-    reference = entry.reference
+    reference = entry.mean_temperatures
     true = truth.hygric_h(reference.cabinet_temperature_K, reference.ambient_temperature_K)
     base = next(form for form in entry.forms if form.form == "base")
     assert base.value_h > 1.2 * true
@@ -364,7 +362,7 @@ def test_without_further_sources_the_interval_is_the_profiles():
 
 
 def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
-    found = compose_interval(2.0, 1.8, 2.3, 0.95, [Source("a", 0.0009, ""), Source("b", 0.0016, "")])
+    found = compose_interval(2.0, 1.8, 2.3, 0.95, [Source("a", 0.0009), Source("b", 0.0016)])
     down, up = math.log(2.0 / 1.8), math.log(2.3 / 2.0)
     assert found[-1].lower_h == pytest.approx(2.0 * math.exp(-math.hypot(down, Z * 0.05)))
     assert found[-1].upper_h == pytest.approx(2.0 * math.exp(math.hypot(up, Z * 0.05)))
@@ -374,14 +372,14 @@ def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.0, 2.3), (1.8, math.inf)])
 def test_an_open_side_stays_open(lower, upper):
-    found = compose_interval(2.0, lower, upper, 0.95, [Source("a", 0.01, "")])
+    found = compose_interval(2.0, lower, upper, 0.95, [Source("a", 0.01)])
     assert (found[-1].lower_h == 0.0) == (lower == 0.0)
     assert math.isnan(found[-1].upper_h) == math.isinf(upper)
 
 
 def test_forms_widen_to_the_variance_of_their_mixture():
     """Two forms of equal evidence 10 % apart, against a sample of the mixture itself."""
-    forms = [Alternative("base", 0.0, 0.02**2, 0.5), Alternative("other", 0.1, 0.03**2, 0.5)]
+    forms = [Alternative(0.0, 0.02**2, 0.5), Alternative(0.1, 0.03**2, 0.5)]
     random = np.random.default_rng(3)
     sample = np.concatenate([random.normal(0.0, 0.02, 200_000), random.normal(0.1, 0.03, 200_000)])
     whole = 0.02**2 + from_forms(0.0, 0.02**2, forms).variance
@@ -410,20 +408,15 @@ def test_ranges_of_a_forms_parameters_bound_what_they_could_imitate() -> None:
 
 
 def test_a_free_run_that_agrees_adds_nothing():
-    assert from_free_run(0.0, 0.02**2, Alternative("free run", 0.05, 0.05**2)).variance == 0.0
-    assert from_free_run(0.0, 0.02**2, Alternative("free run", 0.1, 0.05**2)).variance == 0.0
-    apart = from_free_run(0.0, 0.02**2, Alternative("free run", 0.3, 0.05**2)).variance
+    assert from_free_run(0.0, 0.02**2, Alternative(0.05, 0.05**2)).variance == 0.0
+    assert from_free_run(0.0, 0.02**2, Alternative(0.1, 0.05**2)).variance == 0.0
+    apart = from_free_run(0.0, 0.02**2, Alternative(0.3, 0.05**2)).variance
     assert apart == pytest.approx(0.5 * (0.09 - 0.0004 - 0.0025))
 
 
 def test_parts_that_scatter_as_they_should_add_nothing():
     assert from_parts(0.7, 0.01).variance == 0.0
     assert from_parts(3.0, 0.01).variance == pytest.approx(0.02)
-
-
-def test_clocks_and_sampling_count_with_their_squares():
-    assert from_clocks(0.0004, 0.03, "").variance == pytest.approx(0.0013)
-    assert from_sampling(0.06, 0.1).variance == pytest.approx(0.0012)
 
 
 def test_parts_of_a_mean_are_the_means_of_the_parts():

@@ -15,16 +15,10 @@ from builders.report_case import report_case
 
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.discovery.procedure import WET_SENSOR
+from hygrokf.identification.composition import Step
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.fit_results import FitResults, Profile
-from hygrokf.identification.verdict import (
-    criteria_apart,
-    decide,
-    inherited,
-    verdicts,
-    with_reasons,
-    with_verdicts,
-)
+from hygrokf.identification.fit_results import FitResults
+from hygrokf.identification.verdict import criteria_apart, inherited, with_reasons, with_verdicts
 from hygrokf.identification.verdict_terms import (
     BELIEVE,
     CAUTION,
@@ -33,8 +27,8 @@ from hygrokf.identification.verdict_terms import (
     WORDS,
     Inherited,
     Reason,
-    Verdict,
     verdict_lines,
+    verdict_of,
 )
 from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks
@@ -54,7 +48,7 @@ def _sound() -> dict:
             "factor": 1.2,
             "sampling": {"shift_ln_when_halved": 0.01, "ambient_step_h": 1 / 6},
             "simulation": {"value_h": 1.05 * value, "lower_h": 0.9 * value, "upper_h": 1.2 * value},
-            "disagreement": None,
+            "criteria_disagree": False,
         }
 
     def errors(kelvin: float, grams: float) -> dict:
@@ -92,9 +86,9 @@ def _sound() -> dict:
         "innovations": {
             "outputs": {"temperature": output(), "humidity": output()},
             "tests": [
-                {"output": name, "test": test, "rejected": False}
+                {"output": name, "test": test, "input": source, "rejected": False}
                 for name in ("temperature", "humidity")
-                for test in ("autocorrelation up to 24 h", "correlation with power", "mean")
+                for test, source in (("autocorrelation", ""), ("correlation", "power"), ("mean", ""))
             ],
         },
     }  # fmt: skip
@@ -127,7 +121,7 @@ def _correlated(value: float) -> Callable[[dict], None]:
     def change(fit: dict) -> None:
         fit["innovations"]["outputs"]["temperature"]["cross_correlation"]["power"]["value"] = [value]
         for row in fit["innovations"]["tests"]:
-            row["rejected"] = (row["output"], row["test"]) == ("temperature", "correlation with power")
+            row["rejected"] = (row["output"], row["test"]) == ("temperature", "correlation")
 
     return change
 
@@ -162,11 +156,11 @@ CASES = {
     ),
     "criteria_disagree": (
         _all(
-            _put(f"{THERMAL}/disagreement", "innovations say 1.5 h, the free run says 15 h"),
+            _put(f"{THERMAL}/criteria_disagree", True),
             _put(SIMULATION, {"value_h": 15.0, "lower_h": 14.0, "upper_h": 16.0}),
         ),
         REJECT,
-        "the free run says 15 h",
+        "one-step predictions say 1.50 h, the free run says 15.0 h (14.0",
     ),
     "free_run_silent": (SILENT, CAUTION, "(0.0200 h, without bounds)"),
     "worse_than_mean": (_errors(7.0, *BOTH), REJECT,
@@ -195,7 +189,7 @@ CASES = {
         "two masses, weight 30 %",
     ),
     "parts_differ": (
-        _put(f"{THERMAL}/parts", {"value_h": [1.2, 1.4, 1.5, 1.9], "scale": 2.6}), CAUTION,
+        _put(f"{THERMAL}/parts_scatter", 2.6), CAUTION,
         "scatter 2.6 times as much",
     ),
 }  # fmt: skip
@@ -208,8 +202,8 @@ def spoilt(*changes: Callable[[dict], None]) -> dict:
     return fit
 
 
-def decided(fit: dict) -> dict[str, Verdict]:
-    return decide(typed(fit))
+def decided(fit: dict) -> dict[str, Inherited]:
+    return inherited(typed(fit))
 
 
 # --- the rules -------------------------------------------------------------------------------
@@ -217,7 +211,9 @@ def decided(fit: dict) -> dict[str, Verdict]:
 
 def test_a_sound_fit_is_believed() -> None:
     found = decided(_sound())
-    assert found == {"thermal": Verdict(), "hygric": Verdict()}
+    assert {part: (one.verdict, one.reasons) for part, one in found.items()} == {
+        "thermal": (BELIEVE, ()), "hygric": (BELIEVE, ()),
+    }  # fmt: skip
     assert found["thermal"].sentence == "reliable"
 
 
@@ -264,7 +260,7 @@ def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
     fit = _sound()
     ends = {"value_h": simulated, "lower_h": 0.85 * simulated, "upper_h": simulated / 0.85}
     _put(SIMULATION, ends)(fit)
-    _put(f"{THERMAL}/disagreement", "they disagree")(fit)
+    _put(f"{THERMAL}/criteria_disagree", True)(fit)
     found = decided(fit)["thermal"]
     assert found.verdict == verdict
     # the distance by hand: both half-widths on the logarithm, in quadrature
@@ -276,8 +272,8 @@ def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
 
 def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
     fit = spoilt(CASES["criteria_disagree"][0])
-    plain = {key: fit["time_constants"]["thermal"][key] for key in ("value_h", "lower_h", "upper_h")}
-    _put(f"{THERMAL}/profile", plain)(fit)
+    profile = {key: fit["time_constants"]["thermal"][key] for key in ("lower_h", "upper_h")}
+    _put(f"{THERMAL}/composition", [{"source": "profile", **profile}])(fit)
     _put(SIMULATION, {"value_h": 2.6, "lower_h": 2.4, "upper_h": 2.8})(fit)
     assert decided(fit)["thermal"].verdict == REJECT
     _all(_put(f"{THERMAL}/lower_h", 0.8), _put(f"{THERMAL}/upper_h", 2.8))(fit)
@@ -291,8 +287,8 @@ def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wi
     narrow = criteria_apart(data)
     wide = replace(data, lower_h=0.5, upper_h=4.0)
     assert criteria_apart(wide) < narrow
-    profile = Profile(data.value_h, data.lower_h, data.upper_h)
-    assert criteria_apart(replace(wide, profile=profile)) == pytest.approx(narrow)
+    profile = Step("profile", data.lower_h, data.upper_h)
+    assert criteria_apart(replace(wide, composition=(profile,))) == pytest.approx(narrow)
 
 
 def test_losing_to_a_rule_in_one_period_or_against_a_free_run_that_agrees_only_warns() -> None:
@@ -333,7 +329,7 @@ def test_the_simulation_criterion_is_judged_by_its_own_interval() -> None:
     data = fit["time_constants"]["thermal"]
     likelihood = {key: data[key] for key in ("value_h", "lower_h", "upper_h")}
     data |= {**data["simulation"], "likelihood": likelihood}
-    assert decided(fit)["thermal"] == Verdict()
+    assert decided(fit)["thermal"].verdict == BELIEVE
     data |= {
         "lower_h": 0.0,
         "upper_h": None,
@@ -351,15 +347,16 @@ def test_verdicts_survive_json() -> None:
         CASES[code][0](fit)
     found = decided(fit)["thermal"]
     data = json.loads(json.dumps(plain(found), allow_nan=False))
-    assert structured(Verdict, data) == found
-    assert data["reasons"][0].keys() >= {"code", "verdict", "text", "simulation_h", "apart"}
+    assert structured(Inherited, data) == found
+    assert data["reasons"][0].keys() == {"code", "verdict", "text", "numbers"}
+    assert data["reasons"][0]["numbers"].keys() >= {"simulation_h", "apart"}
     for faulty in (
         data | {"verdict": "perhaps"},
         data | {"reasons": [data["reasons"][0] | {"verdict": "x"}]},
     ):
         with pytest.raises(StructureFault, match="expected one of 'believe', 'caution', 'reject'"):
-            structured(Verdict, faulty)
-    assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["x"] is None
+            structured(Inherited, faulty)
+    assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["numbers"] == {"x": None}
 
 
 def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
@@ -373,17 +370,20 @@ def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
     stated = Reason("x", REJECT, "said by the fit")
     _put(f"{THERMAL}/verdict", REJECT)(data)
     _put(f"{THERMAL}/reasons", [plain(stated)])(data)
-    assert verdicts(typed(data))["thermal"] == Verdict(REJECT, (stated,))
+    kept = inherited(typed(data))["thermal"]
+    assert (kept.verdict, kept.reasons) == (REJECT, (stated,))
     again = with_verdicts(filled)
     assert plain(again) == plain(filled)
-    assert verdicts(FitResults()) == {} and with_verdicts(FitResults(name="a")).name == "a"
+    assert inherited(FitResults()) == {} and with_verdicts(FitResults(name="a")).name == "a"
 
 
 def test_further_reasons_are_added_once() -> None:
     fit = with_verdicts(typed(_sound()))
     further = Reason("elsewhere", REJECT, "on another turbine it failed")
     wider = with_reasons(with_reasons(fit, "thermal", [further]), "thermal", [further])
-    assert verdicts(wider) == {"thermal": Verdict(REJECT, (further,)), "hygric": Verdict()}
+    assert {part: (one.verdict, one.reasons) for part, one in inherited(wider).items()} == {
+        "thermal": (REJECT, (further,)), "hygric": (BELIEVE, ()),
+    }  # fmt: skip
     assert plain(with_reasons(FitResults(), "thermal", [further])) == plain(FitResults())
 
 
@@ -408,17 +408,19 @@ def test_a_fit_of_an_older_version_is_judged_when_it_is_read(tmp_path) -> None:
 
 def test_an_inherited_verdict_is_one_line() -> None:
     fit = spoilt(CASES["not_converged"][0])
-    fit["time_constants"]["hygric"] |= plain(Verdict())
+    fit["time_constants"]["hygric"] |= {"verdict": BELIEVE, "reasons": []}
     fit["time_constants"]["thermal"] |= plain(decided(fit)["thermal"])
     handed = inherited(typed(fit))
     assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
     assert verdict_lines(handed) == [
-        "x thermal time constant not reliable, 1.50 h (1.42 … 1.58): the estimation did not converge",
+        "x thermal time constant, not reliable: the estimation did not converge – 1.50 h (1.42 … 1.58)",
         "+ hygric time constant 0.300 h (0.285 … 0.315): reliable",
     ]
     assert verdict_lines({}) == []
     open_ = Inherited(9.0, 0.0, math.nan, REJECT)
-    assert verdict_lines({"thermal": open_}) == ["x thermal time constant not identifiable (best 9.00 h)"]
+    assert verdict_lines({"thermal": open_}) == [
+        "x thermal time constant, not reliable – not identifiable (best 9.00 h)"
+    ]
 
 
 # --- no mark of belief beside a refutation ---------------------------------------------------
@@ -436,17 +438,16 @@ def _rejected() -> dict:
 
 @pytest.mark.parametrize("code", [None, *(code for code in CASES if not code.startswith("worse_than"))])
 def test_nothing_is_believed_beside_its_refutation(code: str | None) -> None:
-    """Of one subject no judgement is believed where another one rejects it, or warns of it as a whole."""
+    """A subject is as reliable as the worst reason, and nothing speaks for one that is not."""
     fit = _rejected()
     if code is not None:
         CASES[code][0](fit)
-    kinds: dict[str, set[str]] = {}
-    for one in judgements(typed(fit)):
-        kinds.setdefault(one.about, set()).add(one.kind)
-    for about, found in kinds.items():
-        assert len(found) == 1 or BELIEVE not in found, about
-    assert kinds["thermal"] >= {REJECT} and kinds["temperature_K"] <= {REJECT}
-    assert kinds["bands that hold"] == {BELIEVE}  # what holds is said to hold
+    found = {one.about: one for one in judgements(typed(fit))}
+    for one in found.values():
+        assert one.verdict == verdict_of(one.reasons)
+        assert len({why.verdict == BELIEVE for why in one.reasons}) < 2, one.about
+    assert found["thermal"].verdict == found["temperature_K"].verdict == REJECT
+    assert found["bands"].verdict == CAUTION
 
 
 def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:

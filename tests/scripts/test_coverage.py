@@ -70,8 +70,8 @@ def test_intervals_are_held_against_the_truth() -> None:
     bare = quantity(1.2, 0.9, 1.5)
     assert bare["profile"] is bare["verdict"] is bare["simulation"] is None and not bare["disagreement"]
     full = quantity(
-        1.2, 0.9, 1.5, profile=entry(1.2, 1.1, 1.3), verdict="caution", reasons=["x"],
-        simulation=entry(1.4, 1.0, 2.0), disagreement="apart",
+        1.2, 0.9, 1.5, composition=[entry(1.2, 1.1, 1.3)], verdict="caution", reasons=["x"],
+        simulation=entry(1.4, 1.0, 2.0), criteria_disagree=True,
     )  # fmt: skip
     assert full["profile"] == {"lower": 1.1, "upper": 1.3, "covered": False}
     assert (full["verdict"], full["simulation"], full["disagreement"]) == ("caution", 1.4, True)
@@ -83,12 +83,10 @@ def test_truths_are_those_of_the_fits_own_references() -> None:
     truth = make_plant(3, scenario, 2.0).truth
     found = coverage.other_make_quantities(scenario, truth)
     cabinet = truth.cabinet
-    hygric = compared(
-        found["hygric"],
-        entry(1.0, 0.9, 1.1, reference={"cabinet_temperature_K": 295.0, "ambient_temperature_K": 280.0}),
-    )
+    kelvin = {"cabinet_temperature_K": 295.0, "ambient_temperature_K": 280.0}
+    hygric = compared(found["hygric"], entry(1.0, 0.9, 1.1, mean_temperatures=kelvin))
     assert hygric["truth"] == pytest.approx(cabinet.hygric_k_h * 273.0**1.8 / (295.0 * 280.0**0.8))
-    plain = entry(1.0, 0.9, 1.1, reference="(R_AT+R_IC) C", verdict="believe")
+    plain = entry(1.0, 0.9, 1.1, verdict="believe")
     assert compared(found["thermal"], plain)["truth"] == truth.small_signal_h
     beside = compared(found["thermal R·C"], plain)
     assert beside["truth"] == truth.thermal_h and not beside["own"]
@@ -109,12 +107,12 @@ def test_truths_are_those_of_the_fits_own_references() -> None:
 
 # -- sums and tables -----------------------------------------------------------------------------------------
 def test_sums_of_a_row() -> None:
-    plain = {"profile": entry(1.0, 0.99, 1.01)}
+    plain = {"composition": [entry(1.0, 0.99, 1.01)]}
     found = [
         quantity(1.1, 0.9, 1.3, verdict="believe", **plain),
         quantity(1.2, 1.1, 1.3, verdict="caution", **plain),
         quantity(1.4, 1.3, 1.5, verdict="believe", simulation=entry(1.1, 1.0, 1.2), **plain),
-        quantity(0.8, 0.7, 0.9, verdict="reject", profile=entry(0.8, 0.75, 0.85)),
+        quantity(0.8, 0.7, 0.9, verdict="reject", composition=[entry(0.8, 0.75, 0.85)]),
     ]
     s = coverage.sums(found)
     logs = np.log([1.1, 1.2, 1.4, 0.8])

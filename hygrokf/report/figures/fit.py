@@ -15,8 +15,9 @@ from typing import Literal
 import numpy as np
 
 from hygrokf.identification.composition import Step
-from hygrokf.identification.fit_results import FitResults, Interval, TimeConstant
+from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.identification.steady_state import Regression
+from hygrokf.identification.verdict_terms import Interval
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.course import (

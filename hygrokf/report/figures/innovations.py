@@ -55,8 +55,7 @@ def figure_innovations(
             f"There are no innovations of the {output}: the filter observed none of its readings."
         )
     if found.autocorrelation is None:
-        why = found.statements[0] if found.statements else "too few readings"
-        raise NothingToShow(f"No diagnosis: {why}.")
+        raise NothingToShow(f"No diagnosis: {found.remark or 'too few readings'}.")
     cross = _shown_inputs(found)
     reach = max((_reach(one) for _, one in cross), default=0.0)
     e = value[known]

@@ -16,16 +16,16 @@ from hygrokf.discovery.residuals import Residuals
 from hygrokf.discovery.results import DiscoveryResults
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import inherited, verdicts
+from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import (
     BELIEVE,
     CAUTION,
     REJECT,
     VERDICTS,
     WORDS,
+    Inherited,
     Kind,
     Reason,
-    Verdict,
 )
 from hygrokf.identification.wording import NONE, QUANTITIES, fixed, one_line, sentence
 from hygrokf.modelling.design import PARTS
@@ -59,7 +59,7 @@ from hygrokf.report.figures.climate import short_words
 from hygrokf.report.figures.drawing import WIDTH_IN, NothingToShow
 from hygrokf.report.figures.lead import lead_of_climate, lead_of_discovery, lead_of_fit
 from hygrokf.report.fit_page import period_text
-from hygrokf.report.fit_text import head, judgements, time_constant
+from hygrokf.report.fit_text import judgements
 from hygrokf.version import __version__
 
 MOST_ROWS, MOST_ACTIONS = 12, 8
@@ -249,7 +249,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
 
     series: the arrays of `series.npz`.
     """
-    found = verdicts(fit)
+    found = inherited(fit)
     parts = [name for name in PARTS if name in found]
     quantities = " and ".join(QUANTITIES_OF[name] for name in parts) or "the air"
     doubted = [name for name in parts if found[name].verdict != BELIEVE]
@@ -259,11 +259,11 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
         f"How fast do {quantities} in the cabinet follow the weather and the operation?"
         if len(parts) > 1
         else f"How fast does {quantities} in the cabinet follow the weather and the operation?",
-        " ".join(f"{head(fit, name).rstrip(':.')}." for name in parts)
+        " ".join(f"{one.head}." for one in judgements(fit) if one.about in parts)
         or "This record determines no time constant.",
         max((found[name].verdict for name in parts), key=VERDICTS.index, default=REJECT),
         tuple(sentence(f"{name} time constant, {found[name].sentence}") for name in doubted),
-        _constants(fit, parts),
+        _constants(fit),
         drawable(lambda: lead_of_fit(series)),
         (*_uses(found), *remedies(reason for one in found.values() for reason in one.reasons)),
         (
@@ -278,7 +278,7 @@ def summary_of_fit(fit: FitResults, series: Mapping[str, np.ndarray]) -> Summary
 QUANTITIES_OF = {"thermal": "the temperature", "hygric": "the humidity"}
 
 
-def _uses(found: Mapping[str, Verdict]) -> tuple[str, ...]:
+def _uses(found: Mapping[str, Inherited]) -> tuple[str, ...]:
     """Which time constants may be used."""
     said = []
     for kind in VERDICTS:
@@ -295,14 +295,13 @@ def _uses(found: Mapping[str, Verdict]) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _constants(fit: FitResults, parts: list[str]) -> Table:
+def _constants(fit: FitResults) -> Table:
     """The time constants, then the errors of the free run."""
     rows = []
-    for name in parts:
-        one = time_constant(fit, name)
-        bounds = f"{one.bounds.split(',')[0]} h" if one.closed else NONE
-        rows.append((f"{name} time constant", one.value, bounds, one.verdict.words))
-    kinds = {one.about: one.kind for one in judgements(fit)}
+    for name, one in inherited(fit).items():
+        value, bounds = one.texts
+        rows.append((f"{name} time constant", value, f"{bounds} h" if one.closed else NONE, one.words))
+    kinds = {one.about: one.verdict for one in judgements(fit)}
     for quantity in SCORED:
         late, early = (fit.errors(period, quantity).total for period in ("validation", "identification"))
         if quantity in kinds and (late == late or early == early):
