@@ -21,7 +21,7 @@ import numpy as np
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, read_result, result_text
-from hygrokf.data.structured import JsonObject, plain
+from hygrokf.data.structured import JsonObject, optional, plain
 from hygrokf.data.tabular import with_units
 from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
@@ -190,7 +190,7 @@ class Rejected:
     form: str = ""
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
-    held_out: HeldOutTest = field(default_factory=HeldOutTest)
+    held_out: HeldOutTest = optional(HeldOutTest())
 
 
 @dataclass(frozen=True)

@@ -365,9 +365,7 @@ def openings(one: Calibration, form: Form, identified: bool) -> tuple[list[list[
     for i, q in enumerate(one.quantities):
         r = scene.readings[q]
         there = r.identified == identified
-        known = filtered(
-            one.errors.courses[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan)
-        )
+        known = filtered(one.errors[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan))
         x = known.whitened(wider.simulated(theta, q) - one.simulated[q][:, None])[:, 0]
         e = np.nan_to_num(known.standardised) * known.weight
         place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)

@@ -55,13 +55,12 @@ class LastingChange:
 class Whitened:
     """An error (n,) in standardised innovations, beside nuisance columns (n, q).
 
-    error: NaN without a reading; largest: its variance; step_h, tau_h: [h] length of a bin, time constant of
+    error: NaN without a reading; step_h, tau_h: [h] length of a bin, time constant of
     the low pass; basis: (n, q) of the whitened nuisance, orthonormal; e: (n,) innovations beside it, 0
     without a reading.
     """
 
     error: np.ndarray
-    largest: float
     step_h: float
     tau_h: float
     known: Filtered
@@ -72,12 +71,13 @@ class Whitened:
     @classmethod
     def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
         """Under the variances of the greatest likelihood, beside a constant."""
-        seen = course(step_h * np.arange(len(error)), tau_h, np.zeros(len(error)))
         error = error - np.nanmean(error)
         largest = max(float(np.nanvar(error)), 1e-12)
-        known = filtered(seen, maximised(seen, error, largest), error)
+        time = step_h * np.arange(len(error))
+        seen = course(time, tau_h, np.zeros(len(error)), largest=largest)
+        known = filtered(seen, maximised(seen, error), error)
         empty = np.empty((len(error), 0))
-        return cls(error, largest, step_h, tau_h, known, empty, empty, error)._with(
+        return cls(error, step_h, tau_h, known, empty, empty, error)._with(
             error, known.variances, np.ones((len(error), 1))
         )
 
@@ -143,14 +143,14 @@ class Whitened:
         """The same under variances of the error without what columns (n, k) explain: an effect feigns a
         memory, which would hide it."""
         rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        variances = maximised(self.known.course, rest, self.known.variances)
         return self._with(self.error, variances, self.nuisance)
 
     def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
         """The error without what columns (n, k) explain; they and their `kin` (n, c) are nuisance from here
         on."""
         rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        variances = maximised(self.known.course, rest, self.known.variances)
         return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
 
     def change(self) -> LastingChange:

@@ -71,10 +71,11 @@ def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
     return step_h * max(0.5, 0.5 + float(rho[1:last].sum()))
 
 
-def block_h(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Length of the blocks [h]: four integral times, at least a day, at most a tenth of the record."""
-    longest = max(LEAST_BLOCK_H, 0.1 * step_h * len(values))
-    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values, step_h)), longest)
+def block_h(values: np.ndarray) -> float:
+    """Length of the blocks [h] of hourly values: four integral times, at least a day, at most a tenth of the
+    record."""
+    longest = max(LEAST_BLOCK_H, 0.1 * len(values))
+    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values)), longest)
 
 
 def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -24,8 +25,6 @@ from hygrokf.discovery.results import (
     read_discovery,
     write_discovery,
 )
-from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
@@ -170,29 +169,14 @@ def parameters_table(cause: CauseFound) -> Table:
     return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
-def scores_table(found: DiscoveryResults, period: str) -> Table | None:
-    """Free-run errors of base and extended model in one period, with the simple rules; None without
-    scores."""
-    before, after = found.baseline.fit, FitResults() if found.extended is None else found.extended.fit
-    base, wider = rmse_table(before, period), rmse_table(after, period)
-    if base is None:
-        return None
-    first, *rest = base.rows
-    rows = [("base model, free run", *first[1:])]
-    if wider is not None:
-        rows.append(("extended model, free run", *wider.rows[0][1:]))
-        pairs = (
-            (getattr(model.errors(period, quantity), regime) for model in (before, after))
-            for quantity in SCORED
-            for regime in REGIMES
-        )
-        rows.append(("  change", *(_change(a, b) for a, b in pairs)))
-    return Table(
-        base.heading,
-        base.columns,
-        (*rows, *rest),
-        marked=(1 if wider is not None else 0,),
-        groups=base.groups,
+def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
+    """Free-run errors of base and extended model in one period by regime, with the simple rules; empty
+    without scores."""
+    models = (("base", found.baseline), ("extended", found.extended))
+    return tuple(
+        replace(table, heading=f"{table.heading}, {words} model")
+        for words, one in models
+        if one is not None and (table := rmse_table(one.fit, period))
     )
 
 
@@ -244,6 +228,7 @@ def _reason(found: DiscoveryResults, one: Rejected) -> str:
 
 
 ERRORS = "Errors before and after"
+NOT_HELD_OUT = "There is no held-out period with readings (`until` is not stated)."
 BY = "By driver, by day and hour, and by period"
 TOGETHER = (
     "In the order of their acceptance, each beside those before it. The errors are those of the extended "
@@ -370,11 +355,8 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
         ERRORS,
         *map(Prose, held_out_sentences(found)),
         course,
-        table_or(
-            scores_table(found, "validation"),
-            "There is no held-out period with readings (`until` is not stated).",
-        ),
-        table_or(scores_table(found, "identification"), "Nothing was scored in the identification period."),
+        *(scores_tables(found, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
+        *scores_tables(found, "identification"),
     )
 
 
