@@ -351,7 +351,7 @@ def adopt(causes: Iterable[Cause]) -> None:
 
 
 def _registered(cause: Cause, origin: Origin) -> list[str]:
-    """Faults of a cause; a cause without faults is registered."""
+    """Faults of a cause, which is registered without any."""
     faults = declared_faults(cause)
     if not faults:
         names = {*cause.mechanisms, *cause.features}

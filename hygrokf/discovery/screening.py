@@ -102,7 +102,6 @@ def widened(parent: Calibration, form: Form, setting: Setting, own: tuple[str, .
 
 
 def _altered(base: Design, altered: Mapping[str, Settings]) -> Design:
-    """The design whose own mechanisms have other settings."""
     mechanisms = tuple((name, {**known, **altered.get(name, {})}) for name, known in base.mechanisms)
     return replace(base, mechanisms=mechanisms) if altered else base
 

@@ -10,8 +10,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.discovery.residuals import QUANTITIES, Residuals
@@ -137,7 +135,6 @@ def gains_table(found: DiscoveryResults) -> Table:
 
 
 def _pair(before: float, after: float, symbol: str) -> tuple[str, str, str]:
-    """Two errors and their change."""
     change = "±0 %" if unchanged(before, after) else _change(before, after)
     return f"{fixed(before)} {symbol}", f"{fixed(after)} {symbol}", change
 
@@ -181,7 +178,6 @@ def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
 
 
 def _change(before: float, after: float) -> str:
-    """The relative change of a number."""
     return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
 
 
@@ -361,7 +357,6 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    """The time constants of both models with their verdicts."""
     heading = "The time constants without and with the cause" if found.extended else "The time constants"
     base = "Time constants of the base model" if found.extended else "Time constants of the model"
     models = [(found.baseline, base)]
@@ -415,28 +410,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The errors over drivers, and over days and hours."""
-    figures = [errors_over_drivers(found, before, after)]
-    for quantity in QUANTITIES:
-        changed = after if _differ(before, after, quantity) else None
-        same = " The extended model leaves these errors as they are." if after is not changed else ""
-        figures.append(
+    return [
+        errors_over_drivers(found, before, after),
+        *(
             Figure(
                 f"days-{quantity}",
                 f"Error of the {TITLE[quantity].lower()} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
-                f"weather or operation. A lasting change of colour: something changed on that date.{same}",
-                partial(figure_day_hour, before, quantity, changed),
+                "weather or operation. A lasting change of colour: something changed on that date.",
+                partial(figure_day_hour, before, quantity, after),
             )
-        )
-    return figures
-
-
-def _differ(before: Residuals, after: Residuals | None, quantity: str) -> bool:
-    """Whether the extended model's free run errs otherwise, by more than a hundredth of the error."""
-    if after is None:
-        return False
-    if len(before.time_h) != len(after.time_h):
-        return True
-    apart = np.abs(before.error[quantity] - after.error[quantity])
-    return bool(np.nanmax(apart, initial=0.0) > 0.01 * before.rmse(quantity))
+            for quantity in QUANTITIES
+        ),
+    ]

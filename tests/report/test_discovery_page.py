@@ -183,11 +183,6 @@ def test_the_drivers_of_the_findings_are_drawn_first() -> None:
     assert telling_drivers(errors, ["no_such_driver"]) == telling_drivers(errors)
 
 
-def test_what_the_extension_leaves_alone_is_drawn_once(whole: str) -> None:
-    assert "reading, after" in whole and whole.count("reading, after") == 1
-    assert Page(whole).text.count("leaves these errors as they are") == 1
-
-
 def test_an_event_is_shown_where_it_was_found() -> None:
     found = discovery_case() | {"findings": []}
     span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
