@@ -110,14 +110,14 @@ def findings(residuals: Residuals) -> list[Finding]:
 
 def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Residuals) -> None:
     """ln p of every condition, and of the likeliest step."""
-    white, change = state.white, state.white.change()
-    state.conditions = [*known, step_at(hours, change.first, change.sharp)]
-    state.flow = change.flow
+    white = state.white
+    first_bin, state.flow, tried, sharp = white.change()
+    state.conditions = [*known, step_at(hours, first_bin, sharp)]
 
     def log_p(under: Whitened, one: Stratum, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
-        return min(0.0, under.log_p(table, full=True) + math.log(change.tried))
+        return min(0.0, under.log_p(table, full=True) + math.log(tried))
 
     found: list[float] = []
     for first in range(0, len(state.conditions), BATCH):

@@ -138,7 +138,7 @@ class HeldOutTest:
     growth: Mapping[str, float] = field(default_factory=dict)
     before: Mapping[str, float] = field(default_factory=dict)
     after: Mapping[str, float] = field(default_factory=dict)
-    gain: float = math.nan
+    gain: float = 0.0
     days: int = 0
     reason: Reason = ""
 

@@ -41,17 +41,6 @@ SHARP_H = 1.0
 
 
 @dataclass(frozen=True)
-class LastingChange:
-    """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
-    sure to the hour."""
-
-    first: int
-    flow: bool
-    tried: int
-    sharp: bool
-
-
-@dataclass(frozen=True)
 class Whitened:
     """An error (n,) in standardised innovations, beside nuisance columns (n, q).
 
@@ -153,8 +142,9 @@ class Whitened:
         variances = maximised(self.known.course, rest, self.known.variances)
         return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
 
-    def change(self) -> LastingChange:
-        """The likeliest lasting change of the readings, or of a flow.
+    def change(self) -> tuple[int, bool, int, bool]:
+        """The likeliest lasting change: from which bin on, whether of a flow (else of the readings), how many
+        were tried, and whether the date is sure to the hour.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
         what is behind t.  Its information is that in a record without holes.  Innovations count in full;
@@ -184,7 +174,7 @@ class Whitened:
         value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        return LastingChange(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
+        return int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""

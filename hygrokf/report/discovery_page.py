@@ -384,7 +384,7 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
         "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
         "enters as flows of heat and vapour, with a spectrum of its own. Score tests under this error model "
         "looked for structure under every condition: episodes, regimes, hour, season, level, rate and lag of "
-        "every driver, steps and drifts. The rate of false discoveries is controlled over all of them.",
+        "every driver, steps and drifts.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
         f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
         "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
