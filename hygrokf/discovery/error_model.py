@@ -332,7 +332,10 @@ class Filtered:
     @property
     def deviance(self) -> float:
         """−2 ln L, without ln 2π."""
-        return float(_deviance(self.innovation[:, None], self.variance[:, None], self.bound)[0])
+        seen = np.isfinite(self.innovation)
+        v = self.variance[seen][:, None]
+        e = self.innovation[seen][:, None] / np.sqrt(v)
+        return float(np.sum(np.log(v) + loss(e, self.bound), axis=0)[0])
 
     @property
     def terms(self) -> np.ndarray:
@@ -385,13 +388,6 @@ def loss(e: np.ndarray, bound: float = HUBER) -> np.ndarray:
     size = np.abs(e)
     counted = np.minimum(size, bound)
     return counted * (2.0 * size - counted)
-
-
-def _deviance(innovation: np.ndarray, variance: np.ndarray, bound: float) -> np.ndarray:
-    """(lanes,) −2 ln L of innovations (T, lanes), NaN where there is no reading."""
-    seen = np.isfinite(innovation[:, 0])
-    v = variance[seen]
-    return np.sum(np.log(v) + loss(innovation[seen] / np.sqrt(v), bound), axis=0)
 
 
 def filtered(course: Instants, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:

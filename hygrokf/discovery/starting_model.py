@@ -116,10 +116,7 @@ def _driven(one: Calibration) -> Calibration:
     if "vapour" not in one.quantities:
         return one
     scene = driven(simulator.scene, smoothed_temperature(one))
-    simulator = Simulator(
-        scene, simulator.heat, simulator.vapour, limits=simulator.limits, work=simulator.work
-    )
-    return renewed(replace(one, simulator=simulator))
+    return renewed(replace(one, simulator=replace(simulator, scene=scene, _cells={})))
 
 
 def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibration:
