@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -43,6 +44,19 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
     raise ResultFault(f"{path}: expected the results of `{command}`, found: {reason}; run it again")
+
+
+def read_arrays(path: Path, command: str) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file that `command` wrote.  Raises ResultFault with the reason and the remedy."""
+    again = f"run `{command}` with --out on this directory first"
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: np.asarray(file[name]) for name in file.files}
+    except FileNotFoundError:
+        raise ResultFault(f"{path}: no such file; {again}") from None
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, BadZipFile) as fault:
+        found = f"{path}: expected arrays written by `{command}`, found: {fault}; {again}"
+        raise ResultFault(found) from None
 
 
 def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:

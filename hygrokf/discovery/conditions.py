@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.residuals import Residuals, date_text, displayed, run_lengths, words
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.discovery.residuals import Residuals, displayed, run_lengths, words
+from hygrokf.identification.wording import plain_number
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 LAG_TOLERANCE = 0.1
@@ -246,9 +247,8 @@ def _calendar(hours: Residuals) -> list[Stratum]:
 def step_at(hours: Residuals, first: int, sharp: bool) -> Stratum:
     """What lasts from a bin on, against before; sharp: its date is sure to the hour."""
     date = hours.time_s[first] - 1800.0 * hours.step_h
-    words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
-    after = np.arange(len(hours.time_h)) >= first
-    return _flag("step", after, words if sharp else f"since about {date_text(date)}")
+    words = f"since {stamp_text(date)}" if sharp else f"since about {stamp_text(date)[:10]}"
+    return _flag("step", np.arange(len(hours.time_h)) >= first, words)
 
 
 # --- drivers ---------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ def _driver(hours: Residuals, name: str, value: np.ndarray) -> list[Stratum]:
     count, reach = len(value), max(1, round(RATE_H / hours.step_h))
     rate = np.full(count, np.nan)
     rate[reach:] = (value[reach:] - value[:-reach]) / (reach * hours.step_h)
-    changing = _binned("rate", name, rate, RATES, f"while the {words(name)}")
+    changing = _binned("rate", name, rate, RATES, f"while the change of the {words(name)} is")
     if changing is not None:
         made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
     for lag in LAGS_H:
@@ -308,32 +308,18 @@ def _binned(
         return None
     bins = np.where(np.isfinite(value), np.digitize(value, edges), -1)
     marks, unit = displayed(name, edges, rate)
+    told = [plain_number(float(mark), 2) for mark in marks]
     unit = f" {unit}/h" if rate else f" {unit}" if unit else ""
-    last = len(edges)
 
     def phrase(a: int, b: int) -> str:
-        if rate:
-            return f"{opening} {_changing(marks, a, b, last, unit)}"
         if a == 0:
-            return f"{opening} below {number(marks[b])}{unit}"
-        if b == last:
-            return f"{opening} above {number(marks[a - 1])}{unit}"
-        return f"{opening} between {number(marks[a - 1])} and {number(marks[b])}{unit}"
+            return f"{opening} below {told[b]}{unit}"
+        if b == len(edges):
+            return f"{opening} above {told[a - 1]}{unit}"
+        return f"{opening} between {told[a - 1]} and {told[b]}{unit}"
 
     scaled = (value - known.mean()) / known.std()
     return Stratum(kind, name, scaled[:, None], bins, phrase)
-
-
-def _changing(marks: np.ndarray, a: int, b: int, last: int, unit: str) -> str:
-    if a == 0 and marks[b] <= 0:
-        return f"falls by more than {number(-marks[b])}{unit}"
-    if b == last and marks[a - 1] >= 0:
-        return f"rises by more than {number(marks[a - 1])}{unit}"
-    low = "" if a == 0 else f"{number(marks[a - 1])}"
-    high = "" if b == last else f"{number(marks[b])}"
-    if low and high:
-        return f"changes by {low} to {high}{unit}"
-    return f"changes by less than {high}{unit}" if high else f"changes by more than {low}{unit}"
 
 
 def _edges(known: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.ndarray:
@@ -347,9 +333,3 @@ def _edges(known: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.nd
     return np.unique(
         np.concatenate([[0.5 * (least + float(above.min()))], np.quantile(above, quantiles[1:])])
     )
-
-
-def number(value: float) -> str:
-    """A number with two significant digits, as in a sentence."""
-    text = f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
-    return ("0" if "e" in text else text).replace("-", "−")

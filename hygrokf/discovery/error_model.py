@@ -58,7 +58,8 @@ class Instants:
     time_h: (T,) [h]; tau_h: [h] time constant of the low pass; added: (T,) variance that Var n has beside the
     stationary one at an instant, where the state begins anew or an input's time is not known; key, table:
     the row (T,) of the distinct steps' coefficients (d, 2m+1); there: (m,) which parts the readings resolve;
-    shape: (T,) variance of each reading's noise as a multiple of R.
+    shape: (T,) variance of each reading's noise as a multiple of R; largest: variance of the readings, which
+    no part may exceed at the output.
     """
 
     time_h: np.ndarray
@@ -68,13 +69,14 @@ class Instants:
     table: np.ndarray
     there: np.ndarray
     shape: np.ndarray
+    largest: float
 
 
 def course(
     time_h: np.ndarray, tau_h: float, added: np.ndarray, shape: np.ndarray | None = None,
-    there: np.ndarray | None = None,
+    there: np.ndarray | None = None, largest: float = math.inf,
 ) -> Instants:  # fmt: skip
-    """The course of an error at instants (T,) [h]; `added`, `shape` (T,) as in `Instants`."""
+    """The course of an error at instants (T,) [h]; `added`, `shape` (T,), `largest` as in `Instants`."""
     steps = np.round(np.diff(time_h, prepend=time_h[0]) * 3.6e6) / 3.6e6
     lengths, key = np.unique(steps, return_inverse=True)
     if there is None:
@@ -83,7 +85,7 @@ def course(
         there = np.array([FEWEST_STEPS * usual <= t <= LONGEST_SHARE * span for t in TIMES_H])
     table = np.stack([coefficients(length, tau_h) for length in lengths.tolist()])
     shape = np.ones(len(time_h)) if shape is None else np.ascontiguousarray(shape, dtype=float)
-    return Instants(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape)
+    return Instants(time_h, tau_h, added, key.reshape(-1).astype(np.int32), table, there, shape, largest)
 
 
 def coefficients(step_h: float, tau_h: float) -> np.ndarray:
@@ -330,7 +332,10 @@ class Filtered:
     @property
     def deviance(self) -> float:
         """−2 ln L, without ln 2π."""
-        return float(_deviance(self.innovation[:, None], self.variance[:, None], self.bound)[0])
+        seen = np.isfinite(self.innovation)
+        v = self.variance[seen][:, None]
+        e = self.innovation[seen][:, None] / np.sqrt(v)
+        return float(np.sum(np.log(v) + loss(e, self.bound), axis=0)[0])
 
     @property
     def terms(self) -> np.ndarray:
@@ -385,13 +390,6 @@ def loss(e: np.ndarray, bound: float = HUBER) -> np.ndarray:
     return counted * (2.0 * size - counted)
 
 
-def _deviance(innovation: np.ndarray, variance: np.ndarray, bound: float) -> np.ndarray:
-    """(lanes,) −2 ln L of innovations (T, lanes), NaN where there is no reading."""
-    seen = np.isfinite(innovation[:, 0])
-    v = variance[seen]
-    return np.sum(np.log(v) + loss(innovation[seen] / np.sqrt(v), bound), axis=0)
-
-
 def filtered(course: Instants, variances: np.ndarray, residual: np.ndarray, bound: float = HUBER) -> Filtered:
     """Filter an error (T,), NaN where there is no reading, under variances (7,)."""
     count = len(residual)
@@ -423,16 +421,13 @@ def start_variances(course: Instants, residual: np.ndarray) -> np.ndarray:
     return found
 
 
-def maximised(
-    course: Instants, residual: np.ndarray, largest: float, start: np.ndarray | None = None
-) -> np.ndarray:
+def maximised(course: Instants, residual: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Variances (7,) of the greatest likelihood of an error (T,), by Fisher scoring.
 
-    largest: variance of the readings; no part may vary more than that at the output.  The eight lanes are
-    the point and each log variance moved.
+    The eight lanes are the point and each log variance moved.
     """
-    upper = np.full(VARIANCES, largest)
-    upper[2:] = largest / shares(course.tau_h)
+    upper = np.full(VARIANCES, course.largest)
+    upper[2:] = course.largest / shares(course.tau_h)
     active = np.append([True, True], course.there)
     common = start_variances(course, residual)
     begun = common if start is None else start

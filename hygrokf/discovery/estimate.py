@@ -43,20 +43,13 @@ LIGHT, POLISH = (3, 0.3), (10, 0.05)
 
 
 @dataclass(frozen=True)
-class ErrorModels:
-    """The error models of a scene's quantities: their courses, and the largest variance of any part."""
-
-    courses: Mapping[str, Instants]
-    largest: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class Calibration:
-    """Parameters and variances of a simulator: theta (P,); variances (7,) and simulated readings (T,) by
-    quantity; linear: parameters that are estimated as they are, whatever their coordinate elsewhere."""
+    """Parameters and variances of a simulator: theta (P,); the course of the error, its variances (7,)
+    and simulated readings (T,) by quantity; linear: parameters that are estimated as they are, whatever their
+    coordinate elsewhere."""
 
     simulator: Simulator
-    errors: ErrorModels
+    errors: Mapping[str, Instants]
     theta: np.ndarray
     variances: Mapping[str, np.ndarray]
     simulated: Mapping[str, np.ndarray]
@@ -80,8 +73,7 @@ class Calibration:
     def filtered(self) -> dict[str, Filtered]:
         bound = math.inf if self.plain else HUBER
         return {
-            q: filtered(self.errors.courses[q], self.variances[q], self.residual(q), bound)
-            for q in self.quantities
+            q: filtered(self.errors[q], self.variances[q], self.residual(q), bound) for q in self.quantities
         }
 
     @cached_property
@@ -142,11 +134,12 @@ def frame(parameters: Sequence[Parameter], free: Collection[str], linear: Collec
 
 
 def estimate_at(
-    simulator: Simulator, errors: ErrorModels, theta: np.ndarray, linear: frozenset[str] = frozenset(),
-    variances: Mapping[str, np.ndarray] | None = None, plain: bool = False,
+    simulator: Simulator, errors: Mapping[str, Instants], theta: np.ndarray,
+    linear: frozenset[str] = frozenset(), variances: Mapping[str, np.ndarray] | None = None,
+    plain: bool = False,
 ) -> Calibration:  # fmt: skip
     """The estimate at given parameters, its variances maximised unless they are given."""
-    simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors.courses}
+    simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in errors}
     made = Calibration(simulator, errors, theta, variances or {}, simulated, linear, plain)
     return made if variances else with_variances(made)
 
@@ -161,7 +154,7 @@ def with_variances(one: Calibration, block: Sequence[str] | None = None) -> Cali
             found[q][0] = max(float(np.nanmean(residual**2)), 1e-12)
         else:
             start = one.variances.get(q)
-            found[q] = maximised(one.errors.courses[q], residual, one.errors.largest[q], start)
+            found[q] = maximised(one.errors[q], residual, start)
     return replace(one, variances=found)
 
 
@@ -331,13 +324,13 @@ def _step(matrix: np.ndarray, gradient: np.ndarray, z: np.ndarray, f: Frame, dam
     return np.clip(step, -reach, reach)
 
 
-def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> ErrorModels:
-    """The error models of a round: the low pass has the time constants of parameters (P,)."""
+def errors_of(simulator: Simulator, theta: np.ndarray, quantities: Sequence[str]) -> dict[str, Instants]:
+    """The courses of the errors in a round: the low pass has the time constants of parameters (P,)."""
     values = dict(zip(simulator.names, theta.tolist(), strict=True))
-    courses, largest = {}, {}
+    courses = {}
     for q in quantities:
         r = simulator.scene.readings[q]
         shape = (r.saturated / np.mean(r.saturated)) ** 2
-        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape)
-        largest[q] = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
-    return ErrorModels(courses, largest)
+        largest = max(float(np.nanvar(np.where(r.identified, r.value, np.nan))), 1e-9)
+        courses[q] = course(r.time_h, values[TIME_CONSTANT[q]], r.added, shape, largest=largest)
+    return courses

@@ -22,6 +22,7 @@ from hygrokf.discovery.residuals import (
 )
 from hygrokf.discovery.results import Finding
 from hygrokf.discovery.significance import Whitened, benjamini_hochberg
+from hygrokf.identification.wording import plain_number
 
 LEVEL = 0.05
 BIN_H = 0.25
@@ -109,14 +110,14 @@ def findings(residuals: Residuals) -> list[Finding]:
 
 def _test(state: _QuantityErrors, known: Sequence[Stratum], hours: Residuals) -> None:
     """ln p of every condition, and of the likeliest step."""
-    white, change = state.white, state.white.change()
-    state.conditions = [*known, step_at(hours, change.first, change.sharp)]
-    state.flow = change.flow
+    white = state.white
+    first_bin, state.flow, tried, sharp = white.change()
+    state.conditions = [*known, step_at(hours, first_bin, sharp)]
 
     def log_p(under: Whitened, one: Stratum, table: np.ndarray) -> float:
         if one.kind != "step":
             return under.log_p(table)
-        return min(0.0, under.log_p(table, full=True) + math.log(change.tried))
+        return min(0.0, under.log_p(table, full=True) + math.log(tried))
 
     found: list[float] = []
     for first in range(0, len(state.conditions), BATCH):
@@ -185,7 +186,7 @@ def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) 
     half = 1800.0 * hours.step_h
     return Finding(
         state.quantity, condition.kind, condition.driver,
-        f"{condition.phrase(first, last)}, simulated {NAMES[state.quantity]} is {digits(abs(size))} "
+        f"{condition.phrase(first, last)}, simulated {NAMES[state.quantity]} is {plain_number(abs(size), 2)} "
         f"{UNITS[state.quantity]} too {'low' if size > 0 else 'high'}{lasting}",
         abs(size), int((means >= SEEN * abs(size)).sum()), len(episodes), share, q,
         tuple(
@@ -193,8 +194,3 @@ def _described(hours: Residuals, state: _QuantityErrors, number: int, q: float) 
             for a, b in (episodes[i] for i in np.argsort(-means, kind="stable"))
         ),
     )  # fmt: skip
-
-
-def digits(size: float) -> str:
-    """A size with its significant digits."""
-    return f"{size:.1f}" if size >= 0.95 else f"{size:.2f}" if size < 0.1 else f"{size:.2g}"

@@ -57,7 +57,7 @@ def scores(one: Calibration) -> dict[str, Scores]:
     for q in one.quantities:
         r = one.simulator.scene.readings[q]
         error = r.value - one.simulated[q]
-        run = filtered(one.errors.courses[q], one.variances[q], error)
+        run = filtered(one.errors[q], one.variances[q], error)
         known = np.flatnonzero(np.isfinite(error))
         time = r.time_h[known]
         squares = np.full((len(error), len(HORIZONS_H) + 1), np.nan)
@@ -69,7 +69,7 @@ def scores(one: Calibration) -> dict[str, Scores]:
             at, from_ = known[fine], known[last[fine]]
             lead = np.round(r.time_h[at] - r.time_h[from_], 4)
             leads, which = np.unique(lead, return_inverse=True)
-            weights = ahead(one.errors.courses[q], leads)[which.reshape(-1)]
+            weights = ahead(one.errors[q], leads)[which.reshape(-1)]
             squares[at, c] = (error[at] - (weights * run.state[from_]).sum(axis=1)) ** 2
         squares[:, -1] = error**2
         squares[r.identified] = np.nan

@@ -28,7 +28,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.estimate import Calibration, ErrorModels
+from hygrokf.discovery.estimate import Calibration
 from hygrokf.discovery.forms import Form, Ground, ground_of
 from hygrokf.discovery.library import LIBRARY, Cause
 from hygrokf.discovery.results import Settings
@@ -87,7 +87,7 @@ def trial_estimate() -> Calibration:
     simulator = Simulator(scene_of(record, heat, vapour), heat, vapour)
     theta = simulator.vector({p.name: p.start for p in simulator.parameters})
     simulated = {q: simulator.simulated(theta[:, None], q)[:, 0] for q in simulator.scene.readings}
-    return Calibration(simulator, ErrorModels({}, {}), theta, {}, simulated)
+    return Calibration(simulator, {}, theta, {}, simulated)
 
 
 def trial_ground() -> Ground:
@@ -110,8 +110,6 @@ def declared_faults(cause: Cause) -> list[str]:
         )
     if cause.name in {own.name for own in LIBRARY}:
         faults.append("the package has a cause of that name; choose another name")
-    if not callable(cause.forms):
-        faults.append(f"forms: expected a function of a ground, found {cause.forms!r}")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
     if odd:
         return faults + [
@@ -317,6 +315,8 @@ _FUNCTOOLS = functools.__file__
 
 def exception_text(fault: BaseException, file: str | None = None) -> str:
     """An exception in a user's code as a phrase: its kind, its text, and the last line of that code."""
+    if isinstance(fault, LibraryFault) and fault.__cause__:  # of a guarded function
+        fault = fault.__cause__
     frames = traceback.extract_tb(fault.__traceback__)
     if file:
         inside = [f for f in frames if f.filename == file]
@@ -345,13 +345,13 @@ def adopt(causes: Iterable[Cause]) -> None:
     causes = list(causes)
     new = [c for c in causes if (c.mechanisms or c.features) and _adopted.get(c.name) is not c]
     faults = _duplicates([("", c) for c in causes])
-    faults += [fault for cause in new for fault in _registered(cause, cause, _origin_in_python(cause))]
+    faults += [fault for cause in new for fault in _registered(cause, _origin_in_python(cause))]
     if faults:
         raise LibraryFault(faults)
 
 
-def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
-    """Faults of a cause; a cause without faults is registered, with the functions of `guarded`."""
+def _registered(cause: Cause, origin: Origin) -> list[str]:
+    """Faults of a cause, which is registered without any."""
     faults = declared_faults(cause)
     if not faults:
         names = {*cause.mechanisms, *cause.features}
@@ -362,8 +362,7 @@ def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
         if faults:
             withdraw(names)
         else:
-            admit(guarded.mechanisms, guarded.features, origin)
-            _adopted[cause.name] = guarded
+            _adopted[cause.name] = cause
     return [f"cause {cause.name!r}: {fault}" for fault in faults]
 
 
@@ -414,26 +413,26 @@ def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ..
     Raises LibraryFault that lists all faults of all files.
     """
     faults: list[str] = []
-    found: list[tuple[str, Cause, Cause, Origin]] = []
+    found: list[tuple[str, Cause, Origin]] = []
     paths = list(dict.fromkeys(Path(file).resolve() for file in files))
     for path in paths:
         try:
             causes, origin = _causes_in(path)
-            found += [(path.name, cause, _guarded(cause, path), origin) for cause in causes]
+            found += [(path.name, _guarded(cause, path), origin) for cause in causes]
         except LibraryFault as fault:
             faults += [f"{path.name}: {one}" for one in fault.faults]
     for entry in entry_points(group=GROUP) if installed else ():
         label, origin = _origin_of(entry)
         try:
-            found += [(label, cause, _guarded(cause), origin) for cause in _causes_of(entry)]
+            found += [(label, _guarded(cause), origin) for cause in _causes_of(entry)]
         except LibraryFault as fault:
             faults += [f"{label}: {one}" for one in fault.faults]
-    faults += _duplicates([(source, cause) for source, cause, *_ in found])
-    for source, cause, guarded, origin in found:
-        faults += [f"{source}: {fault}" for fault in _registered(cause, guarded, origin)]
+    faults += _duplicates([(source, cause) for source, cause, _ in found])
+    for source, cause, origin in found:
+        faults += [f"{source}: {fault}" for fault in _registered(cause, origin)]
     if faults:
         raise LibraryFault(faults)
-    return tuple(guarded for _, _, guarded, _ in found)
+    return tuple(cause for _, cause, _ in found)
 
 
 def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
@@ -455,9 +454,7 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
     try:
         with redirect_stdout(sys.stderr):  # its prints must not mix with --json
             exec(code, module.__dict__)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as fault:  # also SystemExit
+    except (Exception, SystemExit) as fault:
         advice = "; a library is one file: install what it imports" if isinstance(fault, ImportError) else ""
         raise LibraryFault([f"cannot be run: {exception_text(fault, str(path))}{advice}"]) from fault
     return _causes_at_top(module), {"file": path.name, "sha256": sha256}
@@ -476,9 +473,7 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
     try:
         with redirect_stdout(sys.stderr):
             loaded = entry.load()
-    except KeyboardInterrupt:
-        raise
-    except BaseException as fault:
+    except (Exception, SystemExit) as fault:
         raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; fix or uninstall it"]) from fault
     if isinstance(loaded, Cause):
         return [loaded]

@@ -141,10 +141,7 @@ def _discovered(record: Record, library: Sequence[Cause], say: Progress, budget:
         held_out_days=len(np.unique(np.floor(before.time_s[before.validation] / DAY_S))),
         causes=tuple(cause_found(one, ended, library) for one in ended.accepted),
         rejected=tuple(_rejected(found, ended, library, forms)),
-        refuted=tuple(
-            Rejected(one.cause, one.form.words, evidence_of(one), "refuted", one.judged)
-            for one in ended.refuted
-        ),
+        refuted=tuple(_told(one, "refuted") for one in ended.refuted),
         lines=tuple(left),
         work=SearchCost(start.simulator.work.simulations, budget, tuple(found.not_judged)),
         repeated={name: tuple(spans) for name, spans in repeated.items()},
@@ -169,25 +166,22 @@ def _rejected(
     found: Search, ended: Conclusion, library: Sequence[Cause], forms: Mapping[str, Sequence[object]]
 ) -> list[Rejected]:
     """The causes that were left out: those that were estimated beside the last model first."""
-    told = {one.cause for one in (*ended.accepted, *ended.refuted)}
     rest: dict[str, Rejected] = {}
-
-    def add(one: Candidate, reason: Exclusion) -> None:
-        if one.cause not in told:
-            rest.setdefault(one.cause, Rejected(one.cause, one.form.words, evidence_of(one), reason))
-
     for one in found.left:
-        add(one, "later_gone")
+        rest.setdefault(one.cause, _told(one, "later_gone"))
     for one in sorted(found.beside, key=lambda c: -c.evidence):
-        add(one, "weak" if one.evidence < needed(one, ended.accepted) else "weak_by_days")
+        weak = one.evidence < needed(one, ended.accepted)
+        rest.setdefault(one.cause, _told(one, "weak" if weak else "weak_by_days"))
     for cause in library:
         reason: Exclusion = "no_effect" if forms[cause.name] else "no_form"
-        if cause.name not in told:
-            rest.setdefault(
-                cause.name,
-                Rejected(cause.name, reason="left_to_budget" if cause.name in found.not_judged else reason),
-            )
-    return list(rest.values())
+        reason = "left_to_budget" if cause.name in found.not_judged else reason
+        rest.setdefault(cause.name, Rejected(cause.name, reason=reason))
+    told = {one.cause for one in (*ended.accepted, *ended.refuted)}
+    return [one for name, one in rest.items() if name not in told]
+
+
+def _told(one: Candidate, reason: Exclusion) -> Rejected:
+    return Rejected(one.cause, one.form.words, evidence_of(one), reason, one.judged)
 
 
 def _scores(fit: Fit) -> ModelScores:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.residuals import first_dates, run_lengths
+from hygrokf.data.timestamps import DAY_S, stamp_text
+from hygrokf.discovery.residuals import run_lengths
 
 SHORTEST_S = 3600.0
 """[s] shortest stretch."""
@@ -100,10 +100,11 @@ def joined(spans: Iterable[Sequence[float]], pause_s: float = 0.0) -> list[tuple
 def repeated_text(spans: Mapping[str, Sequence[tuple[float, float]]]) -> str:
     """The repeats in one sentence."""
     name, found = max(spans.items(), key=lambda pair: len(pair[1]))
-    days, rest = first_dates(first for first, _ in found)
-    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest else ""
+    days = list(dict.fromkeys(stamp_text(first)[:10] for first, _ in found))
+    rest = len(days) - 3
+    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest > 0 else ""
     hours = sum(last - first for first, last in found) / 3600.0
     return (
         f"readings of {name.replace('_', ' ')} repeat those of the day before, {hours:.0f} h in all: "
-        f"{days}{more}; they were set aside"
+        f"{', '.join(days[:3])}{more}; they were set aside"
     )

@@ -6,9 +6,8 @@ Shapes: T instants of a fit's series, n bins of an hour.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
@@ -212,17 +211,6 @@ _SYMBOLS = {"degC": "°C", "deg": "°", "W/m2": "W/m²", "g/m3": "g/m³", "1": "
 def words(driver: str) -> str:
     """A driver as it stands in a sentence."""
     return driver.replace("_", " ").replace("cabinet ", "simulated cabinet ")
-
-
-def date_text(instant_s: float) -> str:
-    """The date [s] of an instant, UTC."""
-    return f"{datetime.fromtimestamp(instant_s, UTC):%-d %B %Y}"
-
-
-def first_dates(instants_s: Iterable[float]) -> tuple[str, int]:
-    """(the first three dates of instants [s], how many more there are)."""
-    days = list(dict.fromkeys(map(date_text, instants_s)))
-    return ", ".join(days[:3]), max(0, len(days) - 3)
 
 
 def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,8 +19,8 @@ import numpy as np
 
 from hygrokf.data.drawn import drawn
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
-from hygrokf.data.result_file import ResultFault, read_result, result_text
-from hygrokf.data.structured import JsonObject, plain
+from hygrokf.data.result_file import ResultFault, read_arrays, read_result, result_text
+from hygrokf.data.structured import JsonObject, optional, plain
 from hygrokf.data.tabular import with_units
 from hygrokf.discovery.residuals import Quantity, Residuals
 from hygrokf.evaluation.scoring import RuleScores, Scores
@@ -139,7 +138,7 @@ class HeldOutTest:
     growth: Mapping[str, float] = field(default_factory=dict)
     before: Mapping[str, float] = field(default_factory=dict)
     after: Mapping[str, float] = field(default_factory=dict)
-    gain: float = math.nan
+    gain: float = 0.0
     days: int = 0
     reason: Reason = ""
 
@@ -190,7 +189,7 @@ class Rejected:
     form: str = ""
     evidence: CauseEvidence = field(default_factory=CauseEvidence)
     reason: Exclusion = "no_effect"
-    held_out: HeldOutTest = field(default_factory=HeldOutTest)
+    held_out: HeldOutTest = optional(HeldOutTest())
 
 
 @dataclass(frozen=True)
@@ -330,7 +329,6 @@ class Discovery(Discovered):
 # --- files -----------------------------------------------------------------------------------
 
 WHICH = ("before", "after")
-AGAIN = "run `hygrokf discover` with --out on this directory first"
 
 
 def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:
@@ -349,24 +347,20 @@ def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path
 
 def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
     """The discovery of a directory; raises ResultFault that lists all faults."""
-    folder = Path(directory)
+    folder, path = Path(directory), Path(directory) / DISCOVERY_SERIES
     faults: list[str] = []
-    results = None
     try:
         results = read_result(DiscoveryResults, folder / DISCOVERY, "hygrokf discover")
     except ResultFault as fault:
         faults.append(str(fault))
-    path = folder / DISCOVERY_SERIES
-    residuals: dict[str, Residuals | None] = {}
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in file.files}
+        arrays = read_arrays(path, "hygrokf discover")
         residuals = {which: _residuals(arrays, which) for which in WHICH}
-    except FileNotFoundError:
-        faults.append(f"{path}: no such file; {AGAIN}")
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile) as fault:
-        faults.append(f"{path}: expected arrays written by `hygrokf discover`, found: {fault}; {AGAIN}")
-    if results is None or faults:
+    except ResultFault as fault:
+        faults.append(str(fault))
+    except (TypeError, ValueError) as fault:
+        faults.append(f"{path}: expected arrays of residuals, found: {fault}; run `hygrokf discover` again")
+    if faults:
         raise ResultFault("\n".join(faults))
     return Discovered(results, **residuals)
 

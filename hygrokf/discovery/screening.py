@@ -89,22 +89,18 @@ def widened(parent: Calibration, form: Form, setting: Setting, own: tuple[str, .
     """The simulator with a form of a cause."""
     before = parent.simulator
     heat = _wider(before.heat, form.heat, setting.features)
-    vapour = None
-    if before.vapour is not None:
-        vapour = _wider(_altered(before.vapour, form.altered), form.vapour, setting.features)
+    vapour = before.vapour
+    if vapour is not None:
+        if form.altered:
+            altered = ((name, {**known, **form.altered.get(name, {})}) for name, known in vapour.mechanisms)
+            vapour = replace(vapour, mechanisms=tuple(altered))
+        vapour = _wider(vapour, form.vapour, setting.features)
+        if form.freed:
+            vapour = replace(vapour, priors={**vapour.priors, form.freed: (0.0, FREE[form.freed], False)})
     scene = before.scene
     if form.clock:
         scene = scene.moved(Shift(form.clock, setting.shift_s, form.summer))
-    limits = {**before.limits, **form.limits}
-    if form.freed and vapour is not None:
-        vapour = _without_prior(vapour, form.freed)
-    return Simulator(scene, heat, vapour, own, limits, before.work)
-
-
-def _altered(base: Design, altered: Mapping[str, Settings]) -> Design:
-    """The design whose own mechanisms have other settings."""
-    mechanisms = tuple((name, {**known, **altered.get(name, {})}) for name, known in base.mechanisms)
-    return replace(base, mechanisms=mechanisms) if altered else base
+    return Simulator(scene, heat, vapour, own, {**before.limits, **form.limits}, before.work)
 
 
 def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mapping[str, Settings]) -> Design:
@@ -113,16 +109,11 @@ def _wider(base: Design, additions: Sequence[MechanismSettings], features: Mappi
     return replace(made, features={**made.features, **{k: v for k, v in features.items() if k in read}})
 
 
-def _without_prior(design: Design, name: str) -> Design:
-    """The design in which a parameter has no prior: a wide one in its place."""
-    return replace(design, priors={**design.priors, name: (0.0, FREE[name], False)})
-
-
 FREE = {
     "breathed_gain": 0.3, "breathed_humidity_offset": 0.3, "humidity_scale_error": 0.3,
     "cabinet_temperature_offset": 5.0,
 }  # fmt: skip
-"""Standard deviation of a freed parameter's prior, in its unit."""
+"""Standard deviation of a freed parameter's prior, wide in its place, in its unit."""
 
 
 def _freed(parent: Parent, form: Form) -> list[Screened]:
@@ -365,9 +356,7 @@ def openings(one: Calibration, form: Form, identified: bool) -> tuple[list[list[
     for i, q in enumerate(one.quantities):
         r = scene.readings[q]
         there = r.identified == identified
-        known = filtered(
-            one.errors.courses[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan)
-        )
+        known = filtered(one.errors[q], one.variances[q], np.where(there, r.value - one.simulated[q], np.nan))
         x = known.whitened(wider.simulated(theta, q) - one.simulated[q][:, None])[:, 0]
         e = np.nan_to_num(known.standardised) * known.weight
         place = np.clip(((r.time_s - scene.first_s) / EVERY_S).astype(int), 0, count - 1)

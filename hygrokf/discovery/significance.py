@@ -41,27 +41,15 @@ SHARP_H = 1.0
 
 
 @dataclass(frozen=True)
-class LastingChange:
-    """A lasting change from a bin on, of the readings or of a flow; how many were tried; whether the date is
-    sure to the hour."""
-
-    first: int
-    flow: bool
-    tried: int
-    sharp: bool
-
-
-@dataclass(frozen=True)
 class Whitened:
     """An error (n,) in standardised innovations, beside nuisance columns (n, q).
 
-    error: NaN without a reading; largest: its variance; step_h, tau_h: [h] length of a bin, time constant of
+    error: NaN without a reading; step_h, tau_h: [h] length of a bin, time constant of
     the low pass; basis: (n, q) of the whitened nuisance, orthonormal; e: (n,) innovations beside it, 0
     without a reading.
     """
 
     error: np.ndarray
-    largest: float
     step_h: float
     tau_h: float
     known: Filtered
@@ -72,12 +60,13 @@ class Whitened:
     @classmethod
     def of(cls, error: np.ndarray, step_h: float, tau_h: float) -> Whitened:
         """Under the variances of the greatest likelihood, beside a constant."""
-        seen = course(step_h * np.arange(len(error)), tau_h, np.zeros(len(error)))
         error = error - np.nanmean(error)
         largest = max(float(np.nanvar(error)), 1e-12)
-        known = filtered(seen, maximised(seen, error, largest), error)
+        time = step_h * np.arange(len(error))
+        seen = course(time, tau_h, np.zeros(len(error)), largest=largest)
+        known = filtered(seen, maximised(seen, error), error)
         empty = np.empty((len(error), 0))
-        return cls(error, largest, step_h, tau_h, known, empty, empty, error)._with(
+        return cls(error, step_h, tau_h, known, empty, empty, error)._with(
             error, known.variances, np.ones((len(error), 1))
         )
 
@@ -143,18 +132,19 @@ class Whitened:
         """The same under variances of the error without what columns (n, k) explain: an effect feigns a
         memory, which would hide it."""
         rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        variances = maximised(self.known.course, rest, self.known.variances)
         return self._with(self.error, variances, self.nuisance)
 
     def without(self, columns: np.ndarray, kin: np.ndarray) -> Whitened:
         """The error without what columns (n, k) explain; they and their `kin` (n, c) are nuisance from here
         on."""
         rest = self.error - self.effect(columns)
-        variances = maximised(self.known.course, rest, self.largest, self.known.variances)
+        variances = maximised(self.known.course, rest, self.known.variances)
         return self._with(rest, variances, np.column_stack([self.nuisance, columns, kin]))
 
-    def change(self) -> LastingChange:
-        """The likeliest lasting change of the readings, or of a flow.
+    def change(self) -> tuple[int, bool, int, bool]:
+        """The likeliest lasting change: from which bin on, whether of a flow (else of the readings), how many
+        were tried, and whether the date is sure to the hour.
 
         The adjoint filter gives the scores of all dates in one pass: a change from bin t on meets the sum of
         what is behind t.  Its information is that in a record without holes.  Innovations count in full;
@@ -184,7 +174,7 @@ class Whitened:
         value[value < maximum_filter1d(shock, 2 * NEAR + 1)[within, None] - INTERVAL] = 0.0
         best, flow = np.unravel_index(np.argmax(value), value.shape)
         likely = int((value[:, flow] > value[best, flow] - INTERVAL).sum())
-        return LastingChange(int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H)
+        return int(within[best]), bool(flow), value.size, likely * self.step_h <= SHARP_H
 
     def _adjoint(self, white: np.ndarray) -> np.ndarray:
         """(n,) what each reading adds to the product of whitened readings with a vector (n,)."""

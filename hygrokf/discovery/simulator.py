@@ -231,10 +231,8 @@ def _lanes(columns: Mapping[str, Sequence[np.ndarray]], name: str, first: int) -
 
 def _silent(design: Design) -> Model:
     """The model without what only disturbs it, read at instants."""
-    model = design.model
-    kept = [m for m in model.mechanisms if not _only_noise(m.parameters) or m.outputs or m.corrections]
-    return compose(kept, model.holds)
-
-
-def _only_noise(parameters: Sequence[Parameter]) -> bool:
-    return bool(parameters) and all(p.noise for p in parameters)
+    kept = [
+        m for m in design.model.mechanisms
+        if not m.parameters or m.outputs or m.corrections or not all(p.noise for p in m.parameters)
+    ]  # fmt: skip
+    return compose(kept, design.model.holds)

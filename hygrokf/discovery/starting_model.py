@@ -12,7 +12,6 @@ from hygrokf.discovery.error_model import Instants, filtered
 from hygrokf.discovery.estimate import (
     LIGHT,
     Calibration,
-    ErrorModels,
     acting,
     errors_of,
     estimate_at,
@@ -94,12 +93,12 @@ def base_estimate(record: Record) -> Calibration:
     return _driven(renewed(found))
 
 
-def _best(simulator: Simulator, errors: ErrorModels, starts: Sequence[np.ndarray]) -> Calibration:
+def _best(simulator: Simulator, errors: Mapping[str, Instants], starts: Sequence[np.ndarray]) -> Calibration:
     """The best maximum of each quantity over the starts."""
     reached = [fitted(estimate_at(simulator, errors, start)) for start in starts]
     theta = reached[0].theta.copy()
-    for q in errors.courses:
-        sound = [one for one in reached if free_run_error(one, q) <= np.sqrt(errors.largest[q])]
+    for q in errors:
+        sound = [one for one in reached if free_run_error(one, q) <= np.sqrt(errors[q].largest)]
         best = min(sound or reached, key=lambda one: one.deviances[q] if sound else free_run_error(one, q))
         mine = [i for i, name in enumerate(simulator.names) if q in simulator.affects(name)]
         theta[mine] = best.theta[mine]
@@ -117,10 +116,7 @@ def _driven(one: Calibration) -> Calibration:
     if "vapour" not in one.quantities:
         return one
     scene = driven(simulator.scene, smoothed_temperature(one))
-    simulator = Simulator(
-        scene, simulator.heat, simulator.vapour, limits=simulator.limits, work=simulator.work
-    )
-    return renewed(replace(one, simulator=simulator))
+    return renewed(replace(one, simulator=replace(simulator, scene=scene, _cells={})))
 
 
 def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibration:
@@ -133,10 +129,10 @@ def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibrati
     own, free = errors_of(one.simulator, one.theta, one.quantities), acting(one, mine)
 
     def under(courses: Mapping[str, Instants], theta: np.ndarray) -> Calibration:
-        errors = replace(one.errors, courses={**one.errors.courses, **courses})
+        errors = {**one.errors, **courses}
         return fitted(estimate_at(one.simulator, errors, theta, one.linear, one.variances), free)
 
-    both = [under({}, one.theta), under({q: own.courses[q] for q in mine}, one.theta)]
+    both = [under({}, one.theta), under({q: own[q] for q in mine}, one.theta)]
     better = {q: int(both[1].deviances[q] < both[0].deviances[q]) for q in mine}
     if len(set(better.values())) == 1:
         return both[better[mine[0]]]
@@ -144,7 +140,7 @@ def renewed(one: Calibration, moved: Collection[str] | None = None) -> Calibrati
     for i, name in enumerate(one.simulator.names):
         if all(better.get(q) for q in one.simulator.affects(name)):
             theta[i] = both[1].theta[i]
-    return under({q: both[i].errors.courses[q] for q, i in better.items()}, theta)
+    return under({q: both[i].errors[q] for q, i in better.items()}, theta)
 
 
 def smoothed_temperature(one: Calibration) -> np.ndarray:
@@ -159,7 +155,7 @@ def smoothed_temperature(one: Calibration) -> np.ndarray:
     own = series.resolution**2 / 12.0 + (ACCURACY_SHARE * accuracy_of(series)) ** 2
     variances = one.variances["temperature"].copy()
     variances[0] = min(variances[0], own) if own > 0.0 else variances[0]
-    course = one.errors.courses["temperature"]
+    course = one.errors["temperature"]
     error = readings.value - one.simulated["temperature"]
     early = filtered(course, variances, np.where(readings.identified, error, np.nan)).smoothed()
     whole = filtered(course, variances, error).smoothed()

@@ -71,10 +71,11 @@ def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
     return step_h * max(0.5, 0.5 + float(rho[1:last].sum()))
 
 
-def block_h(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Length of the blocks [h]: four integral times, at least a day, at most a tenth of the record."""
-    longest = max(LEAST_BLOCK_H, 0.1 * step_h * len(values))
-    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values, step_h)), longest)
+def block_h(values: np.ndarray) -> float:
+    """Length of the blocks [h] of hourly values: four integral times, at least a day, at most a tenth of the
+    record."""
+    longest = max(LEAST_BLOCK_H, 0.1 * len(values))
+    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values)), longest)
 
 
 def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -96,15 +97,14 @@ def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) ->
 class Resampled:
     """Root mean squared errors (k,) of columns on the same instants, with B draws (B, k) of them.
 
-    `n` readings; `blocks` effective number of blocks that contain them; `length_h` [h] of a block; `lost` [1]
-    share of the variance that blocks of this length miss.
+    `n` readings; `blocks` effective number of blocks that contain them; `lost` [1] share of the variance that
+    blocks of their length miss.
     """
 
     value: np.ndarray
     draws: np.ndarray
     n: int
     blocks: float
-    length_h: float
     lost: float
 
     def bounds(self, column: int) -> tuple[float, float] | None:
@@ -185,4 +185,4 @@ def resampled(
     value = np.sqrt(squares.sum(axis=0) / number.sum())
     draws = np.sqrt(np.maximum(drawn[:, 1:], 0.0) / drawn[:, :1])
     lost = min(max(integral_time_h(column) for column in means.T) / length, MOST_LOST)
-    return Resampled(value, draws, int(number.sum()), blocks, float(length), lost)
+    return Resampled(value, draws, int(number.sum()), blocks, lost)

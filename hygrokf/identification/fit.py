@@ -10,7 +10,6 @@ import json
 import math
 import os
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from hygrokf.data.files import (
 )
 from hygrokf.data.readings import mask
 from hygrokf.data.record import Record, expect_record
-from hygrokf.data.result_file import ResultFault, result_text
+from hygrokf.data.result_file import ResultFault, read_arrays, result_text
 from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
 from hygrokf.data.tabular import with_units
 from hygrokf.data.toml_form import FormFault, read_toml
@@ -251,15 +250,7 @@ def read_fit(path: str | os.PathLike[str], series: bool = False) -> Fit:
 def read_series(directory: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """The arrays of `series.npz` in a directory.  Raises ResultFault with the reason and the remedy."""
     path, again = Path(directory) / SERIES, "run `hygrokf fit` with --out on this directory first"
-    try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            series = {name: np.asarray(file[name]) for name in file.files}
-    except FileNotFoundError:
-        raise ResultFault(f"{path}: no such file; {again}") from None
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as fault:
-        raise ResultFault(
-            f"{path}: expected arrays written by `hygrokf fit`, found: {fault}; {again}"
-        ) from None
+    series = read_arrays(path, "hygrokf fit")
     if text := [name for name, value in series.items() if value.dtype.kind not in "fiub"]:
         found = ", ".join(sorted(text))
         raise ResultFault(f"{path}: expected numbers, found text or objects in {found}; {again}")

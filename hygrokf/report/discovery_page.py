@@ -6,10 +6,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from hygrokf.data.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.data.timestamps import stamp_text
@@ -24,8 +23,6 @@ from hygrokf.discovery.results import (
     read_discovery,
     write_discovery,
 )
-from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import best_rule, inherited
 from hygrokf.identification.wording import NONE, fixed, one_line, percent, plain_number, sentence
 from hygrokf.report.blocks import (
@@ -138,7 +135,6 @@ def gains_table(found: DiscoveryResults) -> Table:
 
 
 def _pair(before: float, after: float, symbol: str) -> tuple[str, str, str]:
-    """Two errors and their change."""
     change = "±0 %" if unchanged(before, after) else _change(before, after)
     return f"{fixed(before)} {symbol}", f"{fixed(after)} {symbol}", change
 
@@ -170,34 +166,18 @@ def parameters_table(cause: CauseFound) -> Table:
     return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
-def scores_table(found: DiscoveryResults, period: str) -> Table | None:
-    """Free-run errors of base and extended model in one period, with the simple rules; None without
-    scores."""
-    before, after = found.baseline.fit, FitResults() if found.extended is None else found.extended.fit
-    base, wider = rmse_table(before, period), rmse_table(after, period)
-    if base is None:
-        return None
-    first, *rest = base.rows
-    rows = [("base model, free run", *first[1:])]
-    if wider is not None:
-        rows.append(("extended model, free run", *wider.rows[0][1:]))
-        pairs = (
-            (getattr(model.errors(period, quantity), regime) for model in (before, after))
-            for quantity in SCORED
-            for regime in REGIMES
-        )
-        rows.append(("  change", *(_change(a, b) for a, b in pairs)))
-    return Table(
-        base.heading,
-        base.columns,
-        (*rows, *rest),
-        marked=(1 if wider is not None else 0,),
-        groups=base.groups,
+def scores_tables(found: DiscoveryResults, period: str) -> tuple[Table, ...]:
+    """Free-run errors of base and extended model in one period by regime, with the simple rules; empty
+    without scores."""
+    models = (("base", found.baseline), ("extended", found.extended))
+    return tuple(
+        replace(table, heading=f"{table.heading}, {words} model")
+        for words, one in models
+        if one is not None and (table := rmse_table(one.fit, period))
     )
 
 
 def _change(before: float, after: float) -> str:
-    """The relative change of a number."""
     return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
 
 
@@ -244,6 +224,7 @@ def _reason(found: DiscoveryResults, one: Rejected) -> str:
 
 
 ERRORS = "Errors before and after"
+NOT_HELD_OUT = "There is no held-out period with readings (`until` is not stated)."
 BY = "By driver, by day and hour, and by period"
 TOGETHER = (
     "In the order of their acceptance, each beside those before it. The errors are those of the extended "
@@ -370,16 +351,12 @@ def _errors(found: DiscoveryResults, before: Residuals | None, after: Residuals 
         ERRORS,
         *map(Prose, held_out_sentences(found)),
         course,
-        table_or(
-            scores_table(found, "validation"),
-            "There is no held-out period with readings (`until` is not stated).",
-        ),
-        table_or(scores_table(found, "identification"), "Nothing was scored in the identification period."),
+        *(scores_tables(found, "validation") or [Prose(NOT_HELD_OUT, "missing")]),
+        *scores_tables(found, "identification"),
     )
 
 
 def _constants(found: DiscoveryResults) -> tuple[Block, ...]:
-    """The time constants of both models with their verdicts."""
     heading = "The time constants without and with the cause" if found.extended else "The time constants"
     base = "Time constants of the base model" if found.extended else "Time constants of the model"
     models = [(found.baseline, base)]
@@ -407,7 +384,7 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
         "The base model was simulated from its inputs alone. What it misses is taken as a disturbance that "
         "enters as flows of heat and vapour, with a spectrum of its own. Score tests under this error model "
         "looked for structure under every condition: episodes, regimes, hour, season, level, rate and lag of "
-        "every driver, steps and drifts. The rate of false discoveries is controlled over all of them.",
+        "every driver, steps and drifts.",
         f"{count} {'cause was' if count == 1 else 'causes were'} judged, each in several forms and settings, "
         f"with {found.work.simulations:,} simulations. A cause is accepted by its evidence: what the maximum "
         "of the likelihood gains, less the price of its constants and of the settings that were tried. The "
@@ -433,28 +410,16 @@ def _method(found: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
-    """The errors over drivers, and over days and hours."""
-    figures = [errors_over_drivers(found, before, after)]
-    for quantity in QUANTITIES:
-        changed = after if _differ(before, after, quantity) else None
-        same = " The extended model leaves these errors as they are." if after is not changed else ""
-        figures.append(
+    return [
+        errors_over_drivers(found, before, after),
+        *(
             Figure(
                 f"days-{quantity}",
                 f"Error of the {TITLE[quantity].lower()} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
-                f"weather or operation. A lasting change of colour: something changed on that date.{same}",
-                partial(figure_day_hour, before, quantity, changed),
+                "weather or operation. A lasting change of colour: something changed on that date.",
+                partial(figure_day_hour, before, quantity, after),
             )
-        )
-    return figures
-
-
-def _differ(before: Residuals, after: Residuals | None, quantity: str) -> bool:
-    """Whether the extended model's free run errs otherwise, by more than a hundredth of the error."""
-    if after is None:
-        return False
-    if len(before.time_h) != len(after.time_h):
-        return True
-    apart = np.abs(before.error[quantity] - after.error[quantity])
-    return bool(np.nanmax(apart, initial=0.0) > 0.01 * before.rmse(quantity))
+            for quantity in QUANTITIES
+        ),
+    ]

@@ -303,8 +303,8 @@ def test_maximised_variances_are_those_of_the_law(seed, part):
     known = np.zeros(VARIANCES)
     known[0], known[2 + part] = 0.02, 1.0
     error = drawn(time, tau, known, seed)
-    where = course(time, tau, np.zeros(len(time)))
-    found = maximised(where, error, 9.0)
+    where = course(time, tau, np.zeros(len(time)), largest=9.0)
+    found = maximised(where, error)
     assert found[0] == pytest.approx(known[0], rel=0.1)
     reach = found[2:] * shares(tau)
     near = [j for j in range(PARTS) if abs(j - part) <= 1]
@@ -322,11 +322,11 @@ def test_maximised_variances_stay_within_their_bounds_and_gain(seed):
         rng.standard_normal(2000), 5.0 * np.sin(time / 3.0), np.where(time > 200.0, 30.0, 0.0),
         1e3 * rng.standard_normal(2000),
     ][seed]  # fmt: skip
-    where = course(time, 2.0, np.append(25.0, np.zeros(1999)))
     largest = 1.0
+    where = course(time, 2.0, np.append(25.0, np.zeros(1999)), largest=largest)
     upper = np.append([largest, largest], largest / shares(2.0))
     for start in (None, KNOWN, np.zeros(VARIANCES), np.full(VARIANCES, 1e6)):
-        found = maximised(where, error, largest, start)
+        found = maximised(where, error, start)
         there = np.append([True, True], where.there)
         assert (found[there] >= LEAST * upper[there] * (1.0 - 1e-9)).all()
         assert (found <= upper * (1.0 + 1e-9)).all()
@@ -341,10 +341,10 @@ def test_scoring_ends_at_a_maximum():
     time = 0.25 * np.arange(96.0 * 60.0)
     known = np.array([0.02, 0.1, 0.0, 0.8, 0.0, 0.3, 0.0])
     error = drawn(time, 2.0, known, 5)
-    where = course(time, 2.0, np.zeros(len(time)))
+    where = course(time, 2.0, np.zeros(len(time)), largest=4.0)
     rng = np.random.default_rng(6)
     starts = [None, np.zeros(VARIANCES), *np.exp(rng.uniform(-9.0, 1.0, (5, VARIANCES)))]
-    reached = [filtered(where, maximised(where, error, 4.0, one), error).deviance for one in starts]
+    reached = [filtered(where, maximised(where, error, one), error).deviance for one in starts]
     assert max(reached) - min(reached) < 0.5
 
 

@@ -204,7 +204,7 @@ def test_a_step_of_the_readings_is_dated_to_the_reading() -> None:
     one = single(findings(with_effect(base, "temperature", -0.6 * (np.arange(len(base.time_h)) >= at))))
     assert one.kind == "step" and one.statement.endswith("too high")
     assert one.size == pytest.approx(0.6, abs=0.25)
-    assert one.statement.startswith("since 9 August 2020 00:00 UTC, simulated temperature is")
+    assert one.statement.startswith("since 2020-08-09T00:00Z, simulated temperature is")
     assert one.spans[0][0] == pytest.approx(base.time_s[at], abs=3600.0)
 
 

@@ -65,7 +65,7 @@ def test_only_the_quantity_that_changed_is_fitted_again(sunny: Run) -> None:
         assert one.variances["vapour"].tobytes() == final.variances["vapour"].tobytes()
         mine = [n for n in one.simulator.names if "vapour" in one.simulator.affects(n)]
         assert mine and all(one.values[n] == final.values[n] for n in mine)
-        assert one.errors.courses["vapour"] is final.errors.courses["vapour"]
+        assert one.errors["vapour"] is final.errors["vapour"]
     one = composed(base, [], final, {"temperature"})
     assert one.deviances["temperature"] == pytest.approx(whole.deviances["temperature"], abs=0.05)
     assert one.deviances["temperature"] > final.deviances["temperature"] + 50.0

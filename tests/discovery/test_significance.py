@@ -130,12 +130,12 @@ def smooth_errors(seed: int, size: int = 5000) -> np.ndarray:
 def changed(values: np.ndarray) -> tuple[float, int, float]:
     """p over all dates, the date, and the size of the likeliest change."""
     white = Whitened.of(values, 0.25, 1.5)
-    change = white.change()
-    step = white.columns((np.arange(len(values)) >= change.first)[:, None].astype(float), False)
-    columns = white.low_passed(step) if change.flow else step
-    p = min(1.0, change.tried * math.exp(white.log_p(white.whitened(columns), full=True)))
+    first, flow, tried, _ = white.change()
+    step = white.columns((np.arange(len(values)) >= first)[:, None].astype(float), False)
+    columns = white.low_passed(step) if flow else step
+    p = min(1.0, tried * math.exp(white.log_p(white.whitened(columns), full=True)))
     effect = white.effect(columns)
-    return p, change.first, float(effect[-1] - effect[0])
+    return p, first, float(effect[-1] - effect[0])
 
 
 def test_a_step_far_below_the_errors_is_found_to_the_reading() -> None:

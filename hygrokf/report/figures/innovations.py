@@ -63,7 +63,6 @@ def figure_innovations(
         _correlation(found.autocorrelation, _reach(found.autocorrelation), "Autocorrelation"),
         _cumulative(found.cumulative_periodogram or CumulativePeriodogram()),
         _periodogram(found.periodogram or Periodogram()),
-        _histogram(e),
         _quantiles(e),
         _course(time[known], e),
         *(
@@ -173,19 +172,6 @@ def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
     ]
     first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:INPUTS]
     return [row for row in rows if row in first]
-
-
-def _histogram(e: np.ndarray) -> Panel:
-    edges = np.linspace(-4.5, 4.5, 46)
-    count, _ = np.histogram(np.clip(e, -4.499, 4.499), edges)
-    height = np.repeat(count / (len(e) * (edges[1] - edges[0])), 2)
-    x = np.linspace(-4.5, 4.5, 120)
-    marks = (
-        Band(np.repeat(edges, 2)[1:-1], 0.0 * height, height, MEASURED, 0.3),
-        Curve(x, np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi), INK),
-    )
-    label, limits = "e/√S [1]; the ends hold all beyond", (-4.5, 4.5)
-    return Panel(marks, Axis(label, limits), Axis(limits=(0.0, None)), "Histogram and standard normal")
 
 
 def _quantiles(e: np.ndarray) -> Panel:
