@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from hygrokf.climate.bounds import BoundedMean, expect_shape
 from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
-from hygrokf.data.timestamps import stamp_text
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DAY_H = 24
@@ -37,23 +37,8 @@ WEIGHTS = {"joint": 1.0, "ageing": 1.0, "mean": 3.0, "wet": 2.0, "range": 1.0}
 ROUNDS = 12
 
 
-@dataclass(frozen=True)
-class Days:
-    """Days (D, 24): temperature [°C] and relative humidity [%], hour by hour; `start_s` (D,) their starts
-    [s since 1970, UTC]."""
-
-    temperature_degC: np.ndarray
-    relative_humidity_percent: np.ndarray
-    start_s: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.start_s)
-
-    def take(self, places: Sequence[int] | np.ndarray) -> Days:
-        """The days at these places."""
-        return Days(
-            self.temperature_degC[places], self.relative_humidity_percent[places], self.start_s[places]
-        )
+Days: TypeAlias = np.ndarray
+"""Temperatures [°C] and relative humidities [%] (2, D, 24) of days, hour by hour."""
 
 
 def days_of(year: Year, members: Sequence[int]) -> Days:
@@ -63,29 +48,19 @@ def days_of(year: Year, members: Sequence[int]) -> Days:
     begins = begins[begins + DAY_H <= len(hours)]
     begins = begins[hours[begins + DAY_H - 1] - hours[begins] == DAY_H - 1]
     places = begins[:, None] + np.arange(DAY_H)
-    whole = year.known[places].all(axis=1)
-    places = places[whole]
+    places = places[year.known[places].all(axis=1)]
     assert year.relative_humidity is not None, "a test profile needs the humidity"
     chosen = np.asarray(members)
-    temperature = year.temperature_K[chosen][:, places] - ZERO_CELSIUS_K
-    humidity = 100.0 * year.relative_humidity[chosen][:, places]
-    return Days(
-        temperature.reshape(-1, DAY_H),
-        humidity.reshape(-1, DAY_H),
-        np.tile(year.time_s[places[:, 0]], len(chosen)) if len(places) else np.empty(0),
-    )
-
-
-def joined(parts: Sequence[Days]) -> Days:
-    """The days of several parts, one after the other."""
-    return Days(*(np.concatenate([getattr(p, name) for p in parts]) for name in Days.__dataclass_fields__))
+    courses = (year.temperature_K[chosen] - ZERO_CELSIUS_K, 100.0 * year.relative_humidity[chosen])
+    return np.stack([one[:, places].reshape(-1, DAY_H) for one in courses])
 
 
 def thinned(days: Days) -> Days:
     """At most `MOST_DAYS` days, evenly from all."""
-    if len(days) <= MOST_DAYS:
+    count = days.shape[1]
+    if count <= MOST_DAYS:
         return days
-    return days.take(np.linspace(0, len(days) - 1, MOST_DAYS).round().astype(int))
+    return days.take(np.linspace(0, count - 1, MOST_DAYS).round().astype(int), axis=1)
 
 
 def places_in(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
@@ -95,11 +70,11 @@ def places_in(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
     return i * (len(H_EDGES) - 1) + j
 
 
-def shares(celsius: np.ndarray, percent: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+def shares(days: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
     """Shares (B,) of all instants, or of a weight, in the bins of the joint distribution."""
     bins = (len(T_EDGES) - 1) * (len(H_EDGES) - 1)
     weights = None if weight is None else np.ravel(weight)
-    counted = np.bincount(places_in(celsius, percent).ravel(), weights=weights, minlength=bins).astype(float)
+    counted = np.bincount(places_in(*days).ravel(), weights=weights, minlength=bins).astype(float)
     return counted / counted.sum()
 
 
@@ -140,18 +115,18 @@ def choose_days(days: Days, count: int, law: Acceleration) -> np.ndarray:
 
 def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
     """Features (D, F) of every day, and their means (F,), the targets."""
-    celsius, percent = days.temperature_degC, days.relative_humidity_percent
+    celsius, percent = days
     bins = (len(T_EDGES) - 1) * (len(H_EDGES) - 1)
     place = places_in(celsius, percent)
     used = np.unique(place)
     column = np.zeros(bins, dtype=int)
     column[used] = np.arange(len(used))
-    flat = (np.arange(len(days))[:, None] * len(used) + column[place]).ravel()
+    flat = (np.arange(len(celsius))[:, None] * len(used) + column[place]).ravel()
     rate = _rate(law, celsius, percent)
     rate = rate / rate.mean()
-    size = len(days) * len(used)
-    joint = np.bincount(flat, minlength=size).reshape(len(days), -1) / DAY_H
-    ageing = np.bincount(flat, weights=rate.ravel(), minlength=size).reshape(len(days), -1) / DAY_H
+    size = len(celsius) * len(used)
+    joint = np.bincount(flat, minlength=size).reshape(len(celsius), -1) / DAY_H
+    ageing = np.bincount(flat, weights=rate.ravel(), minlength=size).reshape(len(celsius), -1) / DAY_H
     wet = ((percent > 80.0) & (celsius > 0.0)).mean(axis=1, keepdims=True)
     span = np.ptp(celsius, axis=1)
     ranged = (
@@ -168,11 +143,10 @@ def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
 def ordered(days: Days) -> np.ndarray:
     """Order (D,) of days in which the end of each is near the beginning of the next: nearest neighbour, then
     moves of single days."""
-    first = np.column_stack([days.temperature_degC[:, 0] / 5.0, days.relative_humidity_percent[:, 0] / 10.0])
-    last = np.column_stack([days.temperature_degC[:, -1] / 5.0, days.relative_humidity_percent[:, -1] / 10.0])
+    first, last = (days[:, :, place].T / (5.0, 10.0) for place in (0, -1))
     jump = np.linalg.norm(last[:, None] - first[None], axis=2)
-    order = [int(np.argmin(days.temperature_degC.mean(axis=1)))]
-    left = set(range(len(days))) - set(order)
+    order = [int(np.argmin(days[0].mean(axis=1)))]
+    left = set(range(days.shape[1])) - set(order)
     while left:
         nearest = min(left, key=lambda d: (jump[order[-1], d], d))
         order.append(nearest)
@@ -258,17 +232,15 @@ class Closeness:
 class ChamberProfile:
     """A sequence of a chamber, hour by hour, and what it reproduces of the site.
 
-    Temperature [°C] and relative humidity [%] of the chamber, and of the site in the same hours; `day` when
-    each day began, UTC.  `shift_per_K` δ; `acceleration` exp(E_a δ/k_B) [1] before the chamber's limits;
-    `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the years of service.
+    Temperature [°C] and relative humidity [%] of the chamber, and of the site in the same hours;
+    `acceleration` exp(E_a δ/k_B) [1] before the chamber's limits; `share_at_chamber_limit` [1] of the hours;
+    `reached`: whether it ages as much as the years of service.
     """
 
     temperature_degC: np.ndarray
     relative_humidity_percent: np.ndarray
     site_temperature_degC: np.ndarray
     site_humidity_percent: np.ndarray
-    day: tuple[str, ...]
-    shift_per_K: float
     acceleration: float
     share_at_chamber_limit: float
     reached: bool
@@ -289,15 +261,14 @@ def build_profile(
     ageing: [h a year at the reference] of the site.  service_cycles: (3,) cycles a year from each of
     `CYCLE_RANGES_K`.  Raises ValueError where there is no whole day to choose from.
     """
-    if not len(days):
+    if not days.shape[1]:
         raise ValueError("no day of the weather is known hour by hour: a test profile needs hourly weather")
     length, target = round(plan.test.length_h), plan.test.service_years * ageing.value
-    chosen = days.take(choose_days(days, -(-length // DAY_H), plan.law))
-    chosen = chosen.take(ordered(chosen))
-    site = (chosen.temperature_degC.ravel()[:length], chosen.relative_humidity_percent.ravel()[:length])
+    chosen = days.take(choose_days(days, -(-length // DAY_H), plan.law), axis=1)
+    site = chosen.take(ordered(chosen), axis=1).reshape(2, -1)[:, :length]
 
     def aged(shift: float) -> float:
-        return float(_rate(plan.law, *set_points(*site, shift, plan.chamber)).sum())
+        return float(_rate(plan.law, *set_points(site, shift, plan.chamber)).sum())
 
     low, high = _span(site[0], plan.chamber)
     reached = aged(low) <= target <= aged(high)
@@ -306,7 +277,7 @@ def build_profile(
         for _ in range(60):
             shift = 0.5 * (low + high)
             low, high = (shift, high) if aged(shift) < target else (low, shift)
-    test = set_points(*site, shift, plan.chamber)
+    test = set_points(site, shift, plan.chamber)
     cut = np.isclose(test[0][:, None], plan.chamber.temperature_degC).any(axis=1)
     warm, damp, celsius, percent = (np.round(one, 2) for one in (*test, *site))
     return ChamberProfile(
@@ -314,8 +285,6 @@ def build_profile(
         damp,
         celsius,
         percent,
-        day=tuple(map(stamp_text, chosen.start_s)),
-        shift_per_K=shift,
         acceleration=float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)),
         share_at_chamber_limit=float(cut.mean()),
         reached=reached,
@@ -332,19 +301,16 @@ def _span(celsius: np.ndarray, chamber: Chamber) -> tuple[float, float]:
     return 1.0 / kelvin[place] - 1.0 / max(bottom, 1.0), 1.0 / kelvin[place] - 1.0 / top
 
 
-def set_points(
-    celsius: np.ndarray, percent: np.ndarray, shift: float, chamber: Chamber
-) -> tuple[np.ndarray, np.ndarray]:
-    """Temperature [°C] and humidity [%] (n,) after the shift δ [1/K], as the chamber can follow them."""
+def set_points(site: np.ndarray, shift: float, chamber: Chamber) -> np.ndarray:
+    """Temperature [°C] and humidity [%] (2, n) after the shift δ [1/K], as the chamber can follow them."""
+    celsius, percent = site
     inverse = np.maximum(
         1.0 / (celsius + ZERO_CELSIUS_K) - shift, 1.0 / (chamber.temperature_degC[1] + ZERO_CELSIUS_K)
     )
     warm = np.clip(1.0 / inverse - ZERO_CELSIUS_K, *chamber.temperature_degC)
     damp = np.clip(percent, *chamber.relative_humidity_percent)
-    return (
-        _ramped(warm, chamber.temperature_ramp_K_per_h),
-        _ramped(damp, chamber.humidity_ramp_percent_per_h),
-    )
+    ramps = (chamber.temperature_ramp_K_per_h, chamber.humidity_ramp_percent_per_h)
+    return np.stack([_ramped(one, most) for one, most in zip((warm, damp), ramps, strict=True)])
 
 
 def _ramped(values: np.ndarray, most: float) -> np.ndarray:
@@ -363,8 +329,8 @@ def _rate(law: Acceleration, celsius: np.ndarray, percent: np.ndarray) -> np.nda
 
 def closeness(
     days: Days,
-    site: tuple[np.ndarray, np.ndarray],
-    test: tuple[np.ndarray, np.ndarray],
+    site: np.ndarray,
+    test: np.ndarray,
     plan: ProfilePlan,
     ageing: BoundedMean,
     service_cycles: np.ndarray,
@@ -372,16 +338,15 @@ def closeness(
     """What a test profile reproduces of the site, and how closely.
 
     days, ageing, service_cycles: as for `build_profile`.  site, test: temperatures [°C] and humidities [%] of
-    the chosen days before warming (n,), and of the test (n,).
+    the chosen days before warming, and of the test (2, n).
     """
-    everywhere = (days.temperature_degC, days.relative_humidity_percent)
-    all_rate, own_rate = (_rate(plan.law, *one) for one in (everywhere, test))
+    all_rate, own_rate = (_rate(plan.law, *one) for one in (days, test))
     aged, service = float(own_rate.sum()), plan.test.service_years
     years = [
         aged / max(one, 1e-300)
         for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
-    wet, test_wet = (percent > WET_PERCENT for _, percent in (everywhere, test))
+    wet, test_wet = (percent > WET_PERCENT for _, percent in (days, test))
     numbers = [
         ("hours above 80 %, %", 100.0 * wet.mean(), 100.0 * test_wet.mean()),
         (
@@ -389,7 +354,7 @@ def closeness(
             100.0 * all_rate[wet].sum() / all_rate.sum(),
             100.0 * own_rate[test_wet].sum() / own_rate.sum(),
         ),
-        ("mean relative humidity, %", everywhere[1].mean(), test[1].mean()),
+        ("mean relative humidity, %", days[1].mean(), test[1].mean()),
     ]
     cycles = (cycles_from(site[0]) * (YEAR_H / len(site[0])), cycles_from(test[0]))
     for least, a_year, before, after in zip(CYCLE_RANGES_K, service_cycles, *cycles, strict=True):
@@ -398,8 +363,8 @@ def closeness(
         numbers.append((f"{words}, in service", service * a_year, after))
     return Closeness(
         Ageing(aged, service * ageing.value, *years),
-        _distance(shares(*site), shares(*everywhere)),
-        _distance(shares(*site, own_rate), shares(*everywhere, all_rate)),
+        _distance(shares(site), shares(days)),
+        _distance(shares(site, own_rate), shares(days, all_rate)),
         tuple(Reproduced(words, float(a), float(b)) for words, a, b in numbers),
     )
 

@@ -6,7 +6,7 @@ Shapes: N members, T instants, I temperature bins, J humidity bins.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from hygrokf.climate.bounds import LEVEL, BoundedMean, bounded, bounded_array, held, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
-from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, joined, thinned
+from hygrokf.climate.chamber_profile import ChamberProfile, Days, build_profile, days_of, thinned
 from hygrokf.climate.ensemble import (
     WHOLE,
     YEAR_H,
@@ -156,8 +156,8 @@ class Gathered:
 
     def test_profile(self, plan: ProfilePlan) -> ChamberProfile | None:
         """The test profile; None where no whole day with humidity is known hour by hour."""
-        days = thinned(joined(self.days)) if self.days else None
-        if days is None or not len(days):
+        days = thinned(np.concatenate(self.days, axis=1)) if self.days else None
+        if days is None or not days.shape[1]:
             return None
         numbers = self.of("all")
         cycles = [numbers[f"temperature_cycles_from_{least:g}_K_number"] for least in CYCLE_RANGES_K]
@@ -212,12 +212,15 @@ def climate_profile(
         raise ValueError("; ".join(faults))
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
+
+    def simulate(record: Record, rare: Sequence[Shots], tell: Callable[[str], None]) -> Iterator[Year]:
+        return simulate_years(fit, record, drawn, seed, surface, rare=rare, say=tell)
+
     found = []
     with reporting(progress, "climate_profile") as say:
         for one in regions:
-            ensemble = _Ensemble(fit, drawn, seed, surface, say, one.name)
             try:
-                found.append(_region(ensemble, one, power, limits, plan))
+                found.append(_region(fit, one, power, limits, plan, simulate, members, say))
             except ValueError as fault:
                 files = f" ({', '.join(one.files)})" if one.files else ""
                 raise ValueError(f"{one.name}{files}: {fault}") from fault
@@ -235,38 +238,21 @@ def climate_profile(
     )
 
 
-@dataclass(frozen=True)
-class _Ensemble:
-    """A fit and the members drawn from it; `region` is named in the messages to `say`."""
-
-    fit: Fit
-    members: Sequence[Mapping[str, float]]
-    seed: int
-    surface: Surface
-    say: Progress
-    region: str
-
-    def years(self, record: Record, rare: Sequence[Shots], where: str = "") -> Iterator[Year]:
-        """The simulated years; `where` is added to the region's name in messages."""
-        name = f"{self.region}{where}"
-        return simulate_years(
-            self.fit, record, self.members, self.seed, self.surface, rare=rare,
-            say=lambda text: self.say(f"{name}: {text}"),
-        )  # fmt: skip
-
-
 def _region(
-    ensemble: _Ensemble,
+    fit: Fit,
     region: Region,
     power: Record | PowerCurve | None,
     limits: Sequence[ClimateLimit],
     plan: ProfilePlan,
+    simulate: Callable[[Record, Sequence[Shots], Callable[[str], None]], Iterator[Year]],
+    members: int,
+    say: Progress,
 ) -> RegionClimate:
-    fit, members = ensemble.fit, len(ensemble.members)
     record, statements = driven(fit, region.weather, power)
     rare = shots_of(fit, record)
     statements += shot_words(rare)
-    gathered, count = _gathered(ensemble.years(record, rare), limits, plan.law, members)
+    years = simulate(record, rare, lambda text: say(f"{region.name}: {text}"))
+    gathered, count = _gathered(years, limits, plan.law, members)
     if not gathered.spans:
         raise ValueError(
             "weather and power are never known at the same instant; check the files and their spans"
@@ -286,9 +272,9 @@ def _region(
     ]
     if operates:
         still, _ = driven(fit, region.weather, None)
-        years = ensemble.years(still, rare, " at standstill")
+        years = simulate(still, rare, lambda text: say(f"{region.name} at standstill: {text}"))
         scopes[STANDSTILL_YEAR] = _bounded(_gathered(years, (), plan.law, members)[0].of("all"))
-    ensemble.say(f"{region.name}: test profile")
+    say(f"{region.name}: test profile")
     profile = gathered.test_profile(plan)
     if profile is None:
         statements.append(NO_PROFILE)

@@ -21,7 +21,7 @@ from hygrokf.fleet.job import Job, Row, Work
 from hygrokf.fleet.plan import FleetPlan
 from hygrokf.fleet.results import FleetResults
 from hygrokf.fleet.running import run_jobs
-from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS, ClimateOptions, DiscoverOptions, FitOptions
+from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS
 from hygrokf.identification.fit import write_fit
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.fit_page import write_report
@@ -78,16 +78,11 @@ def do_task(job: Job) -> Row:
 def _fit(job: Job) -> Row:
     from hygrokf.identification.procedure import identify
 
-    record, options = read_case(job.case), FitOptions(**job.options)
-    fit = identify(
-        record,
-        criterion=options.criterion,
-        kind=options.kind,
-        starts=options.starts,
-        profiles=options.profiles,
-    )
+    record, options = read_case(job.case), dict(job.options)
+    report = options.pop("report")
+    fit = identify(record, **options)
     write_fit(fit, job.folder)
-    if options.report:
+    if report:
         write_report(job.folder)
     found = fit.results
     return {
@@ -116,7 +111,7 @@ def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]
     for name in PARTS:
         constant = constants.get(name)
         for end in ("value_h", "lower_h", "upper_h"):
-            found[f"{name}_{end}"] = math.nan if constant is None else getattr(constant, end)
+            found[f"{name}_{end}"] = getattr(constant, end, math.nan)
         found[f"{name}_statement"] = "" if constant is None or constant.closed else constant.texts[0]
     return found | _of_verdicts(constants)
 
@@ -141,10 +136,9 @@ def _discover(job: Job) -> Row:
     from hygrokf.discovery.results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
 
-    options = DiscoverOptions(**job.options)
-    own, record = own_causes(options.library), read_case(job.case)
+    own, record = own_causes(job.options["library"]), read_case(job.case)
     discovery = discover(record, library=(*LIBRARY, *own))
-    write = write_discovery_report if options.report else write_discovery
+    write = write_discovery_report if job.options["report"] else write_discovery
     write(discovery, job.folder)
     found = discovery.results
     named = [one for one in found.causes if one.told_apart]
@@ -219,16 +213,16 @@ def _climate(job: Job) -> Row:
     from hygrokf.climate.region import Region, read_power
     from hygrokf.report.climate_page import write_climate_report
 
-    fit, options = stored_fit(*_model(job)), ClimateOptions(**job.options)
+    fit, options = stored_fit(*_model(job)), job.options
     weather = read_case(job.case, cabinet=False)
-    still = options.standstill or fit.design.power_scale_W is None
+    still = options["standstill"] or fit.design.power_scale_W is None
     study = climate_profile(
         fit,
         [Region(job.turbine, weather, (job.case.name,))],
         None if still else read_power(job.case),
-        limits=[limit for file in options.limits for limit in limits_of(file)],
-        members=options.members,
-        seed=options.seed,
+        limits=[limit for file in options["limits"] for limit in limits_of(file)],
+        members=options["members"],
+        seed=options["seed"],
     )
     write_climate_report(study, job.folder)
     (region,) = study.regions
@@ -239,9 +233,8 @@ def _climate(job: Job) -> Row:
         "bounds_hold": region.bounds_hold,
     }
     for name in CLIMATE_COLUMNS:
-        statistic = region.year.get(name)
         for part, suffix in (("value", ""), ("lower", "_lower"), ("upper", "_upper")):
-            columns[f"{name}{suffix}"] = getattr(statistic, part) if statistic else math.nan
+            columns[f"{name}{suffix}"] = getattr(region.year.get(name), part, math.nan)
     columns["limits"] = region.verdict
     columns["wetness_class"] = region.wetness_class or ""
     columns["statements"] = BETWEEN.join(region.statements)

@@ -6,7 +6,6 @@ import logging
 import math
 import os
 import pickle
-import queue
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from hygrokf.data.files import FLEET, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.data.result_file import ResultFault, result_text
@@ -290,104 +289,83 @@ def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Row]
     it; the job is tried once more, and is `lost` if that process dies too.  When the caller stops early all
     processes end.
     """
-    crew = [_Worker(work) for _ in range(min(workers, len(jobs)))]
-    idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-    for one in crew:
-        idle.put(one)
-
-    def done(job: Job) -> Row:
-        worker = idle.get()
-        try:
-            for _ in range(ATTEMPTS):
-                if (found := worker.ask(job)) is not None:
-                    return found
-            return row_of(job, LOST, reason=worker.epitaph)
-        finally:
-            idle.put(worker)
-
-    pool = ThreadPoolExecutor(len(crew))
+    crew = _Crew(work)
+    pool = ThreadPoolExecutor(min(workers, len(jobs)))
     try:
-        for future in as_completed([pool.submit(done, job) for job in jobs]):
+        for future in as_completed([pool.submit(crew.do, job) for job in jobs]):
             yield future.result()
     finally:
-        for one in crew:
-            one.dismiss()
+        crew.dismiss()
         pool.shutdown(cancel_futures=True)
-        for one in crew:
-            one.close()
+        crew.bury_all()
 
 
-class _Worker:
-    """A process that does jobs; a new one is started where the last has died."""
+class _Crew:
+    """Processes that do jobs, one for each thread that asks; a new one is started where the last has died."""
 
     def __init__(self, work: Work) -> None:
-        self._work = work
-        self.dismissed = False
-        self.epitaph = ""
-        self._process: subprocess.Popen[bytes] | None = None
-        self._said = tempfile.TemporaryFile()
-        self._lock = threading.Lock()
+        self._begin = (
+            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import answer_jobs; "
+            f"from {work.__module__} import {work.__qualname__} as work; sys.exit(answer_jobs(work))"
+        )
+        self._own, self._lock, self._dismissed = threading.local(), threading.Lock(), False
+        self._said: dict[subprocess.Popen[bytes], IO[bytes]] = {}
+        """What each process writes to its standard error."""
 
-    def ask(self, job: Job) -> Row | None:
-        """The row of a job; None where the process died over it (`epitaph` says why)."""
-        process = self._started()
-        if process is None:
-            return None
-        assert process.stdin is not None and process.stdout is not None
-        with suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):  # it may die over the job
-            pickle.dump(job, process.stdin)
-            process.stdin.flush()
-            found: Row = pickle.load(process.stdout)
-            return found
-        self.epitaph = _epitaph(self._reap(process), self._last_words())
-        return None
+    def do(self, job: Job) -> Row:
+        """The row of a job; it is lost where the process died over it every time."""
+        reason = ""
+        for _ in range(ATTEMPTS):
+            if (process := self._process()) is None:
+                break
+            assert process.stdin is not None and process.stdout is not None
+            with suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):  # it may die over the job
+                pickle.dump(job, process.stdin)
+                process.stdin.flush()
+                found: Row = pickle.load(process.stdout)
+                return found
+            reason = self._buried(process)
+        return row_of(job, LOST, reason=reason)
 
-    def _reap(self, process: subprocess.Popen[bytes]) -> int:
-        status = process.wait()
+    def _process(self) -> subprocess.Popen[bytes] | None:
+        with self._lock:  # a dismissed crew starts no process
+            process: subprocess.Popen[bytes] | None = getattr(self._own, "process", None)
+            if process is None and not self._dismissed:
+                said = tempfile.TemporaryFile()
+                process = self._own.process = subprocess.Popen(
+                    [sys.executable, "-c", self._begin],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=said,
+                    env={**os.environ, **ENVIRONMENT},
+                )
+                self._said[process] = said
+            return process
+
+    def _buried(self, process: subprocess.Popen[bytes]) -> str:
+        """Wait for a process to end, and close what belongs to it; returns why it died."""
+        status, self._own.process = process.wait(), None
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):  # unwritten text is lost
                 if pipe is not None:
                     pipe.close()
         with self._lock:
-            self._process = None
-        return status
-
-    def _started(self) -> subprocess.Popen[bytes] | None:
-        with self._lock:  # a dismissed worker starts no process
-            if self._process is None and not self.dismissed:
-                self._said.seek(0)
-                self._said.truncate()
-                work = self._work
-                begin = (
-                    f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import answer_jobs; "
-                    f"from {work.__module__} import {work.__qualname__} as work; sys.exit(answer_jobs(work))"
-                )
-                self._process = subprocess.Popen(
-                    [sys.executable, "-c", begin],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=self._said,
-                    env={**os.environ, **ENVIRONMENT},
-                )
-            return self._process
-
-    def _last_words(self) -> str:
-        self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - 4000))
-        lines = self._said.read().decode(errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+            said = self._said.pop(process)
+        with said:
+            said.seek(max(0, said.seek(0, os.SEEK_END) - 4000))
+            lines = said.read().decode(errors="replace").split("\n")
+        return _epitaph(status, next((line.strip() for line in reversed(lines) if line.strip()), ""))
 
     def dismiss(self) -> None:
         with self._lock:
-            self.dismissed = True
-            if self._process is not None:
-                self._process.kill()
+            self._dismissed = True
+            for process in self._said:
+                process.kill()
 
-    def close(self) -> None:
-        """Kill the process and remove everything that belongs to it."""
-        self.dismiss()
-        if self._process is not None:
-            self._reap(self._process)
-        self._said.close()
+    def bury_all(self) -> None:
+        """Remove everything that belongs to dismissed processes."""
+        for process in list(self._said):
+            self._buried(process)
 
 
 def _epitaph(status: int, last_words: str) -> str:

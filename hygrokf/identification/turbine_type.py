@@ -46,7 +46,6 @@ AMBIENT_SLOPES = {
 }
 """Levels of the heat release at the design's reference temperature, and their slopes over the ambient
 temperature."""
-POWERS = tuple(range(1, 6))
 
 
 class TypeFault(HygrokfError, ValueError):
@@ -248,7 +247,8 @@ def reference_K(design: Design) -> float:
 
 def _power_of(name: str) -> int:
     """The exponent of the relative power that a coefficient belongs to; 0 for other parameters."""
-    return next((k for k in POWERS if name == f"heat_release_power_{k}"), 0)
+    order = name.removeprefix("heat_release_power_")
+    return int(order) if order.isdecimal() else 0
 
 
 def _scale_ratio(wanted: Design, given: Design) -> float:

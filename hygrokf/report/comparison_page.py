@@ -40,8 +40,7 @@ from hygrokf.report.page import page_html
 from hygrokf.transfer.comparison import (
     Comparison,
     ComparisonResults,
-    ErrorDifference,
-    PairDifference,
+    ErrorRow,
 )
 from hygrokf.transfer.results import RecordCourse, read_courses, write_courses
 from hygrokf.version import __version__
@@ -103,9 +102,9 @@ def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResult
 def comparison_blocks(found: ComparisonResults, courses: Sequence[RecordCourse] = ()) -> Page:
     """What a comparison says: which column errs less, and the courses, first."""
     labels = [one.label for one in found.columns]
-    cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))
+    cards = tuple(_card(found, q) for q in SCORED if found.errors("whole", q))
     scores = [scores_table(found, quantity) for quantity in SCORED]
-    differences = [table for pair in found.differences if (table := differences_table(pair))]
+    differences = [differences_table(found, *pair) for pair in found.pairs]
     skill = skill_table(found)
     verdicts = [inherited_verdicts(one.verdicts, f"{one.label}: the fit {one.fit}") for one in found.columns]
     notes = tuple(
@@ -186,10 +185,10 @@ def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
 def _card(found: ComparisonResults, quantity: str) -> Card:
     """The column that errs least in one quantity, and its differences from the others."""
     name, unit = QUANTITIES[quantity]
-    period = "validation" if any(c.total("validation", quantity) for c in found.columns) else "whole"
-    scored = {c.label: row.rmse for c in found.columns if (row := c.total(period, quantity)) is not None}
-    best = min(scored, key=lambda label: scored[label])
-    value = f"{best}: {fixed(scored[best])} {unit}"
+    period = "validation" if found.errors("validation", quantity) else "whole"
+    scored = found.errors(period, quantity)
+    best = min(scored, key=lambda label: scored[label].value)
+    value = f"{best}: {fixed(scored[best].value)} {unit}"
     lines = summary(found, quantity, best)
     label = f"Smallest error of the {name}, {_WHERE[period]}"
     return Card(label, value, lines=tuple(lines[:2]), words=True, tone="plain")
@@ -202,17 +201,18 @@ def summary(found: ComparisonResults, quantity: str, best: str) -> list[str]:
     """The differences of the best column from the others in one quantity, in sentences: in validation, and
     over the whole record where the validation is too short for bounds."""
     said = []
-    for pair in (one for one in found.differences if best in (one.of, one.less)):
-        rows = [(p, row) for p in _WHERE if (row := pair.total(p, quantity)) is not None]
-        last = next((i for i, (_, row) in enumerate(rows) if math.isfinite(row.lower)), 0)
-        said += [_sentence(pair, quantity, period, row) for period, row in rows[: last + 1]]
+    for of, less in (pair for pair in found.pairs if best in pair):
+        rows = [found.row("difference", of, period, quantity, against=less) for period in _WHERE]
+        rows = [row for row in rows if row.n]
+        last = next((i for i, row in enumerate(rows) if math.isfinite(row.lower)), 0)
+        said += [_sentence(row) for row in rows[: last + 1]]
     if not said and len(found.columns) > 1:
         return ["The columns have no common instants: compare the bounds of their errors."]
     return said
 
 
-def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDifference) -> str:
-    less, more = (pair.of, pair.less) if row.value < 0 else (pair.less, pair.of)
+def _sentence(row: ErrorRow) -> str:
+    less, more = (row.column, row.against) if row.value < 0 else (row.against, row.column)
     if math.isnan(row.lower):
         sure = "; not enough data for bounds"
     elif row.sure:
@@ -220,11 +220,10 @@ def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDiffer
         sure = f" (95 % {fixed(low)} … {fixed(high)})"
     else:
         sure = "; the bounds include zero"
-    unit = QUANTITIES[quantity][1]
+    unit, where = QUANTITIES[row.quantity][1], _WHERE[row.period]
     if abs(row.value) < 0.005:
-        return f"{pair.of} and {pair.less} differ by less than 0.01 {unit} {_WHERE[period]}{sure}."
-    size = f"{fixed(abs(row.value))} {unit}"
-    return f"{less} errs by {size} less than {more} {_WHERE[period]}{sure}."
+        return f"{row.column} and {row.against} differ by less than 0.01 {unit} {where}{sure}."
+    return f"{less} errs by {fixed(abs(row.value))} {unit} less than {more} {where}{sure}."
 
 
 # --- tables ----------------------------------------------------------------------------------
@@ -235,10 +234,9 @@ def scores_table(found: ComparisonResults, quantity: str) -> Table:
     labels, rows = short_labels([one.label for one in found.columns]), []
     for period in PERIODS:
         for one, label in zip(found.columns, labels, strict=True):
-            total = one.total(period, quantity)
-            if total is not None:
-                by_regime = one.scores[period][quantity]
-                cells = (fixed(by_regime[regime].rmse) for regime in REGIMES)
+            if (total := found.errors(period, quantity).get(one.label)) is not None:
+                regimes = (found.row("rmse", one.label, period, quantity, regime) for regime in REGIMES)
+                cells = (fixed(row.value) for row in regimes)
                 rows.append((label, period, *cells, _span(total.lower, total.upper), str(total.n)))
     name, unit = QUANTITIES[quantity]
     return Table(
@@ -249,24 +247,27 @@ def scores_table(found: ComparisonResults, quantity: str) -> Table:
     )
 
 
-def differences_table(pair: PairDifference) -> Table:
+def differences_table(found: ComparisonResults, of: str, less: str) -> Table:
     """RMSE of one column less that of another; rows whose bounds exclude zero are bold."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
     for quantity in SCORED:
         for period in PERIODS:
-            total = pair.total(period, quantity)
-            if total is None:
+            by_regime = {
+                regime: found.row("difference", of, period, quantity, regime, less) for regime in REGIMES
+            }
+            total = by_regime["total"]
+            if not total.n:
                 continue
             if total.sure:
                 marked.append(len(rows))
             name, unit = QUANTITIES[quantity]
-            others = "" if pair.same_readings[quantity] else ", other readings"
-            cells = (signed(pair.scores[period][quantity][regime].value) for regime in REGIMES)
+            others = "" if total.same_readings else ", other readings"
+            cells = (signed(row.value) for row in by_regime.values())
             span = _span(total.lower, total.upper)
             rows.append((f"{name} [{unit}]{others}", period, *cells, span, str(total.n)))
     return Table(
-        f"RMSE of {pair.of} less that of {pair.less}",
+        f"RMSE of {of} less that of {less}",
         ("", "period", *REGIMES, "total, 95 %", "n"),
         tuple(rows),
         left=(0, 1),
@@ -279,16 +280,21 @@ def skill_table(found: ComparisonResults) -> Table:
     labels, rows = short_labels([one.label for one in found.columns]), []
     for one, label in zip(found.columns, labels, strict=True):
         for quantity in SCORED:
-            period = next((p for p in _WHERE if one.total(p, quantity) is not None), None)
+            period = next((p for p in _WHERE if one.label in found.errors(p, quantity)), None)
             if period is None:
                 continue
-            total = one.scores[period][quantity]["total"]
-            for rule, said in total.rules.items():
+            total = found.errors(period, quantity)[one.label]
+            for rule in RULES:
+                skill, error = (
+                    found.row(kind, one.label, period, quantity, against=rule) for kind in ("skill", "rule")
+                )
+                if not skill.n:
+                    continue
                 bounds = NONE
-                if math.isfinite(said.lower):
-                    bounds = f"{share_text(said.lower)} … {share_text(said.upper)}"
-                cells = (fixed(said.rmse), fixed(total.rmse), share_text(said.skill), bounds)
-                rows.append((label, QUANTITIES[quantity][0], RULES.get(rule, rule), period, *cells))
+                if math.isfinite(skill.lower):
+                    bounds = f"{share_text(skill.lower)} … {share_text(skill.upper)}"
+                cells = (fixed(error.value), fixed(total.value), share_text(skill.value), bounds)
+                rows.append((label, QUANTITIES[quantity][0], RULES[rule], period, *cells))
     return Table(
         "Skill",
         ("", "quantity", "rule", "period", "rule", "model", "skill", "95 %"),

@@ -15,13 +15,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import combinations
-from typing import TYPE_CHECKING, TypeVar
+from functools import cached_property
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.data.structured import optional
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.scoring import PERIODS, REGIMES, guesses, period_masks, rmse
@@ -43,51 +43,32 @@ UNSCORED = (
     "known (a fit that knows the power needs the power); see `hygrokf check`"
 )
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
-T = TypeVar("T")
-ByRegime = Mapping[str, Mapping[str, Mapping[str, T]]]
-"""By period, quantity and regime."""
 
 
 # --- what a comparison finds -----------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class RuleScore:
-    """A rule without a model, on the instants that it and the model score.
+class ErrorRow:
+    """A number of a comparison in one period, quantity and regime: a row of compare.csv.
 
-    `n` readings; `rmse` [K], [g/m³] of the rule; `skill` [1] 1 − MSE/MSE of the rule, with 95 % bounds.
+    `kind`: "rmse" of a `column` [K], [g/m³]; "rule": that of the rule without a model which `against` names;
+    "skill" [1]: 1 − MSE/MSE of that rule; "difference": RMSE of `column` less that of the column `against`.
+    `n` readings, those that both score.  `lower`, `upper`: 95 % bounds, NaN where there are too few readings.
+    `same_readings`: whether both columns of a difference are scored on the same ones.
     """
 
-    n: int
-    rmse: float
-    skill: float = math.nan
-    lower: float = math.nan
-    upper: float = math.nan
-
-
-@dataclass(frozen=True)
-class Score:
-    """Root mean squared error [K], [g/m³] of `n` readings with 95 % bounds (NaN where there are too few).
-
-    `rules` by name; `blocks` the effective number of bootstrap blocks, where anything was scored.
-    """
-
-    n: int
-    rmse: float = math.nan
-    lower: float = math.nan
-    upper: float = math.nan
-    rules: Mapping[str, RuleScore] = field(default_factory=dict)
-    blocks: float | None = optional()
-
-
-@dataclass(frozen=True)
-class ErrorDifference:
-    """RMSE of one column less that of another [K], [g/m³] on `n` common readings, with 95 % bounds."""
-
-    n: int
+    kind: Literal["rmse", "rule", "skill", "difference"]
+    column: str
+    against: str
+    quantity: str
+    period: str
+    regime: str
+    n: int = 0
     value: float = math.nan
     lower: float = math.nan
     upper: float = math.nan
+    same_readings: bool = True
 
     @property
     def sure(self) -> bool:
@@ -96,11 +77,11 @@ class ErrorDifference:
 
 
 @dataclass(frozen=True)
-class ColumnScores:
-    """The errors of one column.
+class ComparedColumn:
+    """What is compared: a `fit` on a `case`.
 
-    `fit`, `case` what was combined; `identified_here` whether the fit was identified on this record;
-    `verdicts` on the fit's time constants; `weeks` by quantity: middle [s since 1970] and RMSE of each week.
+    `identified_here` whether the fit was identified on this record; `weeks` by quantity: middle [s since
+    1970] and RMSE of each week; `verdicts` on the fit's time constants.
     """
 
     label: str
@@ -108,32 +89,8 @@ class ColumnScores:
     case: str
     identified_here: bool
     statements: tuple[str, ...]
-    scores: ByRegime[Score]
     weeks: Mapping[str, tuple[np.ndarray, np.ndarray]]
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
-
-    def total(self, period: str, quantity: str) -> Score | None:
-        """The error of all scored instants of a period; None where nothing is scored."""
-        found = self.scores.get(period, {}).get(quantity, {}).get("total")
-        return found if found is not None and math.isfinite(found.rmse) else None
-
-
-@dataclass(frozen=True)
-class PairDifference:
-    """Errors of the column `of` less those of the column `less`, on their common instants.
-
-    `same_readings` by quantity: whether both are scored on the same readings.
-    """
-
-    of: str
-    less: str
-    same_readings: Mapping[str, bool]
-    scores: ByRegime[ErrorDifference]
-
-    def total(self, period: str, quantity: str) -> ErrorDifference | None:
-        """The difference over a period; None without common instants."""
-        found = self.scores.get(period, {}).get(quantity, {}).get("total")
-        return found if found is not None and math.isfinite(found.value) else None
 
 
 @dataclass(frozen=True)
@@ -143,39 +100,50 @@ class ComparisonResults:
     version: str
     created: str
     synthetic: bool
-    columns: tuple[ColumnScores, ...]
-    differences: tuple[PairDifference, ...]
+    columns: tuple[ComparedColumn, ...]
+    rows: tuple[ErrorRow, ...]
 
-    def rows(self) -> Iterator[tuple[str | int | float, ...]]:
-        """Every number, with the cells of `TABLE_HEAD`; NaN where there are no bounds.
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """The columns that have common instants."""
+        return list(dict.fromkeys((r.column, r.against) for r in self.rows if r.kind == "difference"))
 
-        `kind`: rmse (value RMSE), rule (RMSE of a rule without a model, named in `against`), skill (1 −
-        MSE/MSE of that rule), difference (RMSE of `column` less that of `against` on common instants).
-        """
-        none = (math.nan, math.nan)
-        for one in self.columns:
-            names = (one.fit, one.case)
-            for (period, quantity, regime), row in cells(one.scores):
-                if not math.isfinite(row.rmse):
-                    continue
-                place = (quantity, UNITS[quantity], period, regime)
-                yield "rmse", one.label, "", *names, *place, row.n, row.rmse, row.lower, row.upper
-                for rule, score in row.rules.items():
-                    yield "rule", one.label, rule, *names, *place, score.n, score.rmse, *none
-                    ends = (score.n, score.skill, score.lower, score.upper)
-                    yield "skill", one.label, rule, *names, quantity, "1", period, regime, *ends
-        for pair in self.differences:
-            for (period, quantity, regime), apart in cells(pair.scores):
-                if math.isfinite(apart.value):
-                    place = (quantity, UNITS[quantity], period, regime)
-                    ends = (apart.n, apart.value, apart.lower, apart.upper)
-                    yield "difference", pair.of, pair.less, "", "", *place, *ends
+    def row(
+        self,
+        kind: Literal["rmse", "rule", "skill", "difference"],
+        column: str,
+        period: str,
+        quantity: str,
+        regime: str = "total",
+        against: str = "",
+    ) -> ErrorRow:
+        """One number; NaN where it is not known."""
+        row = self._by_place.get((kind, column, against, quantity, period, regime))
+        return row or ErrorRow(kind, column, against, quantity, period, regime)
+
+    @cached_property
+    def _by_place(self) -> dict[tuple[str, ...], ErrorRow]:
+        return {(r.kind, r.column, r.against, r.quantity, r.period, r.regime): r for r in self.rows}
+
+    def errors(self, period: str, quantity: str) -> dict[str, ErrorRow]:
+        """The errors of all scored instants of a period, by label; without columns that have none."""
+        wanted = ("rmse", quantity, period, "total")
+        return {r.column: r for r in self.rows if (r.kind, r.quantity, r.period, r.regime) == wanted}
 
     def to_frame(self) -> pandas.DataFrame:
         """Every number of the comparison in one row, as in compare.csv."""
         import pandas as pd
 
-        return pd.DataFrame(list(self.rows()), columns=list(TABLE_HEAD))
+        fits = {one.label: (one.fit, one.case) for one in self.columns}
+        rows = [
+            (
+                r.kind, r.column, r.against, *(("", "") if r.kind == "difference" else fits[r.column]),
+                r.quantity, "1" if r.kind == "skill" else UNITS[r.quantity], r.period, r.regime, r.n, r.value,
+                r.lower, r.upper,
+            )
+            for r in self.rows
+        ]  # fmt: skip
+        return pd.DataFrame(rows, columns=list(TABLE_HEAD))
 
 
 TABLE_HEAD = (
@@ -185,14 +153,6 @@ TABLE_HEAD = (
 """Columns of compare.csv."""
 
 
-def cells(scores: ByRegime[T]) -> Iterator[tuple[tuple[str, str, str], T]]:
-    """(period, quantity, regime) and the score of each cell."""
-    for period, by_quantity in scores.items():
-        for quantity, by_regime in by_quantity.items():
-            for regime, row in by_regime.items():
-                yield (period, quantity, regime), row
-
-
 # --- comparing -------------------------------------------------------------------------------
 
 
@@ -200,22 +160,20 @@ def cells(scores: ByRegime[T]) -> Iterator[tuple[tuple[str, str, str], T]]:
 class ComparisonColumn:
     """The free run of a fit on a record: `errors` (T,) by quantity, NaN where nothing is scored.
 
-    `label` short name; `fit`, `case` what was combined; `own` whether the fit was identified on this record;
-    `course` its readings and simulation; `rules` errors of the rules without a model, by quantity and rule;
-    `masks` (T,) by period; `verdicts` on the fit's time constants.
+    `names` what was combined; `course` its readings and simulation; `rules` errors of the rules without a
+    model, by quantity and rule; `masks` (T,) by period.
     """
 
-    label: str
-    fit: str
-    case: str
-    own: bool
+    names: ComparedColumn
     course: RecordCourse
     errors: Mapping[str, np.ndarray]
     rules: Mapping[str, Mapping[str, np.ndarray]]
     masks: Mapping[str, np.ndarray]
-    statements: tuple[str, ...]
     synthetic: bool
-    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        return self.names.label
 
     def scored_at(self, quantity: str, period: str, regime: str) -> np.ndarray:
         """(T,) True at the scored instants of a period and a regime."""
@@ -245,19 +203,11 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
                 name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
             }
     masks = {**period_masks(run, record.until_s), "whole": np.ones(len(run.timeline), bool)}
-    return ComparisonColumn(
-        label,
-        fit.name,
-        record.name,
-        own,
-        course,
-        errors,
-        rules,
-        masks,
-        (*mismatches(fit, record), *(() if errors else (UNSCORED,))),
-        fit.results.synthetic or "synthetic" in record.name.lower(),
-        inherited(fit.results),
-    )
+    statements = (*mismatches(fit, record), *(() if errors else (UNSCORED,)))
+    weeks = {quantity: rmse_by_week(course, error) for quantity, error in errors.items()}
+    names = ComparedColumn(label, fit.name, record.name, own, statements, weeks, inherited(fit.results))
+    synthetic = fit.results.synthetic or "synthetic" in record.name.lower()
+    return ComparisonColumn(names, course, errors, rules, masks, synthetic)
 
 
 @dataclass(frozen=True)
@@ -286,80 +236,61 @@ def compare(columns: Sequence[ComparisonColumn]) -> Comparison:
         __version__,
         datetime.now(UTC).isoformat(timespec="seconds"),
         any(one.synthetic for one in columns),
-        tuple(_column_scores(one) for one in columns),
-        tuple(_difference(a, b) for a, b in combinations(columns, 2)),
+        tuple(one.names for one in columns),
+        (
+            *(row for one in columns for row in _scores(one)),
+            *(row for a, b in combinations(columns, 2) for row in _differences(a, b)),
+        ),
     )
     return Comparison(tuple(columns), results)
 
 
-def _column_scores(one: ComparisonColumn) -> ColumnScores:
-    scores = {
-        period: {
-            quantity: {
-                regime: _scored(one, quantity, one.scored_at(quantity, period, regime)) for regime in REGIMES
-            }
-            for quantity in one.errors
-        }
-        for period in ALL_PERIODS
-    }
-    weeks = {quantity: rmse_by_week(one, quantity) for quantity in one.errors}
-    return ColumnScores(
-        one.label, one.fit, one.case, one.own, one.statements, scores, weeks, dict(one.verdicts)
-    )
+def _scores(one: ComparisonColumn) -> Iterator[ErrorRow]:
+    """The errors of a column; those of the rules beside them on the same instants."""
+    time = one.course.time_s
+    for period, quantity, regime in product(ALL_PERIODS, one.errors, REGIMES):
+        chosen, place = one.scored_at(quantity, period, regime), (quantity, period, regime)
+        error = np.where(chosen, one.errors[quantity], np.nan)
+        drawn = resampled(time, error[:, None])
+        if drawn is None:
+            continue
+        ends = drawn.bounds(0) or ()
+        yield ErrorRow("rmse", one.label, "", *place, int(chosen.sum()), float(drawn.value[0]), *ends)
+        for name, rule in one.rules[quantity].items():
+            both = resampled(time, np.column_stack([error, rule]))
+            if both is not None:
+                mine, other = map(float, both.value)
+                alone = (1.0 - (mine / other) ** 2 if other > 0 else math.nan,)
+                yield ErrorRow("rule", one.label, name, *place, both.n, other)
+                yield ErrorRow("skill", one.label, name, *place, both.n, *(both.skill(0, 1) or alone))
 
 
-def _scored(one: ComparisonColumn, quantity: str, chosen: np.ndarray) -> Score:
-    """The error on the chosen instants (T,); the rules' errors beside it on the same instants."""
-    time, error = one.course.time_s, np.where(chosen, one.errors[quantity], np.nan)
-    drawn = resampled(time, error[:, None])
-    if drawn is None:
-        return Score(int(chosen.sum()))
-    rules = {}
-    for name, rule in one.rules[quantity].items():
-        both = resampled(time, np.column_stack([error, rule]))
-        if both is not None:
-            alone = 1.0 - (both.value[0] / both.value[1]) ** 2 if both.value[1] > 0 else math.nan
-            skill = both.skill(0, 1) or (float(alone), math.nan, math.nan)
-            rules[name] = RuleScore(both.n, float(both.value[1]), *skill)
-    ends = drawn.bounds(0) or (math.nan, math.nan)
-    return Score(int(chosen.sum()), float(drawn.value[0]), *ends, rules, drawn.blocks)
-
-
-def _difference(a: ComparisonColumn, b: ComparisonColumn) -> PairDifference:
+def _differences(a: ComparisonColumn, b: ComparisonColumn) -> Iterator[ErrorRow]:
     common, i, j = np.intersect1d(a.course.time_s, b.course.time_s, assume_unique=True, return_indices=True)
-    same: dict[str, bool] = {}
-    pairs: dict[str, np.ndarray] = {}
-    for quantity in (q for q in a.errors if q in b.errors):
+    shared = [quantity for quantity in a.errors if quantity in b.errors]
+    for period, quantity, regime in product(ALL_PERIODS, shared, REGIMES):
         pair = np.column_stack([a.errors[quantity][i], b.errors[quantity][j]])
         there = np.isfinite(pair).all(axis=1)
-        if there.any():
-            apart = np.abs(a.course.measured[quantity][i] - b.course.measured[quantity][j])[there]
-            same[quantity], pairs[quantity] = bool(apart.max() <= SAME), pair
-
-    def apart_in(period: str, quantity: str, regime: str) -> ErrorDifference:
         chosen = a.scored_at(quantity, period, regime)[i] & b.scored_at(quantity, period, regime)[j]
-        drawn = resampled(common, np.where(chosen[:, None], pairs[quantity], np.nan))
-        if drawn is None:
-            return ErrorDifference(0)
-        alone = (float(drawn.value[0] - drawn.value[1]), math.nan, math.nan)
-        return ErrorDifference(drawn.n, *(drawn.difference(0, 1) or alone))
-
-    scores = {
-        period: {q: {regime: apart_in(period, q, regime) for regime in REGIMES} for q in pairs}
-        for period in ALL_PERIODS
-    }
-    return PairDifference(a.label, b.label, same, scores)
+        drawn = resampled(common, np.where(chosen[:, None], pair, np.nan))
+        if drawn is not None:
+            apart = np.abs(a.course.measured[quantity][i] - b.course.measured[quantity][j])[there]
+            ends = drawn.difference(0, 1) or (float(drawn.value[0] - drawn.value[1]), math.nan, math.nan)
+            same = bool(apart.max() <= SAME)
+            yield ErrorRow(
+                "difference", a.label, b.label, quantity, period, regime, drawn.n, *ends, same_readings=same
+            )
 
 
-def rmse_by_week(one: ComparisonColumn, quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Middle [s] and root mean squared error of every week with at least a day of scored readings."""
-    error, time = one.errors[quantity], one.course.time_s
-    there = np.isfinite(error)
+def rmse_by_week(course: RecordCourse, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle [s] and root mean square of an error (T,) in every week with at least a day of scored
+    readings."""
+    there, time = np.isfinite(error), course.time_s
     week = np.floor(time / WEEK_S).astype(int)
     middles, values = [], []
     for number in np.unique(week[there]):
         part = there & (week == number)
         if np.ptp(time[part]) >= DAY_S:
             middles.append((number + 0.5) * WEEK_S)
-            values.append(rmse(error[part], one.course.operating[part]).total)
+            values.append(rmse(error[part], course.operating[part]).total)
     return np.array(middles), np.array(values, dtype=float)

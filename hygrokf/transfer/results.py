@@ -6,11 +6,11 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -57,65 +57,53 @@ class RecordCourse:
         end_s = math.nan if until_s is None else until_s
         return cls(t.seconds, end_s, run.scored, run.operating, {q: known[q] for q in SCORED}, courses)
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays of a file: `temperature_K_measured`, `temperature_K_as_is`, and so on."""
-        found = {
-            "time_s": self.time_s,
-            "scored": self.scored.astype(float),
-            "operating": self.operating.astype(float),
-            "until_s": np.array(self.until_s),
-        }
-        for name, one in {"measured": self.measured, **self.simulated}.items():
-            found |= {f"{quantity}_{name}": value for quantity, value in one.items()}
-        return found
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> RecordCourse:
-        """A course from the data of `arrays`.  Raises ValueError with all faults."""
-        time = instants(arrays)
-        faults = [] if len(time) else ["time_s: expected increasing instants [s since 1970]"]
-        values = {name: np.asarray(v, dtype=float) for name, v in arrays.items() if name != "time_s"}
-        until = values.pop("until_s", np.array(np.nan))
-        for name in ("scored", "operating"):
-            if name not in values:
-                faults.append(f"{name}: expected, and missing")
-        faults += [
-            f"{name}: expected {len(time)} numbers, found {v.size}"
-            for name, v in values.items()
-            if len(time) and v.shape != time.shape
+    def __post_init__(self) -> None:
+        series = {"scored": self.scored, "operating": self.operating}
+        for name, values in {"measured": self.measured, **self.simulated}.items():
+            series |= {f"{name} {quantity}": value for quantity, value in values.items()}
+        faults = [
+            f"{name}: expected {self.time_s.shape} numbers, found {value.shape}"
+            for name, value in series.items()
+            if value.shape != self.time_s.shape
         ]
-        if until.size != 1:
-            faults.append(f"until_s: expected one number, found {until.size}")
+        if not len(instants({"time_s": self.time_s})):
+            faults.append("time_s: expected increasing instants [s since 1970]")
         if faults:
             raise ValueError("; ".join(faults))
-        by: dict[str, dict[str, np.ndarray]] = {"measured": {}}
-        for quantity in SCORED:
-            for name in (n for n in values if n.startswith(f"{quantity}_")):
-                by.setdefault(name.removeprefix(f"{quantity}_"), {})[quantity] = values[name]
-        measured = by.pop("measured")
-        return cls(time, float(until), values["scored"] > 0, values["operating"] > 0, measured, by)
 
 
 def write_courses(courses: Sequence[RecordCourse], path: str | os.PathLike[str]) -> Path:
-    """Write courses to one .npz file, atomically.  Raises OSError from the system."""
-    named = {f"{i}/{name}": v for i, one in enumerate(courses) for name, v in one.arrays().items()}
+    """Write courses to one .npz file, atomically, with the places of arrays in them as names, such as
+    "0/simulated/as_is/temperature_K".  Raises OSError from the system."""
+    tree = {str(place): vars(one) for place, one in enumerate(courses)}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **named)  # type: ignore[arg-type]  # its flag is a keyword too
+    np.savez_compressed(buffer, **{"/".join(place): array for place, array in _leaves(tree)})
     return write_bytes_whole(path, buffer.getvalue())
+
+
+def _leaves(tree: Mapping[str, Any], *place: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for name, one in tree.items():
+        if isinstance(one, Mapping):
+            yield from _leaves(one, *place, name)
+        else:
+            yield (*place, name), one
 
 
 def read_courses(path: Path, count: int, command: str) -> tuple[RecordCourse, ...]:
     """The courses of `count` records from a file that `command` wrote.  Raises ResultFault."""
-    found: dict[int, dict[str, np.ndarray]] = {}
+    found: dict[str, Any] = {}
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             for key in file.files:
-                place, _, name = key.partition("/")
-                found.setdefault(int(place), {})[name] = file[key]
-        if sorted(found) != list(range(count)):
+                *place, name = key.split("/")
+                tree = found
+                for step in place:
+                    tree = tree.setdefault(step, {})
+                tree[name] = file[key][()]
+        if sorted(found) != sorted(map(str, range(count))):
             raise ValueError(f"those of {len(found)} records where {count} were expected")
-        return tuple(RecordCourse.from_arrays(found[place]) for place in range(count))
-    except (OSError, ValueError, EOFError, BadZipFile) as fault:
+        return tuple(RecordCourse(**found[str(i)]) for i in range(count))
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, BadZipFile) as fault:
         reason = getattr(fault, "strerror", None) or fault
     raise ResultFault(f"{path}: expected the courses of `{command}`, found: {reason}; run it again")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.transfer.comparison import ComparisonColumn
+from hygrokf.transfer.comparison import ComparedColumn, ComparisonColumn, rmse_by_week
 from hygrokf.transfer.results import RecordCourse
 
 HOUR = 3600.0
@@ -26,9 +26,12 @@ def made_column(
         time, float(time[late][0]), np.isfinite(error), operating,
         {"temperature_K": reading}, {"simulated": {"temperature_K": reading - error}},
     )  # fmt: skip
+    weeks = {"temperature_K": rmse_by_week(course, error)}
     return ComparisonColumn(
-        label, f"fit of {label}", "a case", False, course, {"temperature_K": error},
+        ComparedColumn(label, f"fit of {label}", "a case", False, (), weeks),
+        course,
+        {"temperature_K": error},
         {"temperature_K": {"no_dynamics": 2.0 * error}},
         {"identification": ~late, "validation": late, "whole": np.ones(size, bool)},
-        (), False,
-    )  # fmt: skip
+        False,
+    )

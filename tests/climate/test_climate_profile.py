@@ -39,12 +39,13 @@ def many_days(count: int = 400, seed: int = 6) -> Days:
     swing = np.abs(3 + 2 * random.standard_normal(count))
     celsius = level[:, None] + swing[:, None] * np.cos(2 * np.pi * (hour - 15) / 24)
     percent = 55 + 12 * random.standard_normal((count, 1)) - 2.0 * (celsius - level[:, None])
-    return Days(celsius, np.clip(percent, 5, 100), 86400.0 * np.arange(count))
+    return np.stack([celsius, np.clip(percent, 5, 100)])
 
 
 DAYS = many_days()
+COUNT = DAYS.shape[1]
 LAW = Acceleration()
-AGEING = float(LAW.rate(DAYS.temperature_degC + 273.15, DAYS.relative_humidity_percent / 100).mean() * 8766)
+AGEING = float(LAW.rate(DAYS[0] + 273.15, DAYS[1] / 100).mean() * 8766)
 
 
 def profile_of(length_h: float, service_years: float, ageing: np.ndarray, **chamber: Any) -> ChamberProfile:
@@ -62,26 +63,25 @@ def test_a_profile_ages_as_much_as_the_service() -> None:
 
 
 def test_chosen_days_are_like_all_of_them_and_random_ones_less_so() -> None:
-    site = shares(DAYS.temperature_degC, DAYS.relative_humidity_percent)
+    site = shares(DAYS)
     chosen = choose_days(DAYS, 42, LAW)
     assert len(set(chosen.tolist())) == 42
 
     def distance(places: np.ndarray) -> float:
-        part = DAYS.take(places)
-        return 0.5 * np.abs(shares(part.temperature_degC, part.relative_humidity_percent) - site).sum()
+        return 0.5 * np.abs(shares(DAYS[:, places]) - site).sum()
 
     random = np.random.default_rng(1)
-    others = [distance(random.choice(len(DAYS), 42, replace=False)) for _ in range(50)]
+    others = [distance(random.choice(COUNT, 42, replace=False)) for _ in range(50)]
     assert distance(chosen) < 0.1 < min(others)
-    everything = choose_days(DAYS, len(DAYS) + 10, LAW)  # more than there are
+    everything = choose_days(DAYS, COUNT + 10, LAW)  # more than there are
     assert len(everything) == 410 and np.bincount(everything).max() == 2
 
 
 def test_warming_by_the_law_keeps_every_condition_s_share_of_the_ageing() -> None:
     wide = Chamber((-80.0, 200.0), (0.0, 100.0), 6000.0, 6000.0)
-    celsius, percent = DAYS.temperature_degC.ravel(), DAYS.relative_humidity_percent.ravel()
+    celsius, percent = DAYS.reshape(2, -1)
     before = LAW.rate(celsius + 273.15, percent / 100)
-    warm, damp = set_points(celsius, percent, 5e-4, wide)
+    warm, damp = set_points(DAYS.reshape(2, -1), 5e-4, wide)
     after = LAW.rate(warm + 273.15, damp / 100)
     assert after / before == pytest.approx(np.full(len(celsius), np.exp(0.79 / BOLTZMANN_EV * 5e-4)))
     assert np.array_equal(damp, percent)
@@ -96,10 +96,7 @@ def test_a_chamber_is_never_asked_for_more_than_it_can(
     shift: float, ramp: float, humid: float, top: float
 ) -> None:
     chamber = Chamber((-10.0, top), (20.0, 90.0), ramp, humid)
-    part = DAYS.take(np.arange(20))
-    warm, damp = set_points(
-        part.temperature_degC.ravel(), part.relative_humidity_percent.ravel(), shift, chamber
-    )
+    warm, damp = set_points(DAYS[:, :20].reshape(2, -1), shift, chamber)
     assert -10.0 <= warm.min() and warm.max() <= top and 20.0 <= damp.min() and damp.max() <= 90.0
     assert np.abs(np.diff(warm)).max() <= ramp + 1e-9 and np.abs(np.diff(damp)).max() <= humid + 1e-9
 
@@ -111,7 +108,7 @@ def test_what_is_out_of_reach_is_said() -> None:
     assert not made.reached and aged < 50 * AGEING and found.ageing.test_h == pytest.approx(aged, rel=1e-3)
     assert found.ageing.years == pytest.approx(found.ageing.test_h / AGEING) and found.ageing.years < 50
     with pytest.raises(ValueError, match="no day of the weather"):
-        build_profile(DAYS.take(np.arange(0)), ProfilePlan(), bounded(np.ones((1, 2))), np.zeros(3))
+        build_profile(DAYS[:, :0], ProfilePlan(), bounded(np.ones((1, 2))), np.zeros(3))
 
 
 def test_closeness_tells_what_the_test_has() -> None:
@@ -121,25 +118,23 @@ def test_closeness_tells_what_the_test_has() -> None:
     assert found.joint_distance < 0.15 and found.ageing_distance < 0.2
     numbers = {one.words: one.site for one in found.numbers}
     assert numbers["temperature cycles of 10 K and more, in service"] == 500.0
-    all_of_them = (DAYS.temperature_degC.ravel(), DAYS.relative_humidity_percent.ravel())
+    all_of_them = DAYS.reshape(2, -1)
     whole = closeness(DAYS, all_of_them, all_of_them, ProfilePlan(), bounded(years), np.zeros(3))
     assert whole.joint_distance == 0.0 and whole.ageing_distance == pytest.approx(0.0, abs=1e-12)
     assert all(one.site == pytest.approx(one.test) for one in whole.numbers[:3])
 
 
 def test_days_are_put_in_an_order_with_small_jumps() -> None:
-    part = DAYS.take(np.arange(0, 400, 10))
+    part = DAYS[:, ::10]
     order = ordered(part)
     assert sorted(order.tolist()) == list(range(40))
 
     def jumps(days: Days) -> float:
-        ends, starts = days.temperature_degC[:-1, -1], days.temperature_degC[1:, 0]
+        ends, starts = days[0, :-1, -1], days[0, 1:, 0]
         return float(np.abs(ends - starts).mean())
 
     random = np.random.default_rng(0)
-    assert jumps(part.take(order)) < 0.6 * np.mean(
-        [jumps(part.take(random.permutation(40))) for _ in range(20)]
-    )
+    assert jumps(part[:, order]) < 0.6 * np.mean([jumps(part[:, random.permutation(40)]) for _ in range(20)])
 
 
 def test_plans_are_read_and_all_faults_told(tmp_path: Path) -> None:

@@ -35,8 +35,7 @@ from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.transfer.comparison import (
     ComparisonResults,
-    ErrorDifference,
-    PairDifference,
+    ErrorRow,
     compare,
     comparison_column,
 )
@@ -50,29 +49,32 @@ def test_scores_are_plain_root_mean_squares() -> None:
         for regime, chosen in (("operation", on), ("standstill", ~on), ("total", True)):
             error = one.errors["temperature_K"]
             part = error[mask & chosen & np.isfinite(error)]
-            row = found.columns[0].scores[period]["temperature_K"][regime]
-            assert row.n == len(part) and row.rmse == pytest.approx(np.sqrt(np.mean(part**2)))
-    total, other = (column.total("whole", "temperature_K") for column in found.columns)
-    assert total.lower < total.rmse < total.upper
-    assert total.rules["no_dynamics"].skill == pytest.approx(0.75)
-    row = found.differences[0].total("whole", "temperature_K")
-    assert row.value == pytest.approx(total.rmse - other.rmse) and row.sure
+            row = found.row("rmse", "a", period, "temperature_K", regime)
+            assert row.n == len(part) and row.value == pytest.approx(np.sqrt(np.mean(part**2)))
+    total, other = found.errors("whole", "temperature_K").values()
+    assert total.lower < total.value < total.upper
+    skill = found.row("skill", "a", "whole", "temperature_K", against="no_dynamics")
+    assert skill.value == pytest.approx(0.75)
+    row = difference(found)
+    assert row.value == pytest.approx(total.value - other.value) and row.sure
     # the errors go together: the difference is known far better than either error
     assert row.upper < 0 and row.upper - row.lower < 0.8 * (total.upper - total.lower)
-    assert found.differences[0].same_readings == {"temperature_K": True}
+    assert row.same_readings
+
+
+def difference(found: ComparisonResults) -> ErrorRow:
+    return found.row("difference", "a", "whole", "temperature_K", against="b")
 
 
 def test_only_common_instants_are_compared_and_other_readings_are_reported() -> None:
     one, late = made_column("a", 1), made_column("b", 2, shift_s=600 * HOUR)
-    row = compare([one, late]).results.differences[0].total("whole", "temperature_K")
+    row = difference(compare([one, late]).results)
     a, b = one.errors["temperature_K"][600:], late.errors["temperature_K"][:600]
     there = np.isfinite(a) & np.isfinite(b)
     assert row.n == there.sum()
     assert row.value == pytest.approx(np.sqrt(np.mean(a[there] ** 2)) - np.sqrt(np.mean(b[there] ** 2)))
-    apart = compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results.differences[0]
-    assert apart.same_readings == {} and apart.scores["whole"] == {}
-    other = compare([one, made_column("b", 2, readings=2)]).results.differences[0]
-    assert other.same_readings == {"temperature_K": False}
+    assert compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results.pairs == []
+    assert not difference(compare([one, made_column("b", 2, readings=2)]).results).same_readings
 
 
 def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
@@ -99,12 +101,12 @@ def test_the_table_holds_every_number_of_the_json(tmp_path) -> None:
         for r in rows
         if (r["kind"], r["column"], r["period"], r["regime"]) == ("rmse", "a", "whole", "total")
     )
-    total = found.columns[0].total("whole", "temperature_K")
-    assert float(row["value"]) == pytest.approx(total.rmse, rel=1e-5) and int(row["n"]) == total.n
+    total = found.errors("whole", "temperature_K")["a"]
+    assert float(row["value"]) == pytest.approx(total.value, rel=1e-5) and int(row["n"]) == total.n
     assert len(found.to_frame()) == len(rows)
     assert found.to_frame().value.tolist() == pytest.approx([float(row["value"]) for row in rows], rel=1e-5)
     table = scores_table(found, "temperature_K")
-    assert table.rows[0][:2] == ("a", "whole") and table.rows[0][4] == f"{total.rmse:.2f}"
+    assert table.rows[0][:2] == ("a", "whole") and table.rows[0][4] == f"{total.value:.2f}"
     assert table.heading in page_text(comparison_blocks(found))
 
 
@@ -125,8 +127,8 @@ def test_the_answer_is_the_column_that_errs_least() -> None:
     found = compare([made_column("a", 1, scale=1.4), made_column("b", 2), made_column("c", 3, scale=2.0)])
     (cards,) = (block for block in comparison_blocks(found.results).lead if isinstance(block, Cards))
     (card,) = cards.cards
-    best = found.results.columns[1].total("validation", "temperature_K")
-    assert card.value == f"b: {best.rmse:.2f} K" and len(card.lines) == 2
+    best = found.results.errors("validation", "temperature_K")["b"]
+    assert card.value == f"b: {best.value:.2f} K" and len(card.lines) == 2
     assert all("b errs by" in line for line in card.lines)
 
 
@@ -177,14 +179,15 @@ def test_a_column_has_the_scores_of_evaluate(turbines: tuple[Path, Path, Fit]) -
     from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
-    found = compare([comparison_column(turbines[2], record, "x")]).results.columns[0].scores
+    found = compare([comparison_column(turbines[2], record, "x")]).results
     theirs = evaluate(turbines[2], record)
     for period in ("identification", "validation"):
         for quantity in ("temperature_K", "absolute_humidity_g_m3"):
             for regime in ("operation", "standstill", "total"):
-                ours = found[period][quantity][regime]
-                assert ours.rmse == pytest.approx(getattr(theirs.rmse[period][quantity], regime), nan_ok=True)
-                assert ours.n == getattr(theirs.rmse[period][quantity].n, regime)
+                ours = found.row("rmse", "x", period, quantity, regime)
+                errors = theirs.rmse[period][quantity]
+                assert ours.value == pytest.approx(getattr(errors, regime), nan_ok=True)
+                assert ours.n == getattr(errors.n, regime)
 
 
 def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> None:
@@ -195,7 +198,7 @@ def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> 
     columns = [comparison_column(turbines[2], one, name) for one, name in ((record, "a"), (idle, "b"))]
     found = compare(columns).results
     assert any("nothing to score" in said for said in found.columns[1].statements)
-    assert found.columns[1].total("whole", "temperature_K") is None
+    assert list(found.errors("whole", "temperature_K")) == ["a"]
     assert "b: Nothing to score" in page_text(comparison_blocks(found))
 
 
@@ -243,14 +246,14 @@ def test_the_summary_tells_sure_differences_from_others(
     validation, whole, expected: list[tuple[str, ...]]
 ) -> None:
     """Validation alone where it has bounds; where it is too short for them, the whole record beside it."""
-    scores = {}
+    rows = []
     for period, row in (("validation", validation), ("whole", whole)):
         if row is not None:
             value, reach = row
             ends = () if reach is None else (value - reach, value + reach)
-            scores[period] = {"temperature_K": {"total": ErrorDifference(100, value, *ends)}}
+            place = ("one", "other", "temperature_K", period, "total")
+            rows.append(ErrorRow("difference", *place, 100, value, *ends))
     columns = compare([made_column("one", 1), made_column("other", 2)]).results.columns
-    pair = PairDifference("one", "other", {"temperature_K": True}, scores)
-    said = summary(ComparisonResults("", "", False, columns, (pair,)), "temperature_K", "one")
+    said = summary(ComparisonResults("", "", False, columns, tuple(rows)), "temperature_K", "one")
     assert len(said) == len(expected)
     assert all(part in line for line, parts in zip(said, expected, strict=True) for part in parts)

@@ -6,24 +6,30 @@ import copy
 import json
 import math
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.comparison_case import made_column
 from golden.difference import differences, read
 
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.data.structured import plain, structured
-from hygrokf.transfer.comparison import ComparisonResults
+from hygrokf.transfer.comparison import ComparisonResults, compare
 from hygrokf.transfer.results import RecordCourse, TransferResults, read_courses, write_courses
 
-FILES = {ComparisonResults: "compared/compare.json", TransferResults: "transferred/transfer.json"}
+MADE = {
+    ComparisonResults: lambda: plain(compare([made_column("a", 1), made_column("b", 2)]).results),
+    TransferResults: lambda: read("demo")["json"]["transferred/transfer.json"],
+}
 
 
-@pytest.fixture(params=FILES, ids=lambda kind: kind.__name__)
+@pytest.fixture(params=MADE, ids=lambda kind: kind.__name__)
 def kept(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[type, dict, Path]:
     """The class of a result, its data, and a file to write to."""
-    return request.param, read("demo")["json"][FILES[request.param]], tmp_path / "result.json"
+    data = MADE[request.param]() | {"created": "2024-05-01T12:00:00"}
+    return request.param, data, tmp_path / "result.json"
 
 
 def test_a_file_is_read_whole_also_without_what_was_added_later(kept: tuple[type, dict, Path]) -> None:
@@ -45,9 +51,9 @@ def test_a_damaged_file_is_refused_with_every_fault_and_its_place(
     kind, data, path = kept
     spoilt = copy.deepcopy(data) | {"version": "0.0.7"}
     if kind is ComparisonResults:
-        spoilt["columns"][0]["scores"]["whole"]["temperature_K"]["total"]["n"] = "many"
-        del spoilt["differences"][0]["less"]
-        places = ("columns[0].scores.whole.temperature_K.total.n", "differences[0]")
+        spoilt["rows"][3]["n"] = "many"
+        del spoilt["columns"][1]["fit"]
+        places = ("rows[3].n", "columns[1]")
     else:
         spoilt["records"][0]["verdict"] = "maybe"
         spoilt["records"][0]["parameters"]["hygric_k"]["own"] = "large"
@@ -101,10 +107,17 @@ def test_courses_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     assert again.scored.tolist() == course().scored.tolist() and math.isnan(again.until_s)
     with pytest.raises(ResultFault, match="2 records where 3"):
         read_courses(path, 3, "command")
-    bad = course().arrays() | {"temperature_K_as_is": np.zeros(3), "until_s": np.zeros(2)}
-    del bad["scored"]
-    with pytest.raises(ValueError, match=r"scored: .*; temperature_K_as_is: expected 5 .*; until_s: "):
-        RecordCourse.from_arrays(bad)
+    with pytest.raises(ValueError, match=r"scored: .*; as_is temperature_K: expected .*; time_s: "):
+        replace(
+            course(),
+            time_s=np.zeros(5),
+            scored=np.zeros(2),
+            simulated={"as_is": {"temperature_K": np.zeros(3)}},
+        )
+    np.savez(path, **{"0/time_s": course().time_s})
+    with pytest.raises(ResultFault, match=r"missing .*'scored'"):
+        read_courses(path, 1, "command")
+    write_courses([course(), course()], path)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ResultFault, match="run it again"):
         read_courses(path, 2, "command")

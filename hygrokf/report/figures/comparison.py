@@ -138,33 +138,35 @@ def figure_column_courses(found: ComparisonResults, courses: Sequence[RecordCour
 def figure_errors(found: ComparisonResults, period: str) -> Picture:
     """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
     best rule."""
-    columns = [one for one in found.columns if any(one.total(period, q) for q in SCORED)]
+    scored = {q: errors for q in SCORED if (errors := found.errors(period, q))}
+    columns = [one for one in found.columns if any(one.label in errors for errors in scored.values())]
     if not columns:
         raise NothingToShow("Nothing was scored in this period.")
-    shown = [q for q in SCORED if any(one.total(period, q) for one in columns)]
     labels = rows(short_labels([one.label for one in columns]))
     panels = []
-    for quantity in shown:
+    for quantity in scored:
         marks: list[Mark] = []
         for place, one in enumerate(columns):
             colour = colour_of(found.columns.index(one))
-            by_regime = one.scores.get(period, {}).get(quantity, {})
             for offset, (regime, (mark, size)) in zip((-0.22, 0.0, 0.22), REGIMES.items(), strict=True):
-                row = by_regime.get(regime)
-                if row is None or not math.isfinite(row.rmse):
+                row = found.row("rmse", one.label, period, quantity, regime)
+                if not row.n:
                     continue
                 if math.isfinite(row.lower):
                     marks.append(bounds(row.lower, row.upper, place + offset, colour))
-                marks.append(point(row.rmse, place + offset, mark, colour, size))
-                if row.rules and regime == "total":
-                    best = min(rule.rmse for rule in row.rules.values())
-                    marks.append(point(best, place + offset, *BEST))
+                marks.append(point(row.value, place + offset, mark, colour, size))
+            wanted = ("rule", one.label, quantity, period, "total")
+            rules = [
+                r.value for r in found.rows if (r.kind, r.column, r.quantity, r.period, r.regime) == wanted
+            ]
+            if rules:
+                marks.append(point(min(rules), place + 0.22, *BEST))
         panels.append(Panel(tuple(marks), _rmse(quantity), labels))
     key = tuple(
         replace(point(0.0, 0.0, mark, INK, size), label=words)
         for words, (mark, size) in {**REGIMES, "best rule": ("|", 9.0)}.items()
     )
-    return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(shown), shared="y", key=key)
+    return Picture(tuple(panels), 1.1 + 0.34 * len(columns), columns=len(scored), shared="y", key=key)
 
 
 def _rmse(quantity: str) -> Axis:
