@@ -7,7 +7,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,16 +51,15 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
-    case, faults = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
+    case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
     def table(source: StatedSource) -> Table:
-        columns = [one.column for one in source.columns]
-        return read_table(file.parent / source.file, columns, source.time, source.notation)
+        return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)
 
-    record = record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+    record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
 
 
@@ -86,7 +85,6 @@ def _open_doubts(name: str, text: str) -> tuple[str, ...]:
 
 def record_of(
     case: StatedCase,
-    faults: Sequence[str],
     table: Callable[[StatedSource], Table],
     head: str,
     *,
@@ -96,14 +94,14 @@ def record_of(
 ) -> Record:
     """Record of a stated case, from files or frames: units in SI, clocks in UTC, doubtful readings masked.
 
-    case: as stated. faults: of its form. table: reads a source; raises TableFault. head: first words of a
-        CaseFault's message.
+    case: as stated. table: reads a source; raises TableFault. head: first words of a CaseFault's message.
     weather: reads a weather file, for cases that name any; raises TableFault.
     cabinet, ambient: as for `read_case`.
 
     Raises CaseFault with all faults.
     """
-    faults, period = [*faults, *_undeclared(case, cabinet, ambient)], case.form.identification
+    faults = [*case.place.faults, *_undeclared(case, cabinet, ambient)]
+    period = case.form.identification
     series: list[Series] = []
     compared: list[Series] = []
     warnings: list[str] = []
