@@ -8,6 +8,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -236,17 +237,12 @@ _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 def _other_than_case(file: Path) -> str:
     """The likely kind of a file that is not TOML, a result or a table; empty where it is unclear."""
-    try:
-        held = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        held = None
-    if isinstance(held, dict):
-        if {"design", "parameters"} <= set(held):
-            return "is a result of `hygrokf fit`, expected a case file (docs/reference/case_file.md)"
-        return "is JSON, expected a case file (docs/reference/case_file.md)"
-    if file.is_file() and file.suffix.lower() in _TABLES:
-        return "is a table, expected a case file that names it (docs/reference/case_file.md)"
-    return ""
+    kind = "a table, expected a case file that names it" * (file.suffix.lower() in _TABLES and file.is_file())
+    with suppress(OSError, ValueError, RecursionError):
+        if isinstance(held := json.loads(file.read_bytes()), dict):
+            result = {"design", "parameters"} <= set(held)
+            kind = f"{'a result of `hygrokf fit`' if result else 'JSON'}, expected a case file"
+    return f"is {kind} (docs/reference/case_file.md)" if kind else ""
 
 
 def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
@@ -370,16 +366,12 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
 def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a record that has no readings left of signals a model needs."""
     faults = []
-    needed: list[tuple[str, ...]] = [("ambient_temperature",)] if ambient else []
-    if cabinet:
-        needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
+    needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet
     for signals in needed:
         there = [signal for signal in signals if signal in record]
         if not any(np.isfinite(record[signal].value).any() for signal in there):
-            named = ", ".join(signals) or "the cabinet"
-            said = [one for one in record.warnings if any(one.startswith(s) for s in signals)]
-            faults.append(
-                f"no reading of {named} can be used"
-                + (f": {'; '.join(said)}" if said else "; the columns hold no number")
-            )
+            named = ", ".join(there if signals is IDENTIFIABLE else signals) or "the cabinet"
+            said = [one for one in record.warnings if one.startswith(tuple(there or signals))]
+            why = f": {'; '.join(said)}" if said else "; the columns hold no number"
+            faults.append(f"no reading of {named} can be used{why}")
     return faults

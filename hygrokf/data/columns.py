@@ -175,7 +175,10 @@ def table_of(
         faults += amiss
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
-        warnings += _lost_rows(lost, places)
+        if count := int(lost.sum()):
+            where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
+            rows_of = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{rows_of} without a stamp left out: {where}")
     if faults:
         raise TableFault(*faults)
     keep = np.isfinite(time)
@@ -192,15 +195,6 @@ def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
         f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
         f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
     )
-
-
-def _lost_rows(lost: np.ndarray, places: Places) -> list[str]:
-    """A warning about rows with readings and without a stamp, True in `lost` (N,)."""
-    count = int(lost.sum())
-    if not count:
-        return []
-    where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-    return [f"{'1 row' if count == 1 else f'{count} rows'} without a stamp left out: {where}"]
 
 
 def _stamps_read(
