@@ -78,14 +78,12 @@ class Alternative:
 class Finding:
     """An alternative that the record prefers to what is declared.
 
-    gain: [ln L] ahead of the declaration. separation: of the gain, or of the lead over shifts an hour away if
-    that is less, in standard errors by days. witnesses: what shows it. verdict: "named"; "clock_or_wall": a
+    gain: [ln L] ahead of the declaration. witnesses: what shows it. verdict: "named"; "clock_or_wall": a
     chain of lags explains it as well; "either_clock": so does the `rival`.
     """
 
     alternative: Alternative
     gain: float
-    separation: float
     witnesses: tuple[str, ...] = ()
     verdict: str = NAMED
     rival: Alternative | None = None
@@ -254,11 +252,10 @@ def _judged(
     rivals = [_Shift(shift.source, 0), _highest(profiles[row], *row, shift.quarters)]
     if shift.more:
         rivals.append(_highest(profiles[shift.source, 0], shift.source, 0))
-    separation = min(_lead(scans, shift, rival) for rival in rivals)
-    if separation < SEPARATION:
+    if min(_lead(scans, shift, rival) for rival in rivals) < SEPARATION:
         return None
     witnesses = _witnesses(scans, shift, sun_s)
-    found = Finding(_clock(record, shift), shift.gain, separation, witnesses)
+    found = Finding(_clock(record, shift), shift.gain, witnesses)
     late = max(sign * largest for inputs, sign in (one.move(shift.source) for one in scans) if inputs)
     if late > 0 and not set(witnesses) - {"temperature"}:
         return replace(found, verdict=WALL)
@@ -335,7 +332,7 @@ def _values(record: Record) -> tuple[Finding, ...]:
         lead = _standard_errors(each[np.abs(each) > 1e-9])
         gain = levels + math.copysign(min(0.5 * lead**2, SYSTEMATIC), lead)
         if gain >= ODDS and (best is None or gain > best.gain):
-            best = Finding(row, gain, lead, ("levels",))
+            best = Finding(row, gain, ("levels",))
     return () if best is None else (best,)
 
 

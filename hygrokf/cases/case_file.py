@@ -7,7 +7,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,16 +52,15 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     except CaseFault as fault:
         other = _other_than_case(file)
         raise CaseFault(file, [other] if other else fault.faults) from None
-    case, faults = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
+    case = stated_case({"name": file.stem, **content}, Place(file=file.name, lines=lines_of(text)))
 
     def table(source: StatedSource) -> Table:
-        columns = [one.column for one in source.columns]
-        return read_table(file.parent / source.file, columns, source.time, source.notation)
+        return read_table(file.parent / source.file, source.meanings, source.time, source, source.quality)
 
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)
 
-    record = record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+    record = record_of(case, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
     return dataclasses.replace(record, warnings=(*_open_doubts(file.name, text), *record.warnings))
 
 
@@ -86,7 +86,6 @@ def _open_doubts(name: str, text: str) -> tuple[str, ...]:
 
 def record_of(
     case: StatedCase,
-    faults: Sequence[str],
     table: Callable[[StatedSource], Table],
     head: str,
     *,
@@ -96,14 +95,14 @@ def record_of(
 ) -> Record:
     """Record of a stated case, from files or frames: units in SI, clocks in UTC, doubtful readings masked.
 
-    case: as stated. faults: of its form. table: reads a source; raises TableFault. head: first words of a
-        CaseFault's message.
+    case: as stated. table: reads a source; raises TableFault. head: first words of a CaseFault's message.
     weather: reads a weather file, for cases that name any; raises TableFault.
     cabinet, ambient: as for `read_case`.
 
     Raises CaseFault with all faults.
     """
-    faults, period = [*faults, *_undeclared(case, cabinet, ambient)], case.form.identification
+    faults = [*case.place.faults, *_undeclared(case, cabinet, ambient)]
+    period = case.form.identification
     series: list[Series] = []
     compared: list[Series] = []
     warnings: list[str] = []
@@ -238,17 +237,12 @@ _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 def _other_than_case(file: Path) -> str:
     """The likely kind of a file that is not TOML, a result or a table; empty where it is unclear."""
-    try:
-        held = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        held = None
-    if isinstance(held, dict):
-        if {"design", "parameters"} <= set(held):
-            return "is a result of `hygrokf fit`, expected a case file (docs/reference/case_file.md)"
-        return "is JSON, expected a case file (docs/reference/case_file.md)"
-    if file.is_file() and file.suffix.lower() in _TABLES:
-        return "is a table, expected a case file that names it (docs/reference/case_file.md)"
-    return ""
+    kind = "a table, expected a case file that names it" * (file.suffix.lower() in _TABLES and file.is_file())
+    with suppress(OSError, ValueError, RecursionError):
+        if isinstance(held := json.loads(file.read_bytes()), dict):
+            result = {"design", "parameters"} <= set(held)
+            kind = f"{'a result of `hygrokf fit`' if result else 'JSON'}, expected a case file"
+    return f"is {kind} (docs/reference/case_file.md)" if kind else ""
 
 
 def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
@@ -372,16 +366,12 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
 def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a record that has no readings left of signals a model needs."""
     faults = []
-    needed: list[tuple[str, ...]] = [("ambient_temperature",)] if ambient else []
-    if cabinet:
-        needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
+    needed = [("ambient_temperature",)] * ambient + [IDENTIFIABLE] * cabinet
     for signals in needed:
         there = [signal for signal in signals if signal in record]
         if not any(np.isfinite(record[signal].value).any() for signal in there):
-            named = ", ".join(signals) or "the cabinet"
-            said = [one for one in record.warnings if any(one.startswith(s) for s in signals)]
-            faults.append(
-                f"no reading of {named} can be used"
-                + (f": {'; '.join(said)}" if said else "; the columns hold no number")
-            )
+            named = ", ".join(there if signals is IDENTIFIABLE else signals) or "the cabinet"
+            said = [one for one in record.warnings if one.startswith(tuple(there or signals))]
+            why = f": {'; '.join(said)}" if said else "; the columns hold no number"
+            faults.append(f"no reading of {named} can be used{why}")
     return faults

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hygrokf.data.columns import Notation
@@ -61,7 +61,6 @@ def _losses(value: Any) -> tuple[tuple[float, float], ...]:
 
 HOLD_HELP = f"how values continue: {', '.join(HOLDS)}; by default by stamp and signal"
 LONGEST_HELP = 'age up to which a value holds, or "connected"; by default three usual intervals'
-_CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +110,11 @@ class StatedColumn(StatedSensor):
 
 
 @dataclass(frozen=True)
-class StatedSource:
+class StatedSource(Notation):
     """One [[source]] of the case file, or one frame."""
 
     file: str = setting(help="path, relative to the case file; the name of a frame")
     time: str = setting(help="column of the stamps")
-    timezone: str | None = setting(None, 'of the stamps: "+02:00", "UTC", or an IANA name')
     stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
     interval_s: float | None = setting(
         None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
@@ -128,22 +126,13 @@ class StatedSource:
     )
     clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
     clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
-    separator: str = setting(",", "of columns", **_CHARACTER)
-    decimal: str | None = setting(None, 'mark of numbers; by default "."', choices=(".", ","))
-    thousands: str | None = setting(None, "mark between groups of three digits", **_CHARACTER)
-    comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
-    missing: tuple[str, ...] = setting(
-        (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
-    )
-    time_format: str | None = setting(None, 'strptime format of stamps that are not ISO 8601, or "excel"')
-    ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
     vocabulary: QualityVocabulary = setting(UNSTATED, "of quality, or its good marks", read=stated_vocabulary)
     use_uncertain: bool = setting(True, "use readings of uncertain quality")
     compare: bool = setting(False, "only compare with the other sources")
     signals: Mapping[str, StatedColumn] = setting(dict, "signals and their columns")
 
     @across("decimal", "separator", "thousands")
-    def marks(self) -> str | None:
+    def different_marks(self) -> str | None:
         others = {"separator": self.separator, "thousands": self.thousands}
         same = next((name for name, one in others.items() if one is not None and one == self.decimal), None)
         return same and f'{same} and decimal are both "{self.decimal}"; change one of the two'
@@ -177,13 +166,15 @@ class StatedSource:
         return tuple(one for one in valid if one.column)
 
     @property
-    def notation(self) -> Notation:
-        """How the table writes its readings."""
-        meanings = {one.column: one.meaning for one in self.columns}
-        quality = {one.column: one.quality for one in self.columns}
-        stated = StatedQuality(quality, self.vocabulary, self.use_uncertain)
-        own = {one.name: getattr(self, one.name) for one in fields(Notation) if hasattr(self, one.name)}
-        return Notation(**{**own, "meanings": meanings, "quality": stated})
+    def meanings(self) -> dict[str, Meaning]:
+        """Columns to read, and what their texts stand for."""
+        return {one.column: one.meaning for one in self.columns}
+
+    @property
+    def quality(self) -> StatedQuality:
+        """What is stated of the quality of its readings."""
+        columns = {one.column: one.quality for one in self.columns}
+        return StatedQuality(columns, self.vocabulary, self.use_uncertain)
 
 
 @dataclass(frozen=True)
@@ -274,8 +265,8 @@ class StatedCase:
     place: Place
 
 
-def stated_case(content: dict[str, Any], place: Place) -> tuple[StatedCase, list[str]]:
-    """The statements of a case, and every fault of its form.
+def stated_case(content: dict[str, Any], place: Place) -> StatedCase:
+    """The statements of a case; every fault of its form is among those of its place.
 
     content: the parsed TOML, or the equivalent made from arguments. place: of the case in messages.
     """
@@ -295,7 +286,7 @@ def stated_case(content: dict[str, Any], place: Place) -> tuple[StatedCase, list
     declared = _declared(tables, place)
     sources = tuple(one for one in tables.values() if one.file and one.time)
     readable = tuple(one for one in weather if one.file and one.format)
-    return StatedCase(form, sources, readable, declared, place), place.faults
+    return StatedCase(form, sources, readable, declared, place)
 
 
 def _declared(tables: Mapping[int, StatedSource], place: Place) -> dict[str, int]:

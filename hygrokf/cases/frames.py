@@ -110,10 +110,9 @@ def read_frames(
     about = {"rated_power_kW": rated_power_kW, "site": site, "identification": identification}
     content: dict[str, Any] = {"name": name, "source": sources}
     content |= {key: value for key, value in about.items() if value is not None}
-    case, wrong = stated_case(content, _FramePlace(file=_HEAD, sources=sources))
-    faults += wrong
+    case = stated_case(content, _FramePlace(file=_HEAD, sources=sources, faults=faults))
     return record_of(
-        case, faults, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
+        case, lambda source: tables[source.file](source), _HEAD, cabinet=cabinet, ambient=ambient
     )
 
 
@@ -268,8 +267,9 @@ def _prepare(
     def table(stated: StatedSource) -> Table:
         if not len(kept):
             raise TableFault("expected readings, found no row in the frame")
-        numbers = [one.column for one in stated.columns]
-        return table_of(kept, numbers, stamps, stamps_named, _PLACES, stated.notation, beside, wrong)
+        return table_of(
+            kept, stated.meanings, stamps, stamps_named, _PLACES, stated, stated.quality, beside, wrong
+        )
 
     return source, table
 

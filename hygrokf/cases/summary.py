@@ -52,7 +52,6 @@ class SignalSummary:
     clock_uncertainty_s: float
     gaps: int
     longest_gap_s: float
-    longest_gap_start: str | None
     hold: str
     interval_s: float
     unit: str
@@ -97,7 +96,7 @@ class RecordSummary:
         columns = [one.name for one in fields(SignalSummary)]
         frame = pd.DataFrame([asdict(one) for one in self.signals], columns=columns)
         units = {**units_by_name(columns), "days": "d"}
-        return with_units(frame.set_index("signal"), units, ("start", "end", "longest_gap_start"))
+        return with_units(frame.set_index("signal"), units, ("start", "end"))
 
 
 def describe(record: Record) -> RecordSummary:
@@ -166,7 +165,6 @@ def _describe_series(series: Series) -> SignalSummary:
         clock_uncertainty_s=_number(series.clock_uncertainty_s),
         gaps=int(long.sum()),
         longest_gap_s=math.nan if widest is None else _number(gaps[widest]),
-        longest_gap_start=None if widest is None else stamp_text(times[widest]),
         hold=series.hold,
         interval_s=series.interval_s,
         unit=row.display,

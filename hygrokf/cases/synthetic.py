@@ -76,7 +76,6 @@ class SyntheticTruth:
     equivalent_humidity (c*), cabinet_absolute_humidity, ambient_absolute_humidity: [kg/m3].
     active_power: [W]. preheating: [-]. heat_release: [K] without the disturbance.
     hygric_constant_s: [s] k of equation (4), with 273 K taken as 273 K.
-    reference_cabinet_K, reference_ambient_K: [K] means at which R_D* V* is as stated.
     sensor_bias: ((file.column, bias in the column's unit), ...).
     """
 
@@ -92,8 +91,6 @@ class SyntheticTruth:
     preheating: np.ndarray
     heat_release: np.ndarray
     hygric_constant_s: float
-    reference_cabinet_K: float
-    reference_ambient_K: float
     sensor_bias: tuple[tuple[str, float], ...]
 
 
@@ -429,8 +426,6 @@ def synthetic_turbine(
         truth=SyntheticTruth(
             parameters=parameters,
             hygric_constant_s=constant_s,
-            reference_cabinet_K=float(cabinet_K.mean()),
-            reference_ambient_K=float(weather["temperature"].mean()),
             sensor_bias=biases,
             **arrays,
         ),

@@ -24,6 +24,7 @@ from hygrokf.data.timestamps import (
     zone_in_header,
     zone_named,
 )
+from hygrokf.data.toml_form import setting
 from hygrokf.errors import HygrokfError, suggestion
 
 if TYPE_CHECKING:
@@ -85,30 +86,23 @@ class Places:
     here: str = " in this source"
 
 
-@dataclass(frozen=True)
+_CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Notation:
-    """How a table writes its readings.
+    """How a table writes its readings: keys of a source in a case file."""
 
-    timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name. time_format: strptime format of
-        the stamps, or "excel"; None: ISO 8601. ignore_offset: read stamps without the offset that they
-        carry, in `timezone`.
-    separator: of a CSV file. comment: mark at the start of lines to skip.
-    decimal, thousands: marks of numbers in texts; by default a point, and none.
-    missing: texts that mean no reading, besides `MISSING`.
-    meanings: of the columns, by which units and flags are read.
-    quality: of the columns of numbers; columns of quality that are not stated are found by their names.
-    """
-
-    timezone: str | None = None
-    separator: str = ","
-    decimal: str | None = None
-    thousands: str | None = None
-    comment: str | None = None
-    missing: tuple[str, ...] = ()
-    time_format: str | None = None
-    ignore_offset: bool = False
-    meanings: Mapping[str, Meaning] = field(default_factory=dict)
-    quality: StatedQuality = NOTHING_STATED
+    timezone: str | None = setting(None, 'of the stamps: "+02:00", "UTC", or an IANA name')
+    separator: str = setting(",", "of columns", **_CHARACTER)
+    decimal: str | None = setting(None, 'mark of numbers; by default "."', choices=(".", ","))
+    thousands: str | None = setting(None, "mark between groups of three digits", **_CHARACTER)
+    comment: str | None = setting(None, "lines that start with this character are skipped", **_CHARACTER)
+    missing: tuple[str, ...] = setting(
+        (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
+    )
+    time_format: str | None = setting(None, 'strptime format of stamps that are not ISO 8601, or "excel"')
+    ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
 
     @property
     def marks(self) -> Marks | None:
@@ -118,24 +112,25 @@ class Notation:
 
 def table_of(
     frame: pandas.DataFrame,
-    columns: Sequence[str],
+    columns: Mapping[str, Meaning],
     stamps: pandas.Series | None,
     stamps_named: str,
     places: Places,
     notation: Notation,
-    beside: Mapping[str, str],
+    quality: StatedQuality = NOTHING_STATED,
+    beside: Mapping[str, str] | None = None,
     faults: Sequence[str] = (),
     sha256: str = "",
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
-    frame: rows in the order of the source. columns: names of the columns of numbers; `faults` must already
-        name those that the frame lacks.
+    frame: rows in the order of the source. columns: of numbers, and what their texts stand for; `faults`
+        must already name those that the frame lacks.
     stamps: of the rows, or None where `faults` already explains why. stamps_named: their name in messages,
         such as 'column "time"'.
     places: how messages name rows. notation: of stamps and numbers.
-    beside: column of numbers -> column of the frame with its quality.  Readings that it excludes are missing,
-        whatever their cells hold.
+    beside: column of numbers -> column of the frame with its quality.  Readings that it excludes, by what is
+        stated of `quality`, are missing, whatever their cells hold.
     faults: found before, raised together with those found here. sha256: of the file, where there is one.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
@@ -149,14 +144,13 @@ def table_of(
         zone = UTC  # with which further faults are found
     values = {}
     judged = {
-        name: notation.quality.judged(name, of, frame[of])
-        for name, of in beside.items()
+        name: quality.judged(name, of, frame[of])
+        for name, of in (beside or {}).items()
         if name in frame and of in frame
     }
     warnings = [said for one in judged.values() for said in one.warnings]
     stated = notation.marks
-    for name in (one for one in dict.fromkeys(columns) if one in frame):
-        meaning = notation.meanings.get(name, Meaning())
+    for name, meaning in ((one, meaning) for one, meaning in columns.items() if one in frame):
         numbers, wrong, reasons = _numbers(frame[name], stated or POINT, notation.missing, meaning)
         if name in judged:
             wrong = wrong & judged[name].usable
@@ -181,7 +175,10 @@ def table_of(
         faults += amiss
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
-        warnings += _lost_rows(lost, places)
+        if count := int(lost.sum()):
+            where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
+            rows_of = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{rows_of} without a stamp left out: {where}")
     if faults:
         raise TableFault(*faults)
     keep = np.isfinite(time)
@@ -198,15 +195,6 @@ def _two_readings(name: str, column: pandas.Series, places: Places) -> str:
         f'column "{name}": "{example}" may be {example.replace(".", "")} or {float(example):g}, as texts '
         f'without a point stay below 1000: state thousands = "." or decimal = "."{places.here}'
     )
-
-
-def _lost_rows(lost: np.ndarray, places: Places) -> list[str]:
-    """A warning about rows with readings and without a stamp, True in `lost` (N,)."""
-    count = int(lost.sum())
-    if not count:
-        return []
-    where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-    return [f"{'1 row' if count == 1 else f'{count} rows'} without a stamp left out: {where}"]
 
 
 def _stamps_read(

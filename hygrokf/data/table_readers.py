@@ -9,7 +9,7 @@ import io
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,8 @@ from hygrokf.data.columns import (
     places_of,
     table_of,
 )
-from hygrokf.data.quality import StatedQuality
+from hygrokf.data.numbers import Meaning
+from hygrokf.data.quality import NOTHING_STATED, StatedQuality
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
@@ -38,41 +39,50 @@ _HEADER_WITHIN = 200
 
 
 def read_table(
-    path: str | os.PathLike[str], columns: Sequence[str], time_column: str, notation: Notation
+    path: str | os.PathLike[str],
+    columns: Mapping[str, Meaning],
+    time_column: str,
+    notation: Notation,
+    quality: StatedQuality = NOTHING_STATED,
 ) -> Table:
     """Columns of numbers and their stamps from a file, stamps in UTC [s].
 
     path: text (.csv, .csv.gz, .txt, .tsv) or .parquet (extra `parquet`).
-    columns: names of the columns of numbers.
+    columns: names of the columns of numbers, and what their texts stand for.
     time_column: name of the column of stamps. Lines above the one that holds this name are skipped.
-    notation: of stamps and numbers.
+    notation: of stamps and numbers. quality: what is stated of that of the readings.
 
     Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     file = Path(path)
     if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
         raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
-    return table_in(file_bytes(file), file.name, columns, time_column, notation)
+    return table_in(file_bytes(file), file.name, columns, time_column, notation, quality)
 
 
 def table_in(
-    content: bytes, name: str, columns: Sequence[str], time_column: str, notation: Notation
+    content: bytes,
+    name: str,
+    columns: Mapping[str, Meaning],
+    time_column: str,
+    notation: Notation,
+    quality: StatedQuality = NOTHING_STATED,
 ) -> Table:
     """Columns of numbers and their stamps from the bytes of a file with this name; as `read_table`."""
     faults: list[str] = []
-    wanted = list(dict.fromkeys(columns))
+    wanted = list(columns)
     if name.lower().endswith(".parquet"):
-        frame, beside = _parquet_source(content, wanted, time_column, notation.quality, faults)
+        frame, beside = _parquet_source(content, wanted, time_column, quality, faults)
         places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
-        frame, beside, lines = _csv_source(content, wanted, time_column, notation, faults)
+        frame, beside, lines = _csv_source(content, wanted, time_column, notation, quality, faults)
         places = Places("line", lambda rows: [lines[int(row)] for row in rows])
     if len(frame) == 0 and not faults:
         raise TableFault("expected readings, found no row below the header")
     stamps = frame[time_column] if time_column in frame else None
     digest = hashlib.sha256(content).hexdigest()
     named = f'column "{time_column}"'
-    return table_of(frame, wanted, stamps, named, places, notation, beside, faults, digest)
+    return table_of(frame, columns, stamps, named, places, notation, quality, beside, faults, digest)
 
 
 def file_bytes(file: Path) -> bytes:
@@ -194,7 +204,12 @@ def _other_separator(content: bytes, encoding: str, notation: Notation, time_col
 
 
 def _csv_source(
-    content: bytes, wanted: list[str], time_column: str, notation: Notation, faults: list[str]
+    content: bytes,
+    wanted: list[str],
+    time_column: str,
+    notation: Notation,
+    quality: StatedQuality,
+    faults: list[str],
 ) -> tuple[pandas.DataFrame, dict[str, str], list[int]]:
     """The wanted columns as texts, missing ones as faults; column -> that of its quality; lines."""
     import pandas as pd
@@ -211,7 +226,7 @@ def _csv_source(
         faults.append(other or column_fault(time_column, names, f"line {line} has"))
         if other is not None:
             return pd.DataFrame(), {}, []
-    beside = notation.quality.beside(names, wanted)
+    beside = quality.beside(names, wanted)
     marks = dict.fromkeys(beside.values())
     used = [name for name in (time_column, *wanted, *marks) if name != time_column or name in names]
     positions = places_of(used, names, f"line {line} has", faults)

@@ -46,19 +46,13 @@ FORMATS = (
 """strptime formats of exports, besides ISO 8601."""
 _EXCEL_DAYS = (20_000.0, 80_000.0)  # 1954 to 2119
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*$")
-_CAUSES = {
-    (
-        "spring",
-        "autumn",
-    ): "the clock follows summer time although its stamps are read at a fixed offset: state "
-    'its zone, such as timezone = "Europe/Berlin"',
-    (
-        "autumn",
-        "spring",
-    ): "the stamps carry summer-time offsets although the clock has no summer time: ignore "
-    "them (ignore_offset = true, timezone = the clock's own fixed offset)",
-}
-"""Why a clock lacks an hour in one season and has it twice in the other one."""
+_CAUSES = (
+    ("spring", "autumn", "the clock follows summer time although its stamps are read at a fixed offset: "
+     'state its zone, such as timezone = "Europe/Berlin"'),
+    ("autumn", "spring", "the stamps carry summer-time offsets although the clock has no summer time: "
+     "ignore them (ignore_offset = true, timezone = the clock's own fixed offset)"),
+)  # fmt: skip
+"""Season in which a clock lacks an hour, season in which it has one twice, and why."""
 
 
 def duration(text: str) -> float:
@@ -476,7 +470,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         )
     for days in (gap_days["spring"], double_days["spring"]):
         days[:] = [day for day in days if day not in moved]
-    for (gap, double), reason in _CAUSES.items():
+    for gap, double, reason in _CAUSES:
         facts = []
         if gap_days[gap]:
             facts.append(f"one hour is missing on {_days(gap_days[gap])}")

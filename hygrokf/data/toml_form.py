@@ -259,7 +259,7 @@ def read_toml(
         text = file.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
-        said = f"no such file; check the path{suggestion(file.name, near)}"
+        said = f"cannot be read: No such file; check the path{suggestion(file.name, near)}"
         raise fault_class(file, [said]) from None
     except OSError as fault:
         remedies = {IsADirectoryError: "name a file in it", PermissionError: "check its rights"}

@@ -46,13 +46,6 @@ class Hourly:
         return self.value[here], other.value[there]
 
 
-def hourly(time: np.ndarray, values: np.ndarray) -> Hourly:
-    """Hourly means; time [s] (N,), values (N,), NaN = missing."""
-    good = np.isfinite(time) & np.isfinite(values)
-    hours, place = np.unique(np.floor(time[good] / HOUR_S), return_inverse=True)
-    return Hourly(hours, np.bincount(place, values[good]) / np.maximum(np.bincount(place), 1))
-
-
 def unit_by_values(values: np.ndarray, signal: str, stated: str | None) -> tuple[str, str | None]:
     """The unit of a column, and a doubt where the readings alone decide or contradict.
 
@@ -263,7 +256,11 @@ class Source:
     sun: str | None = None
 
     def hourly(self, column: str) -> Hourly:
-        return hourly(self.clock.time, self.values[column])
+        """Hourly means of a column."""
+        time, values = self.clock.time, self.values[column]
+        good = np.isfinite(time) & np.isfinite(values)
+        hours, place = np.unique(np.floor(time[good] / HOUR_S), return_inverse=True)
+        return Hourly(hours, np.bincount(place, values[good]) / np.maximum(np.bincount(place), 1))
 
 
 def source_of(export: Export, path: str) -> Source:

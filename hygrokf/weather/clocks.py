@@ -117,18 +117,17 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
     sums = _sums(time, x, y, america)
     random = np.random.default_rng(0)
     everything = np.ones(len(sums.days), dtype=bool)
-    whole, _ = _lag(sums, everything, random)
-    winter, winter_draws = _part(sums, ~sums.summer, random)
-    summer, summer_draws = _part(sums, sums.summer, random)
+    lags, draws = dict[str, Lag](), dict[str, tuple[np.ndarray, np.ndarray]]()
+    for part, inside in (("whole", everything), ("winter", ~sums.summer), ("summer", sums.summer)):
+        if part == "whole" or sums.days[inside].sum() >= FEWEST_D:
+            lags[part], draws[part] = _lag(sums, inside, random)
     change = mean_day_change = UNKNOWN
-    if winter is not None and summer is not None:
+    if {"winter", "summer"} <= set(lags):
+        winter, summer = lags["winter"], lags["summer"]
         # estimates from disjoint blocks
-        if summer.weather.known and winter.weather.known:
-            lead = summer.weather.value - winter.weather.value
-            change = _bounded(lead, summer_draws[0] - winter_draws[0])
-        if summer.mean_day.known and winter.mean_day.known:
-            lead = summer.mean_day.value - winter.mean_day.value
-            mean_day_change = _bounded(lead, summer_draws[1] - winter_draws[1])
+        leads = [after - before for before, after in zip(draws["winter"], draws["summer"], strict=True)]
+        change = _change(winter.weather, summer.weather, leads[0])
+        mean_day_change = _change(winter.mean_day, summer.mean_day, leads[1])
     weights = _weights(sums.days, everything, random)
     number = weights @ sums.count
     offset = _bounded(
@@ -137,7 +136,8 @@ def align(one: Series, other: Series, *, america: bool = False) -> Alignment | N
     size = 2.0 * GRID_S / (DAY_S * float(np.sum(sums.days)))
     return Alignment(
         one.signal, one.file, other.file, offset, size * abs(np.sum(sums.wave)),
-        size * abs(np.sum(sums.other_wave)), whole, winter, summer, change, mean_day_change,
+        size * abs(np.sum(sums.other_wave)), lags["whole"], lags.get("winter"), lags.get("summer"),
+        change, mean_day_change,
     )  # fmt: skip
 
 
@@ -232,12 +232,8 @@ def _weights(days: np.ndarray, inside: np.ndarray, random: np.random.Generator) 
     return weights
 
 
-def _part(
-    sums: _Sums, inside: np.ndarray, random: np.random.Generator
-) -> tuple[Lag | None, tuple[np.ndarray, np.ndarray]]:
-    if sums.days[inside].sum() < FEWEST_D:
-        return None, (np.zeros(0), np.zeros(0))
-    return _lag(sums, inside, random)
+def _change(winter: Bounded, summer: Bounded, draws: np.ndarray) -> Bounded:
+    return _bounded(summer.value - winter.value, draws) if winter.known and summer.known else UNKNOWN
 
 
 def _lag(

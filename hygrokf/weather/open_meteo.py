@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.columns import Notation, Places, TableFault, table_of
+from hygrokf.data.numbers import UNKNOWN
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import csv_rows
 from hygrokf.data.timestamps import HOUR_S, stamp_text
@@ -166,7 +167,8 @@ def _weather(
     used |= {name: found[1] for name, found in winds.items() if int(found[2]) == height}
     frame = pd.DataFrame({name: columns[name] for name in used}, index=range(len(stamps)))
     places = Places("row", lambda rows: [int(row) + 1 for row in rows])
-    table = table_of(frame, list(used), stamps, "time", places, Notation(timezone="UTC", decimal="."), {})
+    notation = Notation(timezone="UTC", decimal=".")
+    table = table_of(frame, dict.fromkeys(used, UNKNOWN), stamps, "time", places, notation)
     fields = {short: Field(table.values[name], name, unit.get(name, "")) for name, short in used.items()}
     time, warnings = table.time - offset, list(table.warnings)
     if offset:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.columns import Notation, TableFault
+from hygrokf.data.numbers import UNKNOWN
 from hygrokf.data.record import Record, Site
 from hygrokf.data.table_readers import table_in
 from hygrokf.data.timestamps import DAY_S, HOUR_S, MINUTE_S, duration_text, modal_step, stamp_text
@@ -175,7 +176,8 @@ def _csv_weather(data: bytes, file: str, site: Site | None, alone: bool) -> Site
         )
     spots = [name for name in ("latitude", "longitude") if name in names]
     # stamps carry no offset, and are in UTC
-    table = table_in(data, "", [*used, *spots], time_name, Notation(timezone="UTC", decimal="."))
+    columns = dict.fromkeys([*used, *spots], UNKNOWN)
+    table = table_in(data, "", columns, time_name, Notation(timezone="UTC", decimal="."))
     fields = {str(short): Field(table.values[name], name) for name, short in used.items()}
     if len(spots) < 2:
         return SiteWeather(file, table.time, fields, ERA5, warnings=table.warnings)

@@ -8,7 +8,6 @@ import tomllib
 import pytest
 
 from hygrokf.cases.form import stated_case
-from hygrokf.data.columns import Notation
 from hygrokf.data.numbers import Meaning
 from hygrokf.data.quality import StatedQuality
 from hygrokf.data.toml_form import Place, lines_of
@@ -40,7 +39,8 @@ until = 2020-12-01T00:00:00Z
 
 
 def state(text: str):
-    return stated_case(tomllib.loads(text), Place(file="case.toml", lines=lines_of(text)))
+    case = stated_case(tomllib.loads(text), Place(file="case.toml", lines=lines_of(text)))
+    return case, case.place.faults
 
 
 def faults(*changes: tuple[str, str]) -> list[str]:
@@ -68,14 +68,9 @@ def test_the_form_is_read():
     assert (column.column, column.unit) == ("T", "degC")
     assert column.settings == {"accuracy": 0.5, "resolution": 0.1}
     assert (scada.stamp, scada.interval_s, scada.clock_uncertainty_s) == ("start", 600.0, 120.0)
-    assert scada.notation == Notation(
-        timezone="+01:00",
-        separator=";",
-        decimal=",",
-        missing=("bad",),
-        meanings={"P": Meaning("active_power", "kW")},
-        quality=StatedQuality({"P": None}),
-    )
+    assert (scada.timezone, scada.separator, scada.decimal, scada.missing) == ("+01:00", ";", ",", ("bad",))
+    assert scada.meanings == {"P": Meaning("active_power", "kW")}
+    assert scada.quality == StatedQuality({"P": None})
 
 
 @pytest.mark.parametrize(

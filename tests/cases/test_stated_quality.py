@@ -114,7 +114,7 @@ def test_wrong_statements_are_told_together(tmp_path: Path) -> None:
     given = faults_of(lambda: of_file(tmp_path, "csv", "", ', quality = "Q"'))
     assert any('no column "Q"' in one for one in given)
     given = faults_of(lambda: read_frames(table(), units=UNITS, quality={"cabinet_temperature": "Q"}))
-    assert any('quality: no column "Q"' in one for one in given)
+    assert any('no column "Q"' in one for one in given)
 
 
 # -- units that a frame states itself ------------------------------------------------------------------------

@@ -154,7 +154,7 @@ def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
         ("--region no-file --standstill", "expected NAME=FILE"),
         ("--region a=W --region a=W --standstill", "found twice: a"),
         ("--weather W --power W", "active_power"),
-        ("--weather none.toml --standstill", "no such file"),
+        ("--weather none.toml --standstill", "No such file"),
         ("--weather year.csv --standstill", "no such file: year.csv"),
         ("--weather W year.epw --standstill", "one case file (.toml) alone"),
         ("--weather W --standstill --limits none.toml", "check the path"),

@@ -49,8 +49,8 @@ MATRIX = ("covariance", "matrix")
 # fmt: off
 WRONG: dict[str, tuple] = {
     # the case file
-    "no case file": ("fit uk-01.toml --out made", nothing, "hygrokf: uk-01.toml: 1 fault", "no such case"),
-    "misspelt case file": ("check cse.toml", nothing, "no such file", 'mean "case.toml"?'),
+    "no case file": ("fit uk-01.toml --out made", nothing, "hygrokf: uk-01.toml: 1 fault", "No such file"),
+    "misspelt case file": ("check cse.toml", nothing, "No such file", 'mean "case.toml"?'),
     "a directory as case": ("check result", nothing, "hygrokf: result: 1 fault", "Is a directory"),
     "empty case file": (FIT, holds("case.toml", b""), "3 faults", "names no source; expected one [[source]]"),
     "broken TOML": (FIT, case(("[[source]]", "[[source")),

@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 
 from hygrokf.data import table_readers
 from hygrokf.data.columns import Notation, Table, TableFault
-from hygrokf.data.numbers import Meaning
+from hygrokf.data.numbers import UNKNOWN, Meaning
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
 
 
-def read_table(path: Path, columns: list[str], time: str, **stated) -> Table:
-    return table_readers.read_table(path, columns, time, Notation(**stated))
+def read_table(path: Path, columns: list[str], time: str, meanings=None, **stated) -> Table:
+    of_columns = dict.fromkeys(columns, UNKNOWN) | (meanings or {})
+    return table_readers.read_table(path, of_columns, time, Notation(**stated))
 
 
 def stamps(count: int = 4) -> list[str]:
