@@ -116,7 +116,6 @@ def _logged(options: argparse.Namespace) -> int:
 
 
 def _track(options: argparse.Namespace) -> int:
-    """Track until a signal ends it."""
     from hygrokf.live.tracking import track
 
     load_causes(options.library)
@@ -185,7 +184,6 @@ def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _duration(text: str) -> float:
-    """The seconds of a duration such as 10s."""
     from hygrokf.data.timestamps import duration
 
     try:

@@ -223,7 +223,6 @@ def read_config(path: str | os.PathLike[str]) -> Config:
 
 
 def _channels(form: TrackForm, folder: Path, place: Place) -> tuple[Channel, ...]:
-    """The channels of the [[notify]] tables."""
     channels: list[Channel] = []
     turbines = [one.name for one in form.turbine]
     for number, table in enumerate(form.notify):

@@ -20,12 +20,13 @@ from hygrokf.live.doctor.check import (
     doubt,
     fault,
     lasting,
+    of_names,
     ok,
     payload_checks,
     server_check,
     stamp_check,
 )
-from hygrokf.live.doctor.mqtt import mqtt_checks, sparkplug_checks
+from hygrokf.live.doctor.mqtt import mqtt_checks
 from hygrokf.live.sources.local import Lines, Playback, TailedFile, is_whole, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.opcua import OpcUa
@@ -33,8 +34,7 @@ from hygrokf.live.sources.opcua_client import Connection, HistoryFault, Sample
 from hygrokf.live.sources.opcua_form import Node
 from hygrokf.live.sources.payload import PayloadStatistics
 from hygrokf.live.sources.postgres import LOWEST, TIMES, PostgresQuery, reason_of, rows_above
-from hygrokf.live.sources.sparkplug import Sparkplug
-from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream, several
+from hygrokf.live.sources.stream import PAUSE_S, SourceFault, Stream
 from hygrokf.live.storage.database import Row
 
 if TYPE_CHECKING:
@@ -98,47 +98,36 @@ async def _first_samples(connection: Connection, awaited: set[Node], wait_s: flo
 
 def _node_checks(
     about: str, nodes: Sequence[Node], refused: dict[Node, str], first: dict[Node, Sample], wait_s: float
-) -> list[Check]:
-    """One check per kind of problem, and one for the nodes without problems."""
-    checks = []
-    if refused:
-        said = several(f"{node.id} ({word})" for node, word in refused.items())
-        checks.append(
-            fault(
-                about,
-                f"{len(refused)} of {len(nodes)} nodes do not exist or are denied: {said}",
-                "compare the ids with the server's address space, and give this user the right to read them",
-            )
-        )
+) -> Iterator[Check]:
+    now, sensor = time.time(), "check the sensor and its connection to the server"
     silent = [node.id for node in nodes if node not in refused and node not in first]
-    if silent:
-        checks.append(
-            doubt(
-                about,
-                f"no value of {several(silent)} within {lasting(wait_s)}",
-                "wait longer (--wait 1min), or check whether the server samples these nodes",
-            )
-        )
-    now = time.time()
-    wanting = {
-        "values that are not good": {n: one.word for n, one in first.items() if one.quality != "good"},
-        f"values older than {lasting(OLD_S)}": {
-            n: stamp_text(one.time) for n, one in first.items() if one.time and now - one.time > OLD_S
-        },
-        "values without a time stamp, which are not used": {
-            n: "no stamp" for n, one in first.items() if one.time is None and one.quality == "good"
-        },
+    bad = {n: one.word for n, one in first.items() if one.quality != "good"}
+    old = {n: stamp_text(one.time) for n, one in first.items() if one.time and now - one.time > OLD_S}
+    unstamped = {
+        n: "no stamp" for n, one in first.items() if one.time is None and one.quality == "good"
     }
-    for words, found in wanting.items():
-        if found:
-            said = several(f"{node.id} ({word})" for node, word in found.items())
-            checks.append(
-                doubt(about, f"{words}: {said}", "check the sensor and its connection to the server")
-            )
-    fine = set(first).difference(*wanting.values())
+    yield from of_names(
+        about,
+        (
+            "fault", _with_words(refused),
+            f"{len(refused)} of {len(nodes)} nodes do not exist or are denied: {{}}",
+            "compare the ids with the server's address space, and give this user the right to read them",
+        ),
+        (
+            "doubt", silent, f"no value of {{}} within {lasting(wait_s)}",
+            "wait longer (--wait 1min), or check whether the server samples these nodes",
+        ),
+        ("doubt", _with_words(bad), "values that are not good: {}", sensor),
+        ("doubt", _with_words(old), f"values older than {lasting(OLD_S)}: {{}}", sensor),
+        ("doubt", _with_words(unstamped), "values without a time stamp, which are not used: {}", sensor),
+    )  # fmt: skip
+    fine = set(first).difference(bad, old, unstamped)
     if fine:
-        checks.append(ok(about, f"{len(fine)} of {len(nodes)} nodes have a good value"))
-    return checks
+        yield ok(about, f"{len(fine)} of {len(nodes)} nodes have a good value")
+
+
+def _with_words(nodes: Mapping[Node, str]) -> list[str]:
+    return [f"{node.id} ({word})" for node, word in nodes.items()]
 
 
 async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) -> list[Check]:
@@ -151,17 +140,14 @@ async def _histories(connection: Connection, about: str, nodes: Sequence[Node]) 
                 unread.pop(node, None)  # whatever its access level says
         except HistoryFault as error:
             unread[node] = str(error)
-    if unread:
-        said = several(f"{node.id} ({word})" for node, word in unread.items())
-        return [
-            doubt(
-                about,
-                f"no history of {len(unread)} of {len(asked)} nodes: {said}",
-                "enable history on the server and let this user read it: otherwise samples are lost while "
-                "the tracker is not running",
-            )
-        ]
-    return [ok(about, f"the server keeps the history of the {len(asked)} nodes examined")] if asked else []
+    if asked and not unread:
+        return [ok(about, f"the server keeps the history of the {len(asked)} nodes examined")]
+    missing = f"no history of {len(unread)} of {len(asked)} nodes: {{}}"
+    enable = (
+        "enable history on the server and let this user read it: otherwise samples are lost while the "
+        "tracker is not running"
+    )
+    return list(of_names(about, ("doubt", _with_words(unread), missing, enable)))
 
 
 TAIL = 4_000_000
@@ -382,10 +368,8 @@ def _starts(kind: str) -> Iterator[tuple[str, str]]:
 KINDS: Mapping[type[Stream], Callable[..., Iterator[Check]]] = {
     TailedFile: file_checks,
     Playback: playback_checks,
-    Sparkplug: sparkplug_checks,
     Mqtt: mqtt_checks,
     OpcUa: opcua_checks,
     PostgresQuery: postgres_checks,
 }
-"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s); a kind stands before
-the one that it extends."""
+"""Kind of source -> its checks, a function of (stream, statistics, wait_s, lateness_s)."""

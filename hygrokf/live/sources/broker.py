@@ -12,6 +12,7 @@ import socket
 import ssl
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from hygrokf.data.timestamps import DAY_S, duration
@@ -28,6 +29,9 @@ from hygrokf.live.sources.endpoint import (
 )
 from hygrokf.live.sources.sparkplug_node import NAMESPACE
 from hygrokf.live.sources.stream import SourceKeys
+
+if TYPE_CHECKING:
+    from paho.mqtt.reasoncodes import ReasonCode
 
 EXPIRY_S = 7.0 * DAY_S
 """[s] a broker keeps the session of a disconnected tracker."""
@@ -306,6 +310,6 @@ def tls_words(text: str) -> str | None:
     return next((words for name, words in _TLS_ERRORS.items() if name in shown), None)
 
 
-def reason_words(code: int, name: str) -> str:
-    """Message for a reason code of MQTT 5 with its `name`."""
-    return _REASONS.get(code, f"{name.lower()} (reason code {code})")
+def reason_words(code: ReasonCode) -> str:
+    """Message for a reason code of MQTT 5."""
+    return _REASONS.get(code.value, f"{str(code).lower()} (reason code {code.value})")

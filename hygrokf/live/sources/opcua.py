@@ -106,7 +106,6 @@ class OpcUa(Stream):
         return Connection(self.server, self._security)
 
     async def _follow(self) -> None:
-        """Serve one connection until it is lost or the stream is stopped."""
         connection = self.connection()
         try:
             await connection.open()
@@ -118,7 +117,6 @@ class OpcUa(Stream):
             await connection.close()
 
     async def _serve(self, connection: Connection) -> None:
-        """Deliver the samples of one connection until it is lost or the stream is stopped."""
         self._refused, self._unread, self._bad, self._without_history = {}, {}, {}, {}
         self._owed = set()
         await self._begin(connection, self.nodes)

@@ -163,7 +163,6 @@ def _payload_class() -> Any:
 
 
 def _decode(payload: bytes) -> tuple[Message, str, bytes]:
-    """A message with its uuid and body."""
     from google.protobuf.message import DecodeError
 
     if len(payload) > LARGEST_MESSAGE:
