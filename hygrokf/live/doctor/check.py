@@ -77,12 +77,8 @@ def payload_checks(about: str, statistics: PayloadStatistics, what: str = "paylo
     if statistics.rejected:
         found += f"; not used: {statistics.rejected}"
     remedy = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
-    if not statistics.used:
-        yield fault(about, found, remedy)
-    elif statistics.rejected:
-        yield doubt(about, found, remedy)
-    else:
-        yield ok(about, found)
+    level = "fault" if not statistics.used else "doubt" if statistics.rejected else "ok"
+    yield Check(level, about, found, remedy if level != "ok" else "")
 
 
 def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:

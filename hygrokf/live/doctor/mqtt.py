@@ -12,9 +12,10 @@ import secrets
 import ssl
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from typing import TypeAlias
 
 from hygrokf.live.doctor.check import (
     SECRETS,
@@ -25,7 +26,6 @@ from hygrokf.live.doctor.check import (
     of_names,
     ok,
     payload_checks,
-    stamp_check,
     validity_check,
 )
 from hygrokf.live.sources.broker import Broker, unreachable
@@ -46,28 +46,27 @@ KEPT = (
 SILENT = "check topic, publisher and the rights of this user; wait longer (--wait 10min) if messages are rare"
 
 
-def mqtt_checks(
-    source: Mqtt, statistics: PayloadStatistics, wait_s: float, lateness_s: float
-) -> Iterator[Check]:
+Look: TypeAlias = Generator[Check, None, str]
+"""The checks of a source; it returns the name of what it has read."""
+
+
+def mqtt_checks(source: Mqtt, statistics: PayloadStatistics, wait_s: float) -> Look:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics.
 
     Of edge nodes only births within this time are known, so that values by other aliases are not judged.
     """
-    broker, mapping = source.broker, source.mapping
-    about = f"source {source.url}"
+    broker, about = source.broker, f"source {source.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
     with listening(doctor_session(broker), source.largest) as link:
         if link.lost.is_set() or not link.answered:
-            reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
-            yield fault(about, reason, REACH)
-            return
+            raise SourceFault(link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s")
         user = f" as user {broker.user_name}" if broker.user_name else ""
         yield ok(about, f"connected{' by TLS' * broker.tls}{user}")
         yield from _certificate(link, about)
-        retained = PayloadStatistics(mapping)
+        retained = PayloadStatistics(source.mapping)
 
         from paho.mqtt.client import topic_matches_sub
 
@@ -89,12 +88,9 @@ def mqtt_checks(
         yield _filter_check(f"{about} {topics}", one, denied.get(topics), wait_s, keep)
     if retained.payloads and not statistics.payloads:
         yield from payload_checks(f"{about} retained messages", retained)
-    yield from payload_checks(about, statistics)
-    found = stamp_check(about, statistics.lag_s, lateness_s)
-    if found is not None and not mapping.weather:
-        yield found
     if isinstance(source, Sparkplug):
         yield from _edge_node_checks(about, source.edge_nodes, f"within {lasting(wait_s)}")
+    return "payloads"
 
 
 def doctor_session(broker: Broker) -> Broker:

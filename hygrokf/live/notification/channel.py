@@ -17,7 +17,7 @@ from hygrokf.errors import HygrokfError, suggestion
 from hygrokf.identification.wording import one_line
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.endpoint import Address, address_of, bracketed
+from hygrokf.live.sources.endpoint import UrlKeys
 
 SEVERITIES = ("notice", "warning", "alarm")
 """Severities of an alarm, the lowest first."""
@@ -138,8 +138,6 @@ def data(message: Message) -> JsonObject:
 
 # -- the keys that the tables of all channels have -----------------------------------------------------------
 LONGEST_NAME = 40
-PORTS = {"smtp": 587, "smtps": 465, "http": 80, "https": 443}
-"""Scheme of a URL -> default port."""
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
@@ -153,7 +151,7 @@ def _of(value: object, choices: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Channel(FolderKeys):
+class Channel(UrlKeys, FolderKeys):
     """Where notices go, and which alarms they are about; empty `kinds`, `severities`, `turbines` stand for
     all.
 
@@ -183,16 +181,6 @@ class Channel(FolderKeys):
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")
     url: str
-
-    @property
-    def address(self) -> Address:
-        """The parts of the url."""
-        return address_of(self.url, PORTS, has_path=self.url.startswith("http"))
-
-    @property
-    def where(self) -> str:
-        """HOST:PORT."""
-        return f"{bracketed(self.address.host)}:{self.address.port}"
 
     @across("url")
     def url_form(self) -> str | None:

@@ -271,7 +271,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
     for number, history in enumerate(histories):
         sample = await anext(history, None)
         if sample is not None:
-            heapq.heappush(heads, (_time(sample), number, sample, history))
+            heapq.heappush(heads, (sample.time or 0.0, number, sample, history))
     while heads:
         _, number, sample, history = heads[0]
         yield sample
@@ -279,13 +279,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
         if following is None:
             heapq.heappop(heads)
         else:
-            heapq.heapreplace(heads, (_time(following), number, following, history))
-
-
-def _time(sample: Sample) -> float:
-    """The time [s] of a sample from a history, which always has a time."""
-    assert sample.time is not None
-    return sample.time
+            heapq.heapreplace(heads, (following.time or 0.0, number, following, history))
 
 
 def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:

@@ -144,10 +144,8 @@ def words_of(fault: Exception) -> str:
     if isinstance(fault, TimeoutError):
         return "no answer in time"
     name = name_of(fault)
-    return f"{REMEDIES[name]} ({name})" if name in REMEDIES else _shown(fault)
-
-
-def _shown(fault: Exception) -> str:
+    if name in REMEDIES:
+        return f"{REMEDIES[name]} ({name})"
     return " ".join(f"{type(fault).__name__} {fault}".split())[:160].strip()
 
 

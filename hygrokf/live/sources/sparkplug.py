@@ -20,7 +20,7 @@ from hygrokf.live.sources.broker import SPARKPLUG, Broker
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Arrival, Link, libraries_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.payload_formats import Content, Payload, Refused, Unreadable
+from hygrokf.live.sources.payload_formats import Content, Payload, Record, Refused, Unreadable
 from hygrokf.live.sources.sparkplug_node import NAMESPACE, Arrived, EdgeNode, Released, address_of
 from hygrokf.live.sources.sparkplug_payload import LARGEST_MESSAGE, decode, rebirth_request
 from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, several
@@ -182,12 +182,10 @@ class Sparkplug(Mqtt):
 
     def _turbine(self, topic: str) -> str | None:
         """The turbine that a level of the topic names, or the only one; None for any other."""
-        place, turbines = self.mapping.turbine, self.mapping.turbines
-        levels = {f"{{{number}}}": level for number, level in enumerate(topic.split("/"))}
-        only = set(turbines.values())
-        if not place and len(only) == 1:
-            return only.pop()
-        return turbines.get(levels.get(place, ""))
+        mapping = self.mapping
+        if not mapping.turbine:
+            return mapping.only
+        return mapping.turbines.get(str(mapping.readers["turbine"](Record((), topic=topic))))
 
     @property
     def state(self) -> SourceState:

@@ -304,14 +304,13 @@ class EdgeNode:
         released = self._without_missing(one.received, old) if old else []
         self._former |= self._tables
         self._tables = {}
-        number = one.message.value_of("bdSeq")
-        self._bdseq = number % 256 if isinstance(number, int) else None
+        self._bdseq = one.message.session
         self.gap_s, self._expected = None, None
         return [*released, *self._next(one)]
 
     def _node_death(self, one: Arrived) -> list[Released]:
-        number = one.message.value_of("bdSeq")
-        if isinstance(number, int) and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
+        number = one.message.session
+        if number is not None and self._bdseq is not None and (number - self._bdseq) % 256 >= 128:
             return [refused(one, "former death certificate", "it belongs to a former session")]
         released = self._without_missing(one.received, self._waiting) if self._waiting else []
         self._former |= self._tables
