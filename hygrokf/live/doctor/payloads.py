@@ -18,7 +18,6 @@ from typing import IO, Any, cast
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.errors import HygrokfError
 from hygrokf.identification.wording import one_line
 from hygrokf.live.doctor.mqtt import arrivals, doctor_session, listening
 from hygrokf.live.sources.broker import filter_fault
@@ -26,7 +25,7 @@ from hygrokf.live.sources.local import Lines, TailedFile, next_line
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.payload import USED_THOUGH, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.payload_formats import JSON, UNPACKED, Content, Unreadable, decoded
-from hygrokf.live.sources.stream import Delivery, Stream
+from hygrokf.live.sources.stream import Delivery, SourceFault, Stream
 from hygrokf.live.tracker import Reading
 
 MOST = 20
@@ -37,10 +36,6 @@ MOST_VALUES = 40
 """Readings and rejections of a payload that are shown."""
 WIDTH = 100
 """Characters of a payload that are shown."""
-
-
-class TrialFault(HygrokfError):
-    """Nothing can be tried; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +58,13 @@ def try_payloads(streams: Sequence[Stream], what: str, wait_s: float) -> list[Tr
     """Try the payloads of a file, or those that arrive at a topic within `wait_s` [s].
 
     A file is read by the mapping of the source whose file it is, otherwise by each mapping.  Raises
-    TrialFault.
+    SourceFault.
     """
     path = Path(what)
     if path.exists() or not any(isinstance(one, Mqtt) for one in streams):
         return _try_file(streams, path)
     if (wrong := filter_fault(what)) is not None:
-        raise TrialFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
+        raise SourceFault(f"expected a file or a topic; there is no file {what!r}, and {wrong}")
     brokers = [one for one in streams if isinstance(one, Mqtt)]
     return [trial((one.url,), one.mapping, heard(one, what, wait_s)) for one in brokers]
 
@@ -86,9 +81,9 @@ def _try_file(streams: Sequence[Stream], path: Path) -> list[Trial]:
     try:
         return [trial(tuple(urls), mapping, filed(path, mapping)) for mapping, urls in found]
     except FileNotFoundError:
-        raise TrialFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
+        raise SourceFault(f"{path}: no such file; a topic needs a [[source]] that is a broker") from None
     except (OSError, EOFError, zlib.error) as fault:
-        raise TrialFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
+        raise SourceFault(f"{path}: cannot be read: {getattr(fault, 'strerror', None) or fault}") from None
 
 
 def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
@@ -121,17 +116,17 @@ def filed(path: Path, mapping: PayloadMapping) -> Iterator[Delivery]:
 
 
 def heard(source: Mqtt, topic: str, wait_s: float) -> Iterator[Delivery]:
-    """The messages at a topic within `wait_s` [s], retained ones included.  Raises TrialFault."""
+    """The messages at a topic within `wait_s` [s], retained ones included.  Raises SourceFault."""
     session = replace(doctor_session(source.broker), topics=(topic,), alarms="")
     with listening(session, source.largest) as link:
         if link.lost.is_set() or not link.answered or link.denied:
             words = link.reason or f"{source.broker.where} has not answered"
-            raise TrialFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
+            raise SourceFault(f"{source.url}: {'; '.join(link.denied.values()) or words}")
         for arrival in arrivals(link, wait_s):
             for content in source.read(arrival):
                 yield Delivery(content, arrival.time, arrival.topic)
         if link.lost.is_set():
-            raise TrialFault(f"{source.url}: {link.reason}")
+            raise SourceFault(f"{source.url}: {link.reason}")
 
 
 # -- what they give ------------------------------------------------------------------------------------------

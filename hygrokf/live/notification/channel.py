@@ -8,12 +8,11 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S, duration, stamp_text
 from hygrokf.data.toml_form import FolderKeys, across, setting
-from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.errors import HygrokfError
 from hygrokf.identification.wording import one_line
 from hygrokf.live.alarms import RULES
 from hygrokf.live.batch import Alarm
@@ -141,15 +140,6 @@ LONGEST_NAME = 40
 MOST_HOLD_OFF_S, MOST_DIGEST_S = 7.0 * DAY_S, DAY_S
 
 
-def _of(value: object, choices: tuple[str, ...]) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise ValueError(f"expected a list of {', '.join(choices)}, found {value!r}")
-    for one in value:
-        if one not in choices:
-            raise ValueError(f'expected {", ".join(choices)}, found "{one}"{suggestion(one, choices)}')
-    return tuple(value)
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Channel(UrlKeys, FolderKeys):
     """Where notices go, and which alarms they are about; empty `kinds`, `severities`, `turbines` stand for
@@ -176,8 +166,8 @@ class Channel(UrlKeys, FolderKeys):
         0.0, "interval of collected messages", read=duration, least=0.0, most=MOST_DIGEST_S,
         expected="at most 1 d",
     )  # fmt: skip
-    kinds: tuple[str, ...] = setting((), "kinds of alarms", read=partial(_of, choices=tuple(RULES)))
-    severities: tuple[str, ...] = setting((), "severities of alarms", read=partial(_of, choices=SEVERITIES))
+    kinds: tuple[str, ...] = setting((), "kinds of alarms", choices=tuple(RULES))
+    severities: tuple[str, ...] = setting((), "severities of alarms", choices=SEVERITIES)
     turbines: tuple[str, ...] = setting((), "names of turbines", empty=True)
     ca: str = setting("", "certificates of the CAs to trust, PEM")
     url: str
